@@ -30,7 +30,7 @@ from forestgen.community.branch_modules.state import State
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 
 PLANTS, MODULES = 468_199, 2_271_000  # Makowski 2023, Table 4, Fig. 16 g
 MOST_STEP_S, MOST_GB, MOST_STAND_S, MOST_DEVIATION = 19.0, 10.0, 120.0, 0.15

@@ -28,22 +28,17 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.render import sky
-from forestgen.render.cloud_heights import base_of
-from forestgen.render.cloud_shadow import shadow_of
+from forestgen.render.capture import sensor_of
+from forestgen.render.cloud_shadow import base_of, cloud_transport_of, shadow_of
 from forestgen.render.frame import Radiance
 from forestgen.render.identity import SceneTracer, trace_identity
+from forestgen.render.job import CloudTransport, RenderJob, StoppingCriterion
 from forestgen.render.light import sky_light, sun_disc
-from forestgen.render.noise import Until
 from forestgen.render.radiance import render_radiance
-from forestgen.render.sensors import sensor_of
-from forestgen.render.shot import CloudTransport, Shot
-from forestgen.render.sky_pixels import SkyPixels
-from forestgen.render.transport import cloud_transport_of
 from forestgen.render.variant import SCALAR, mitsuba, using
-from forestgen.render.views import build_view
+from forestgen.render.views import build_view, sky_pixels
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cloud_box import cloud_volume
@@ -119,16 +114,18 @@ def cameras(size_px: tuple[int, int]) -> list[Camera]:
 
 def shot_of(
     spec: SceneSpec, camera: Camera, samples: int, transport: CloudTransport, seed: int
-) -> tuple[Shot, NDArray[np.bool_]]:
+) -> tuple[RenderJob, NDArray[np.bool_]]:
     """And the (H, W) pixels that see no sky."""
     tracer = SceneTracer(spec, Timings())
     identity, surface = trace_identity(tracer, camera, samples=4, timer=Timings(), advance=lambda rows: None)
     closed = (identity.part != Part.NOTHING).all(axis=2)
-    shot = Shot(spec, camera, Until(samples), seed, cloud_transport=transport, position_m=surface.position_m)
+    shot = RenderJob(
+        spec, camera, StoppingCriterion(samples), seed, cloud_transport=transport, position_m=surface.position_m
+    )
     return shot, closed
 
 
-def render(shot: Shot) -> Cost:
+def render(shot: RenderJob) -> Cost:
     start_s = process_time()
     with using(SCALAR):
         build_view(shot, Silent(), Timings())
@@ -169,7 +166,7 @@ def views(spec: SceneSpec, sizes: Sizes) -> list[str]:
     for camera in spec.cameras:
         shot, closed = shot_of(spec, camera, sizes.samples, "farfield", 7)
         far = render(shot)
-        exact = render(replace(shot, until=Until(sizes.exact_samples), cloud_transport="exact"))
+        exact = render(replace(shot, until=StoppingCriterion(sizes.exact_samples), cloud_transport="exact"))
         clear = render(replace(shot, spec=replace(spec, clouds=None)))
         means, errors = zip(*(mean_of(one.radiance, closed) for one in (far, exact)), strict=True)
         difference, error = means[0] / means[1] - 1, float(np.hypot(*errors)) / means[1]
@@ -229,9 +226,9 @@ def paths(spec: SceneSpec, sizes: Sizes) -> list[str]:
             }
         )
         tracer = mi.load_dict({"type": "volpath", "max_depth": 256, "rr_depth": 256})
-        pixels, wanted = SkyPixels(clouds, camera), np.ones((32, 48), dtype=np.bool_)
+        wanted = np.ones((32, 48), dtype=np.bool_)
         start_s = process_time()
-        own = np.array([pixels.take(wanted, RGB, 64, seed)[..., 1] for seed in range(sizes.runs)])
+        own = np.array([sky_pixels(clouds, camera, wanted, RGB, 64, seed)[..., 1] for seed in range(sizes.runs)])
         own_s = process_time() - start_s
         theirs = np.array(
             [

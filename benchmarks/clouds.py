@@ -21,16 +21,14 @@ from radiance import LUMINANCE, identity_of, stand
 
 from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.core.parts import Part
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.exact_view import ExactView
+from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.light import emitters_of
-from forestgen.render.noise import Until
-from forestgen.render.painted import path_tracer
-from forestgen.render.shot import Shot
-from forestgen.render.surfaces import Paints
-from forestgen.render.variant import SCALAR, drjit, mitsuba, using
+from forestgen.render.surfaces import SpectralBsdfs
+from forestgen.render.variant import SCALAR, drjit, mitsuba, path_tracer, using
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cloud_box import cloud_volume
@@ -68,10 +66,10 @@ def images(spec: SceneSpec, camera: Camera, sizes: Sizes) -> tuple[dict[str, Flo
     seconds: dict[str, float] = {}
     assert spec.clouds is not None
     with using(SCALAR) as mi:
-        view = ExactView(Shot(spec, camera, Until(sizes.samples), 3), Timings())
+        view = ExactView(RenderJob(spec, camera, StoppingCriterion(sizes.samples), 3), Timings())
         origin = origin_of(camera)
         lights = {name: mi.load_dict(make(RGB)) for name, make in emitters_of(spec.sky).items()}
-        plain = load({**scene_dict(spec, origin, Paints()), "box": cloud_volume(spec.clouds, origin), **lights})
+        plain = load({**scene_dict(spec, origin, SpectralBsdfs()), "box": cloud_volume(spec.clouds, origin), **lights})
         tracers = {
             "volpath as it comes": mi.load_dict({"type": "volpath", "max_depth": -1}),
             "volpath at its best": path_tracer("volpath", 4096, rr_depth=256),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_irradiance
+from forestgen.render.light import SUN_RADIUS_DEG, sky_map, sun_irradiance
 from forestgen.render.surfaces import LEAFLIKE, sides_of
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec

@@ -31,7 +31,7 @@ from forestgen.community.model import simulate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
 from forestgen.community.soil_water import Ground, SoilWater
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.planning import check_plan
 

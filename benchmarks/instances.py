@@ -15,15 +15,15 @@ from time import perf_counter
 
 import numpy as np
 
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.render.build import load, origin_of, plants_dict, scene_dict, to_mesh
+from forestgen.render.capture import sensor_of
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.light import lights
-from forestgen.render.sensors import sensor_of
-from forestgen.render.surfaces import Paints
+from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import SceneSpec
+from support.radiometry import lights
 from support.scenes import scattered_scene
 from support.twins import trace_twin
 
@@ -42,7 +42,7 @@ def seconds(work: Callable[[], object]) -> float:
 def build_scene(spec: SceneSpec) -> None:
     mi = mitsuba()
     with mi.variant_context(SCALAR):
-        load({**scene_dict(spec, origin_of(spec.cameras[0]), Paints()), **lights(spec.sky, RGB)})
+        load({**scene_dict(spec, origin_of(spec.cameras[0]), SpectralBsdfs()), **lights(spec.sky, RGB)})
 
 
 def identity(spec: SceneSpec) -> np.ndarray:

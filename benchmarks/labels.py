@@ -26,22 +26,19 @@ import numpy as np
 from forestgen.atmosphere.clouds.noise import cumulus_field
 from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.community.population import Population
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
-from forestgen.labels.amodal import amodal_masks
+from forestgen.core.progress import Silent, Timings
 from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.labels.channels.motion import motion_px
 from forestgen.labels.classes import ClassMap
-from forestgen.labels.pixels import PixelLabels, pixel_labels
+from forestgen.labels.masks import PixelLabels, amodal_masks, pixel_labels
 from forestgen.labels.plants_table import plant_views
 from forestgen.render.amodal import trace_amodal
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
-from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.noise import Until
+from forestgen.render.identity import SceneTracer, hit_tables, trace_identity
+from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.radiance import render_radiance
-from forestgen.render.shot import Shot
 from forestgen.render.variant import drjit, mitsuba
-from forestgen.scene.plant_measures import PlantMeasures, measure_plants
+from forestgen.scene.plant_measures import PlantMeasures, PlantMeter
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import SceneSpec
 from support.scenes import scattered_scene
@@ -93,13 +90,17 @@ class Subject:
         self.classes = ClassMap(self.population.species_names)
         self.watch = Stopwatch()
         self.tracer = self.watch.run("tracer", lambda: SceneTracer(self.spec, Timings()))
-        self.measures: PlantMeasures = self.watch.run("plant measures", lambda: measure_plants(self.spec))
+        self.measures: PlantMeasures = self.watch.run(
+            "plant measures", lambda: PlantMeter(self.spec.exemplars).measure(self.spec.instances)
+        )
 
     def radiance(self, samples: int, watch: Stopwatch) -> None:
         """Without the time to build its scene."""
         timings = Timings()
         start = process_time()
-        render_radiance(Shot(self.spec, self.camera, Until(samples), seed=1), progress=Silent(), timer=timings)
+        render_radiance(
+            RenderJob(self.spec, self.camera, StoppingCriterion(samples), seed=1), progress=Silent(), timer=timings
+        )
         watch.add("radiance", timings.seconds["light paths"], process_time() - start)
 
     def labels(self, watch: Stopwatch) -> tuple[Identity, Surface, PixelLabels]:
@@ -194,7 +195,7 @@ def compare(instances: int, size_px: tuple[int, int], leaves: int) -> tuple[floa
         print(f"  {name + ', all':<28}{share:19.2%}, of processors {processor_share:17.2%}")
     set_up = {**subject.watch.wall_s, "amodal, first camera": first.wall_s.popitem()[1]}
     print("set-up, once a scene:", ", ".join(f"{name} {times[0]:.2f} s" for name, times in set_up.items()))
-    print(f"tables on the device: {subject.tracer.table_bytes / 1e6:.0f} MB")
+    print(f"tables on the device: {hit_tables(subject.tracer.spec).nbytes / 1e6:.0f} MB")
     return shares["labels"][0], shares["amodal"][0]
 
 

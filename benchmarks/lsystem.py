@@ -23,7 +23,7 @@ from time import perf_counter
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.models.multiset_lsystem import MODEL, State
-from forestgen.lsystem.compiler import compile_listing
+from forestgen.lsystem.compiler import compile_program
 from forestgen.lsystem.derivation import derive
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
@@ -49,7 +49,7 @@ console.log(JSON.stringify([length, Number(process.hrtime.bigint() - begin) / 1e
 
 
 def program(rules: str) -> Program:
-    return compile_listing(parse_text(rules, "benchmark.lsys"))
+    return compile_program(parse_text(rules, "benchmark.lsys"))
 
 
 PLAIN = program("axiom: F\nF --> FFF\nA(x) : x > 1 --> A(x/2)F\n")

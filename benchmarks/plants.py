@@ -15,7 +15,7 @@ from time import perf_counter
 
 import numpy as np
 
-from forestgen.core.disk_cache import DiskCache
+from forestgen.core.cache import DiskCache
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.growing import ExemplarRequest, grow_exemplars
 from forestgen.recipe.load import load_recipe_data

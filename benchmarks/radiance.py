@@ -39,17 +39,15 @@ from numpy.typing import NDArray
 from forestgen.community.simulation import final_population
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.recipe.load import load_recipe
-from forestgen.render.denoise import denoise
+from forestgen.render.denoise import denoise, trace_guides
 from forestgen.render.frame import Identity, Radiance
-from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
-from forestgen.render.noise import Until, noise_of
+from forestgen.render.identity import SceneTracer, trace_identity
+from forestgen.render.job import RenderJob, StoppingCriterion
+from forestgen.render.noise import Estimate, noise_of
 from forestgen.render.radiance import render_radiance
-from forestgen.render.shot import Shot
-from forestgen.render.slices import Estimate
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.build import build_scene
@@ -98,10 +96,12 @@ class Clock:
             self.seconds[name] = self.seconds.get(name, 0.0) + process_time() - start
 
 
-def take(spec: SceneSpec, camera: Camera, until: Until, seed: int, mode: Mode = "rgb") -> tuple[Radiance, float]:
+def take(
+    spec: SceneSpec, camera: Camera, until: StoppingCriterion, seed: int, mode: Mode = "rgb"
+) -> tuple[Radiance, float]:
     """An image, and its seconds of all processors without those of building the scene."""
     clock, start = Clock(), process_time()
-    image = render_radiance(Shot(spec, camera, until, seed, mode), progress=Silent(), timer=clock)
+    image = render_radiance(RenderJob(spec, camera, until, seed, mode), progress=Silent(), timer=clock)
     return image, process_time() - start - clock.seconds["radiance: build"]
 
 
@@ -237,7 +237,7 @@ def against_cycles(python: str | None, sizes: Sizes) -> bool:
         images: dict[object, list[NDArray[Any]]] = {way: [] for way in ("ours", *WAYS)}
         seconds: dict[object, list[float]] = {way: [] for way in images}
         for repetition in range(sizes.repetitions):
-            image, spent = take(spec, camera, Until(sizes.samples), seed=repetition + 1)
+            image, spent = take(spec, camera, StoppingCriterion(sizes.samples), seed=repetition + 1)
             images["ours"].append(image.mean)
             seconds["ours"].append(spent)
             for way in WAYS if peer else ():
@@ -278,7 +278,7 @@ def spectral(spec: SceneSpec, sizes: Sizes) -> bool:
     for repetition in range(sizes.repetitions):
         for mode in modes:
             start = perf_counter()
-            image, spent = take(spec, camera, Until(sizes.samples), repetition + 1, mode)
+            image, spent = take(spec, camera, StoppingCriterion(sizes.samples), repetition + 1, mode)
             wall[mode] += perf_counter() - start
             images[mode].append(image.mean)
             seconds[mode].append(spent)
@@ -300,7 +300,7 @@ def noise_control(spec: SceneSpec, sizes: Sizes) -> bool:
     wastes = []
     for camera in views(spec, sizes.noise_px):
         for target in sizes.targets:
-            until = Until(16, target_error=target, most_samples=8192)
+            until = StoppingCriterion(16, target_error=target, most_samples=8192)
             runs = [take(spec, camera, until, seed)[0] for seed in range(1, sizes.seeds + 1)]
             each = np.array([run.mean for run in runs], dtype=np.float64)
             error = noise_of(Estimate(each.mean(0), each.var(0, ddof=1)), seen).relative_error
@@ -329,9 +329,9 @@ def denoised(spec: SceneSpec, sizes: Sizes) -> bool:
     print(f"denoised, {sizes.denoise_px[0]} x {sizes.denoise_px[1]} px, reference of {sizes.reference} samples:")
     for camera in views(spec, sizes.denoise_px):
         guide = trace_guides(tracer, camera, timer=Timings())
-        truth = take(spec, camera, Until(sizes.reference), 1)[0]
+        truth = take(spec, camera, StoppingCriterion(sizes.reference), 1)[0]
         scale = np.maximum(truth.mean, 0.1 * truth.mean.mean(axis=(0, 1))) ** 2
-        few, many = (take(spec, camera, Until(samples), 2)[0].mean for samples in (16, 128))
+        few, many = (take(spec, camera, StoppingCriterion(samples), 2)[0].mean for samples in (16, 128))
         clean = denoise(few, guide.colour, guide.normal)
         errors = []
         for name, image in (("16 raw", few), ("128 raw", many), ("16 denoised", clean)):

@@ -11,7 +11,7 @@ from scipy.stats import spearmanr
 from silviculture_stands import Course, Report, grow_recipe
 
 from forestgen.community.plots import new_figure
-from forestgen.core.forestry import BREAST_HEIGHT_M
+from forestgen.core.frames import BREAST_HEIGHT_M
 
 FOLDER = Path(__file__).parents[1] / "recipes" / "biomes"
 

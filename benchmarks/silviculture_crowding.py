@@ -33,7 +33,7 @@ from forestgen.community.population import Population
 from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 from forestgen.scene.planning import check_plan
 from support.module_spheres import intersection_ratio
 

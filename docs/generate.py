@@ -25,9 +25,9 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.curves import CURVE_SCHEMA
-from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.registries import BUILDINGS, RIGS
 from forestgen.recipe.schema import Recipe
+from forestgen.recipe.species import PlantType
 from forestgen.runs.single_plant import drawn_of
 
 DOCS = Path(__file__).parent
@@ -47,7 +47,7 @@ _SECTIONS = {
     "EmissionSection": "sky.clouds: emission",
     "DomainSection": "sky.clouds: domain",
     "NamedFile": "sky.clouds: file, emission.map",
-    "Chapter": "sky.clouds: story (each)",
+    "Phase": "sky.clouds: story (each)",
     "Camera": "cameras (each)",
     "CameraPath": "cameras: path",
     "Exposure": "cameras: exposure",

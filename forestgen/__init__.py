@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from forestgen.api.programs import derive
     from forestgen.api.recipes import Recipe, load
     from forestgen.api.stands import Stand
+    from forestgen.core import __version__
     from forestgen.core.errors import (
         AssetError,
         DatasetError,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
         RenderError,
         ResourceError,
     )
-    from forestgen.core.version import __version__
     from forestgen.dataset.frame import Frame
 
 _ERRORS = (
@@ -52,7 +52,7 @@ _MODULES = {
     **dict.fromkeys(("models", "register", "schema", "species"), "forestgen.api.catalogue"),
     **dict.fromkeys(("fit_kernel", "stats"), "forestgen.api.points"),
     "derive": "forestgen.api.programs",
-    "__version__": "forestgen.core.version",
+    "__version__": "forestgen.core",
     **dict.fromkeys(_ERRORS, "forestgen.core.errors"),
 }
 

@@ -14,27 +14,29 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.community.population import Population
-from forestgen.community.simulation import final_population, snapshots
-from forestgen.community.summary import SimulationSummary, counts_of, lifeless_note, standing_dead
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
-from forestgen.dataset.data_set import class_map
+from forestgen.community.simulation import (
+    SimulationSummary,
+    counts_of,
+    final_population,
+    lifeless_note,
+    snapshots,
+    standing_dead,
+)
+from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.formats.format import check_ids
-from forestgen.dataset.frame_row import frame_row
 from forestgen.dataset.manifest import build_manifest, write_manifest
-from forestgen.dataset.maps import write_maps
-from forestgen.dataset.settings import DatasetSettings
-from forestgen.dataset.writer import frame_folder_name, write_frame
+from forestgen.dataset.settings import DatasetSettings, class_map
+from forestgen.dataset.writer import frame_folder_name, frame_row, write_frame, write_maps
 from forestgen.instruments.instrument import Instrument, KeysT, ReadingT
 from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
-from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
+from forestgen.recipe.map_files import recipe_hash
+from forestgen.render.cloud_shadow import cloud_transport_of
 from forestgen.render.frame import Frame
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import haze_notes, noise_notes, render_frame
-from forestgen.render.transport import cloud_transport_of
 from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.plan import Plan, check_memory
 from forestgen.scene.planning import check_plan
@@ -68,9 +70,7 @@ def assemble_image(
 ) -> BuiltScene:
     """Simulate a drawn recipe's community, grow its plants and assemble its scene.
 
-    Parameters
-    ----------
-    memory_budget_bytes : that the image may take; None: what is free now.
+    `memory_budget_bytes`: that the image may take; None: what is free now.
 
     Raises
     ------

@@ -29,7 +29,7 @@ import pytest
 from hypothesis import settings
 
 from forestgen.core import registry
-from forestgen.core.disk_cache import ENVIRONMENT
+from forestgen.core.cache import ENVIRONMENT
 
 for _number, _handler in (
     (signal.SIGINT, signal.default_int_handler),

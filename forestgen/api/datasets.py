@@ -21,8 +21,7 @@ from forestgen.core.arguments import PathLike, path_of, paths_of, shown, text_of
 from forestgen.core.errors import DatasetError, RecipeError, ResourceError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
-from forestgen.dataset.index import INDEX_NAME, whole_index
-from forestgen.dataset.index_values import plain_rows
+from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
 from forestgen.dataset.legend import read_legend
 from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.recipe.suggestions import did_you_mean
@@ -30,7 +29,7 @@ from forestgen.runs.description import DATASET_NAME
 from forestgen.runs.summary import RunSummary
 
 if TYPE_CHECKING:
-    from forestgen.dataset.pack.run import Packed
+    from forestgen.dataset.pack.pack import Packed
     from forestgen.runs.verify import VerificationReport
 
 _PICTURES = ("preview", "semantic", "instance")
@@ -199,7 +198,7 @@ class Dataset(Sequence[Frame]):
         seed : of the frames' random order.
         by_name : in the order of their names instead.
         """
-        from forestgen.dataset.pack.run import pack, packing_of
+        from forestgen.dataset.pack.pack import pack, packing_of
 
         target = path_of(out, "out", output=True)
         names = None if channels is None else texts_of(channels, "channels")

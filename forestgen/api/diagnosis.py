@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from forestgen.core.memory import free_bytes
-from forestgen.core.version import __version__
+from forestgen.core import __version__
+from forestgen.core.processes import free_bytes
 from forestgen.dataset.manifest import package_versions
 
 _LEAST_FREE_BYTES = 3_000_000_000
 _PATIENCE_S = 120
-_LIBRARIES = (  # name, function of render.check, remedy
+_LIBRARIES = (  # name, function of render.variant, remedy
     ("scalar_rgb", "check_scalar", "reinstall mitsuba: `uv sync --reinstall-package mitsuba`"),
     (
         "llvm_ad_rgb",
@@ -115,8 +115,8 @@ def _packages() -> Finding:
 
 
 def _tried(name: str, function: str, remedy: str, *, required: bool = True) -> Finding:
-    """What a function of `render.check` says, in a process of its own: an unfit library may end the whole process."""
-    code = f"{_PREPARE}; from forestgen.render import check; print(check.{function}())"
+    """What a check of `render.variant` says, in a process of its own: an unfit library may end the whole process."""
+    code = f"{_PREPARE}; from forestgen.render import variant; print(variant.{function}())"
     try:
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, encoding="utf-8", timeout=_PATIENCE_S, check=False

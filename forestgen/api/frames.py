@@ -12,17 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.progress import Timings
 from forestgen.core.threads import cores, limit_cores
-from forestgen.core.timing import Timings
 from forestgen.dataset.camera import camera_model
-from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.exr import frame_parts
 from forestgen.dataset.frame import Frame, Parts
-from forestgen.dataset.maps import write_maps
-from forestgen.dataset.settings import DatasetSettings
+from forestgen.dataset.settings import DatasetSettings, data_set_of
 from forestgen.dataset.tables import plants_table
 from forestgen.dataset.tonemap import preview_of
-from forestgen.dataset.writer import write_frame
+from forestgen.dataset.writer import write_frame, write_maps
 from forestgen.pipeline import RenderedFrame, assemble_image, image_frames
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe, dump_yaml
 from forestgen.render.variant import mitsuba, tracing_on

@@ -10,8 +10,7 @@ from forestgen.api.display import display_of
 from forestgen.api.rendering import free_folder
 from forestgen.core.arguments import PathLike, path_of, paths_of, shown, texts_of, whole_of
 from forestgen.core.errors import OutputError, RecipeError
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 
 if TYPE_CHECKING:
     from forestgen.atmosphere.clouds.source import WeatherReport
@@ -177,7 +176,7 @@ class Instruments:
 
 def _values(texts: Sequence[str]) -> dict[str, Any]:
     """Key -> value of texts ``key=YAML``."""
-    from forestgen.recipe.yaml_source import parse_yaml
+    from forestgen.recipe.sources import parse_yaml
 
     found = {}
     for text in texts:

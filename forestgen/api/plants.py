@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from forestgen.api.display import display_of
 from forestgen.core.arguments import path_of, paths_of
 from forestgen.core.progress import Progress
-from forestgen.core.randomness import child_rng
 from forestgen.dataset.file_set import FileSet, check_writable
-from forestgen.geometry.export import model_files
+from forestgen.geometry.export import model_files, png
 from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.model import png
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.sway import check_sways, sway
@@ -226,9 +224,7 @@ class Plant:
         check_numbers(Order(self.species, (), frames=frames, frames_per_s=frames_per_s))
         parameters = self._plan.generators[self.species]
         check_sways(self.species, parameters)
-        rng = partial(child_rng, self.seed, "exemplar", self.species)
-        species = self._plan.drawn.species[self.species]
-        posed = sway(self.species, species, parameters, self._exemplar.radius_m, rng, frames, frames_per_s)
+        posed = sway(self._plan, self.species, self._exemplar.radius_m, self.seed, frames, frames_per_s)
         return [Plant(self._plan, one, self.seed) for one in posed]
 
     def _repr_png_(self) -> bytes:

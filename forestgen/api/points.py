@@ -169,7 +169,7 @@ def fit_files(target: Path) -> tuple[Path, Path, Path]:
 
 
 def _on_species(stand: MeasuredStand, library: set[str], species: str | None) -> list[str]:
-    """A note if plants get a look that nobody asked for."""
+    """A note if plants get a look by default."""
     strange = [name for name in stand.names if name not in library]
     if species is not None or not strange:
         return []

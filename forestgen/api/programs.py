@@ -10,9 +10,9 @@ from typing import Any
 from forestgen.core.arguments import MOST_SEEDS, path_of, texts_of, whole_of
 from forestgen.core.errors import LsystemError, RecipeError
 from forestgen.lsystem import derivation
-from forestgen.lsystem.compiler import Value, compile_listing, with_values
+from forestgen.lsystem.compiler import Value, compile_program, with_values
 from forestgen.lsystem.multiset import words_as_lists, words_as_text
-from forestgen.lsystem.parsing import read_listing
+from forestgen.lsystem.parsing import parse_file
 from forestgen.lsystem.program import Program
 from forestgen.recipe.assets import find_asset
 
@@ -87,7 +87,7 @@ def derive(
     named = path_of(file, "file")
     drawn, most = whole_of(seed, "seed", 0, MOST_SEEDS), whole_of(max_modules, "max_modules", 1, _MOST_LIMIT)
     path = named if os.path.exists(named) else find_asset("lsystems", str(named))  # noqa: PTH110 - never raises
-    program = compile_listing(with_values(read_listing(path), _values(set)))
+    program = compile_program(with_values(parse_file(path), _values(set)))
     wanted = _steps(program, steps)
     last: derivation.Derivation | None = None
     for last in derivation.derive(program, wanted, drawn, most_modules=most):  # noqa: B007 - the last matters

@@ -17,8 +17,7 @@ from forestgen.api.rendering import Rendering
 from forestgen.core.arguments import PathLike, listed, path_of, paths_of, plain_copy, shown, texts_of, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import count, show_bytes
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 from forestgen.recipe.sources import dotted
 from forestgen.scene.load_checked import load_checked
 
@@ -52,7 +51,7 @@ def load(
     RecipeError, AssetError : with `place`, `expected`, `got` and `hint`; `errors` has all that were found.
     """
     if folders := paths_of(allow_folders, "allow_folders"):
-        from forestgen.recipe.paths import allow_folders as allow
+        from forestgen.recipe.assets import allow_folders as allow
 
         allow(folders)
     return Recipe(source, _texts(set))
@@ -180,7 +179,7 @@ class Recipe(Rendering, Instruments):
     @property
     def yaml(self) -> str:
         """The same as YAML text."""
-        from forestgen.recipe.load import yaml_text
+        from forestgen.recipe.sources import yaml_text
 
         return yaml_text(self._loaded.complete)
 

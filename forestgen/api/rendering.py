@@ -11,7 +11,7 @@ from forestgen.api.datasets import Run
 from forestgen.api.display import display_of
 from forestgen.core.arguments import PathLike, address_of, whole_of
 from forestgen.core.progress import Progress
-from forestgen.recipe.splits import NUMBERS_END
+from forestgen.recipe.dataset import NUMBERS_END
 
 if TYPE_CHECKING:
     from forestgen.dataset.frame import Frame

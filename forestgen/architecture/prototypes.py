@@ -40,8 +40,8 @@ from forestgen.core.errors import AssetError
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.fields import Fraction, Number, Positive, Section, Text, Whole, mistake
 from forestgen.recipe.messages import Explainer
-from forestgen.recipe.plant_type import PlantType
-from forestgen.recipe.yaml_source import read_yaml
+from forestgen.recipe.sources import read_yaml
+from forestgen.recipe.species import PlantType
 
 MOST_NODES = 32
 _COLUMNS = ("mature_age", "length_per_age_m", "longest_segment_m", "tropism_strength", "tropism_decay", "opacity")

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.grid import AirGrid
 from forestgen.atmosphere.sounding import (
     AIR_EXPONENT,
     GAS_CONSTANT_AIR_J_PER_KG_K,
@@ -28,7 +29,6 @@ from forestgen.atmosphere.sounding import (
     Sounding,
     saturation_ratio,
 )
-from forestgen.atmosphere.weather import AirGrid
 
 ZERO_CELSIUS_K = 273.15
 _DRY_K_PER_M = GRAVITY_M_PER_S2 * AIR_EXPONENT / GAS_CONSTANT_AIR_J_PER_KG_K
@@ -52,12 +52,7 @@ class Layers:
     ground_pressure_hpa: float = 1013.25
 
     def sounding(self, top_m: float, wind_m_per_s: tuple[float, float]) -> Sounding:
-        """The column up to `top_m`.
-
-        Raises
-        ------
-        ValueError : the layers leave no air that can be: below 100 K, or above 400 K.
-        """
+        """The column up to `top_m`. ValueError: the layers leave no air that can be: below 100 K, or above 400 K."""
         mixed = min(self.mixed_layer_m, self.inversion_m)
         thin = min(_INVERSION_SHARE * self.inversion_m, _INVERSION_M)
         knots = np.array([0.0, mixed, self.inversion_m, self.inversion_m + thin, max(top_m, 2 * self.inversion_m)])

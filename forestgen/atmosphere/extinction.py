@@ -35,19 +35,17 @@ Marshall and Palmer 1948 (Journal of Meteorology 5, 165-166).
 
 from __future__ import annotations
 
-from typing import Final
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.field_checks import ROUNDING
-from forestgen.atmosphere.grid import CloudGrid, Phase
-from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.atmosphere.grid import AirGrid, CloudGrid, PhaseFunction, Weather
 from forestgen.core.errors import RecipeError
 
-ALBEDO: Final = 0.999999
-THINNEST_PER_M: Final = 1e-5
-MOST_CUT: Final = 1e-3  # share of the field's extinction that may be cut with thin air
+ALBEDO = 0.999999
+THINNEST_PER_M = 1e-5
+MOST_CUT = 1e-3  # share of the field's extinction that may be cut with thin air
 _WATER_KG_PER_M3 = 1000.0
 _MARSHALL_PALMER_PER_M4 = 8e6
 _RADII_UM = (1.0, 1000.0)  # that anybody may ask for
@@ -73,43 +71,39 @@ def rain_extinction(water_kg_per_m3: NDArray[np.floating]) -> NDArray[np.float32
     return np.asarray(scale * np.maximum(water_kg_per_m3, 0.0) ** 0.75, dtype=np.float32)
 
 
-def droplet_phase(radius_um: float) -> Phase:
+def droplet_phase(radius_um: float) -> PhaseFunction:
     """The fitted lobes of droplets of an effective radius; between those that were fitted, and no further."""
     radii = _LOBES[:, 0]
     forward, backward, share = (float(np.interp(radius_um, radii, column)) for column in _LOBES[:, 1:].T)
-    return Phase(forward, backward, share)
+    return PhaseFunction(forward, backward, share)
 
 
 def cloud_grid_of(
-    weather: Weather,
-    *,
-    centre_m: tuple[float, float] | None,
-    droplet_radius_um: float,
-    tiles: int = 1,
+    weather: Weather, *, centre_m: tuple[float, float] | None, droplet_radius_um: float, tiles: int = 1
 ) -> CloudGrid | None:
     """The clouds and rain of a snapshot as the renderer gets them; None where there are none.
 
+    Raises `RecipeError` for another radius than droplets have, or too many cells.
+
     Parameters
     ----------
-    centre_m : world x and y of the middle of the field; None: where the weather's own grid lies. Weather over terrain
-        belongs where it is.
+    centre_m : world x and y of the middle of the field; None: where the weather's own grid lies, as over terrain.
     droplet_radius_um : effective radius.
     tiles : copies of a periodic field side by side, along x and along y.
-
-    Raises
-    ------
-    RecipeError : water that is not finite or below zero, and what cannot be moved or tiled.
     """
-    if not _RADII_UM[0] <= droplet_radius_um <= _RADII_UM[1]:
-        raise RecipeError(
-            "no radius of droplets",
-            where="sky.clouds",
-            expected=f"micrometres from {_RADII_UM[0]:g} to {_RADII_UM[1]:g}",
-            got=f"{droplet_radius_um:g}",
-        )
-    _check_place(weather, centre_m, tiles)
-    cloud, rain = _water(weather, "cloud"), _water(weather, "rain")
-    extinction = droplet_extinction(cloud, droplet_radius_um) + rain_extinction(rain)
+    low_um, high_um = _RADII_UM
+    if not low_um <= droplet_radius_um <= high_um:
+        expected = f"micrometres from {low_um:g} to {high_um:g}"
+        raise RecipeError("no radius of droplets", where="sky.clouds", expected=expected, got=f"{droplet_radius_um:g}")
+    cells = math.prod(weather.grid.cells) * tiles**2
+    if cells > _MOST_CELLS:
+        expected = f"at most {_MOST_CELLS:,}"
+        raise RecipeError("too many cells of cloud", where="sky.clouds", expected=expected, got=f"{cells:,}")
+    cloud, rain = weather.cloud_water_kg_per_m3, weather.rain_water_kg_per_m3
+    if weather.solid is not None:
+        cloud, rain = (np.where(weather.solid, np.float32(0), water) for water in (cloud, rain))
+    # Rounding may leave water slightly below 0.
+    extinction = droplet_extinction(np.maximum(cloud, np.float32(0)), droplet_radius_um) + rain_extinction(rain)
     if weather.solid is not None:
         extinction = down_to_the_ground(extinction, weather.solid)
     extinction, _ = without_thin_air(extinction)
@@ -147,65 +141,6 @@ def down_to_the_ground(extinction: NDArray[np.float32], solid: NDArray[np.bool_]
     for _ in range(2):
         out[:-1] = np.where(solid[:-1] & (out[:-1] == 0), out[1:], out[:-1])
     return out
-
-
-def _water(weather: Weather, name: str) -> NDArray[np.float32]:
-    """(Z, Y, X) kg/m³; what a monotone scheme leaves below zero by rounding counts as nothing."""
-    ratio = getattr(weather, name)
-    bad = ~np.isfinite(ratio)
-    if bad.any():
-        layer, row, column = (int(index[0]) for index in np.nonzero(bad))
-        raise RecipeError(
-            f"the weather's {name} water is not finite",
-            where=f"weather at {weather.time_s:g} s",
-            expected="kilograms per kilogram of air, 0 or more",
-            got=f"{int(bad.sum())} bad cells of {bad.size}, the first in layer {layer}, row {row}, column {column}",
-            hint="the simulation went wrong, or the file is damaged: simulate again, with a shorter time step",
-        )
-    least = float(ratio.min(initial=0.0))
-    if least < -ROUNDING:
-        raise RecipeError(
-            f"the weather's {name} water is below zero",
-            where=f"weather at {weather.time_s:g} s",
-            expected="kilograms per kilogram of air, 0 or more",
-            got=f"{least:.3g}",
-            hint="the file holds something else under this name, or is damaged",
-        )
-    water: NDArray[np.float32] = getattr(weather, f"{name}_water_kg_per_m3")
-    if weather.solid is not None:
-        water = np.where(weather.solid, np.float32(0), water)
-    return np.maximum(water, np.float32(0))
-
-
-def _check_place(weather: Weather, centre_m: tuple[float, float] | None, tiles: int) -> None:
-    grid = weather.grid
-    if tiles < 1:
-        raise RecipeError("no number of copies", where="sky.clouds", expected="1 or more", got=str(tiles))
-    fixed = None if weather.solid is None else "the weather was simulated over terrain"
-    if fixed is None and not grid.periodic:
-        fixed = "the weather's sides are open"
-    if tiles > 1 and fixed is not None:
-        raise RecipeError(
-            f"a field cannot be repeated side by side: {fixed}",
-            where="sky.clouds",
-            expected="one copy",
-            got=f"{tiles} x {tiles}",
-            hint="simulate a larger domain",
-        )
-    if weather.solid is not None and centre_m is not None:
-        own = [low + size / 2 for low, size in zip(grid.low_m, grid.size_m, strict=True)][:2]
-        if not np.allclose(own, centre_m, atol=0.5 * min(grid.cell_m[:2])):
-            raise RecipeError(
-                "weather over terrain cannot be moved",
-                where="sky.clouds",
-                expected=f"its own middle, {own[0]:g}, {own[1]:g}",
-                got=f"{centre_m[0]:g}, {centre_m[1]:g}",
-            )
-    cells = grid.cells[0] * grid.cells[1] * grid.cells[2] * tiles**2
-    if cells > _MOST_CELLS:
-        raise RecipeError(
-            "too many cells of cloud", where="sky.clouds", expected=f"at most {_MOST_CELLS:,}", got=f"{cells:,}"
-        )
 
 
 def _corners(

@@ -16,9 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.field_checks import FieldError, check_air_grid, check_room
-from forestgen.atmosphere.grid import CloudGrid, Phase
-from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.atmosphere.grid import (
+    FIELDS,
+    AirGrid,
+    CloudGrid,
+    FieldError,
+    PhaseFunction,
+    Weather,
+    check_air_grid,
+    check_room,
+)
 
 WEATHER, CLOUDS = "forestgen weather 1", "forestgen clouds 1"
 _CELLS = ("z", "y", "x")
@@ -26,18 +33,18 @@ _SEALED, _SEAL = b"forestgen seal 1", struct.Struct("<16sI")  # its name, and CR
 _RADIUS = "droplet_effective_radius_um"
 _DEFLATE_LEVEL = 2  # higher levels take several times as long for a few per cent
 
-# field -> (dimensions, type, attributes). The standard names are those of CF's table that fit exactly.
-_FIELDS: dict[str, tuple[tuple[str, ...], str, dict[str, str]]] = {
-    "east_m_per_s": (("z", "y", "x_face"), "f4", {"standard_name": "eastward_wind", "units": "m s-1"}),
-    "north_m_per_s": (("z", "y_face", "x"), "f4", {"standard_name": "northward_wind", "units": "m s-1"}),
-    "up_m_per_s": (("z_face", "y", "x"), "f4", {"standard_name": "upward_air_velocity", "units": "m s-1"}),
-    "potential_temperature_k": (_CELLS, "f4", {"standard_name": "air_potential_temperature", "units": "K"}),
-    "vapour": (_CELLS, "f4", {"standard_name": "humidity_mixing_ratio", "units": "kg kg-1"}),
-    "cloud": (_CELLS, "f4", {"standard_name": "cloud_liquid_water_mixing_ratio", "units": "kg kg-1"}),
-    "rain": (_CELLS, "f4", {"long_name": "mass of rain per mass of dry air", "units": "kg kg-1"}),
-    "fallen_kg_per_m2": (("y", "x"), "f8", {"standard_name": "rainfall_amount", "units": "kg m-2"}),
-    "density_kg_per_m3": (("z",), "f8", {"long_name": "density of the air at rest", "units": "kg m-3"}),
-    "temperature_ratio": (("z",), "f8", {"standard_name": "dimensionless_exner_function", "units": "1"}),
+# Field -> attributes. The standard names are those of CF's table that fit exactly.
+_ATTRIBUTES = {
+    "east_m_per_s": {"standard_name": "eastward_wind", "units": "m s-1"},
+    "north_m_per_s": {"standard_name": "northward_wind", "units": "m s-1"},
+    "up_m_per_s": {"standard_name": "upward_air_velocity", "units": "m s-1"},
+    "potential_temperature_k": {"standard_name": "air_potential_temperature", "units": "K"},
+    "vapour": {"standard_name": "humidity_mixing_ratio", "units": "kg kg-1"},
+    "cloud": {"standard_name": "cloud_liquid_water_mixing_ratio", "units": "kg kg-1"},
+    "rain": {"long_name": "mass of rain per mass of dry air", "units": "kg kg-1"},
+    "fallen_kg_per_m2": {"standard_name": "rainfall_amount", "units": "kg m-2"},
+    "density_kg_per_m3": {"long_name": "density of the air at rest", "units": "kg m-3"},
+    "temperature_ratio": {"standard_name": "dimensionless_exner_function", "units": "1"},
 }
 _SOLID = {"long_name": "0 air, 1 inside the terrain", "units": "1"}
 _EXTINCTION = {"long_name": "extinction of light by droplets", "units": "m-1"}
@@ -61,40 +68,35 @@ def write_netcdf(path: Path, content: Weather | CloudGrid, *, droplet_radius_um:
 def read_netcdf(path: Path) -> Weather | CloudGrid:
     """What `write_netcdf` wrote.
 
-    Raises
-    ------
-    FieldError : it is no such file, is damaged, or lacks something.
-    ResourceError : it does not fit into memory.
+    Raises `FieldError` if it is no such file, is damaged or lacks something, `ResourceError` if memory is too small.
     """
     import h5py  # h5netcdf's reader leaves a warning on the terminal when a file is damaged
 
     with path.open("rb") as stream:
         head = stream.read(8)
     if not head.startswith(b"\x89HDF"):
-        got = (
-            "NetCDF of version 3" if head[:3] == b"CDF" else "0 bytes" if not head else f"one that begins with {head!r}"
-        )
-        raise FieldError("the file", "a NetCDF-4 file", got)
+        got = f"one that begins with {head!r}" if head else "0 bytes"
+        raise FieldError("the file", "a NetCDF-4 file", "NetCDF of version 3" if head[:3] == b"CDF" else got)
     _check_seal(path)
     try:
         with h5py.File(path, "r") as file:
-            what = _text(file.attrs.get("content"))
+            what = file.attrs.get("content")
             readers: dict[str, Callable[[Any, str], Weather | CloudGrid]] = {WEATHER: _weather_of, CLOUDS: _clouds_of}
-            if what not in readers:
-                raise FieldError("the attribute content", " or ".join(map(repr, readers)), repr(what))
+            if not isinstance(what, str) or what not in readers:
+                got = repr(what) if isinstance(what, str) else "None"
+                raise FieldError("the attribute content", " or ".join(map(repr, readers)), got)
             return readers[what](file, str(path))
     except FieldError:
         raise
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as cause:  # HDF5's, of a damaged file
-        raise FieldError("the file", "a whole NetCDF-4 file", f"a damaged one ({_line(cause)})") from cause
+        line = (str(cause).splitlines() or [type(cause).__name__])[0][:120]
+        raise FieldError("the file", "a whole NetCDF-4 file", f"a damaged one ({line})") from cause
 
 
 def netcdf_size(path: Path) -> tuple[int, float | None]:
     """Cells of a file that `read_netcdf` takes, and the width of a snapshot that is periodic, m.
 
-    Raises
-    ------
-    OSError, KeyError, ValueError : it is no such file.
+    Raises OSError, KeyError or ValueError if it is no such file.
     """
     import h5py
 
@@ -107,9 +109,7 @@ def netcdf_size(path: Path) -> tuple[int, float | None]:
 def droplet_radius_of(path: Path) -> float | None:
     """Effective radius, µm, of the droplets of a file that `read_netcdf` takes; None if it does not say.
 
-    Raises
-    ------
-    FieldError : it is no number above 0.
+    Raises `FieldError` if it is no number above 0.
     """
     import h5py
 
@@ -130,23 +130,22 @@ def _put_weather(file: Any, weather: Weather) -> None:
     file.attrs["periodic"] = np.int8(grid.periodic)
     time = file.create_variable("time", (), "f8", data=np.float64(weather.time_s))
     time.attrs.update({"long_name": "time since the simulation began", "units": "s"})
-    for name, (dimensions, kind, attributes) in _FIELDS.items():
-        _put(file, name, dimensions, getattr(weather, name), kind, attributes)
+    for name, (axes, *_) in FIELDS.items():
+        _put(file, name, axes, getattr(weather, name), _ATTRIBUTES[name])
     if weather.solid is not None:
-        _put(file, "solid", _CELLS, weather.solid.astype(np.int8), "i1", _SOLID)
+        _put(file, "solid", _CELLS, weather.solid.astype(np.int8), _SOLID)
 
 
 def _weather_of(file: Any, where: str) -> Weather:
     x, y, z = (len(_variable(file, name, "f8", 1)) for name in "xyz")
-    cell_m, low_m = (_three(file, name) for name in ("cell_m", "low_m"))
-    grid = AirGrid((x, y, z), cell_m, low_m, bool(_numbers(file, "periodic", 1)[0]))
+    grid = AirGrid((x, y, z), _three(file, "cell_m"), _three(file, "low_m"), bool(_numbers(file, "periodic", 1)[0]))
     check_air_grid(grid)
-    kinds = {name: (kind, len(dimensions)) for name, (dimensions, kind, _) in _FIELDS.items()}
+    ranks = {name: len(axes) for name, (axes, *_) in FIELDS.items()}
+    variables = {name: _variable(file, name, "f4" if rank == 3 else "f8", rank) for name, rank in ranks.items()}
     if "solid" in file:
-        kinds["solid"] = ("i1", 3)
-    variables = {name: _variable(file, name, kind, rank) for name, (kind, rank) in kinds.items()}
+        variables["solid"] = _variable(file, "solid", "i1", 3)
     check_room(sum(one.size * one.dtype.itemsize for one in variables.values()), where)
-    fields = {name: _values(one) for name, one in variables.items()}
+    fields = {name: np.ascontiguousarray(one[...]) for name, one in variables.items()}
     solid = fields.pop("solid", None)
     time_s = float(_variable(file, "time", "f8", 0)[()])
     return Weather(grid=grid, time_s=time_s, **fields, solid=None if solid is None else solid != 0)
@@ -160,7 +159,7 @@ def _put_clouds(file: Any, grid: CloudGrid) -> None:
     file.attrs["albedo"] = np.float64(grid.albedo)
     phase = grid.phase
     file.attrs["phase"] = np.array([phase.forward, phase.backward, phase.forward_share], "f8")
-    _put(file, "extinction_per_m", _CELLS, grid.extinction_per_m, "f4", _EXTINCTION)
+    _put(file, "extinction_per_m", _CELLS, grid.extinction_per_m, _EXTINCTION)
 
 
 def _clouds_of(file: Any, where: str) -> CloudGrid:
@@ -168,7 +167,7 @@ def _clouds_of(file: Any, where: str) -> CloudGrid:
     check_room(field.size * field.dtype.itemsize, where)
     forward, backward, share = _three(file, "phase")
     low, high, albedo = _three(file, "low_m"), _three(file, "high_m"), _numbers(file, "albedo", 1)[0]
-    return CloudGrid(_values(field), low, high, albedo, Phase(forward, backward, share))
+    return CloudGrid(np.ascontiguousarray(field[...]), low, high, albedo, PhaseFunction(forward, backward, share))
 
 
 def _put_head(file: Any, content: str, title: str) -> None:
@@ -188,24 +187,18 @@ def _put_axes(
             variable.attrs.update({**attributes, **up, **({"axis": axis.upper()} if name == axis else {})})
 
 
-def _put(
-    file: Any, name: str, dimensions: tuple[str, ...], values: NDArray[Any], kind: str, attributes: dict[str, str]
-) -> None:
+def _put(file: Any, name: str, axes: tuple[str, ...], values: NDArray[Any], attributes: dict[str, str]) -> None:
     packed = {"compression": "gzip", "compression_opts": _DEFLATE_LEVEL, "shuffle": True}
     # One block a layer, or a row where there are no layers.
     blocks = values.shape if values.ndim < 3 else (1, *values.shape[1:])
-    variable = file.create_variable(name, dimensions, kind, data=values, chunks=blocks, **packed)
+    variable = file.create_variable(name, axes, values.dtype.str[1:], data=values, chunks=blocks, **packed)
     variable.attrs.update(attributes)
 
 
-def _attribute(file: Any, name: str) -> Any:
+def _numbers(file: Any, name: str, count: int) -> list[float]:
     if name not in file.attrs:
         raise FieldError(f"the attribute {name}", "it in the file", "none")
-    return file.attrs[name]
-
-
-def _numbers(file: Any, name: str, count: int) -> list[float]:
-    numbers = np.atleast_1d(_attribute(file, name))
+    numbers = np.atleast_1d(file.attrs[name])
     if numbers.shape != (count,) or numbers.dtype.kind not in "fi":
         raise FieldError(f"the attribute {name}", "three numbers" if count == 3 else "one number", str(numbers))
     return [float(one) for one in numbers]
@@ -217,13 +210,12 @@ def _three(file: Any, name: str) -> tuple[float, float, float]:
 
 
 def _variable(file: Any, name: str, kind: str, rank: int) -> Any:
-    """A variable, not yet read, of a type and a number of dimensions; its size is for `field_checks` to judge."""
+    """A variable, not yet read, of a type and a number of dimensions; `check_weather` judges its size."""
     import h5py
 
     # A link, an external or a virtual data set would read another file of whoever opens this one.
-    if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-        raise FieldError(f"the variable {name}", "it in the file", "none")
-    variable = file[name]
+    is_own = isinstance(file.get(name, getlink=True), h5py.HardLink)
+    variable = file[name] if is_own else None
     if not isinstance(variable, h5py.Dataset):
         raise FieldError(f"the variable {name}", "it in the file", "none")
     if variable.is_virtual or variable.external:
@@ -235,10 +227,6 @@ def _variable(file: Any, name: str, kind: str, rank: int) -> Any:
     return variable
 
 
-def _values(variable: Any) -> NDArray[Any]:
-    return np.ascontiguousarray(variable[...])
-
-
 def _seal(path: Path) -> None:
     """Put the checksum of all that is in the file behind it, where HDF5 does not look."""
     total = _crc32(path, path.stat().st_size)
@@ -247,10 +235,9 @@ def _seal(path: Path) -> None:
 
 
 def _check_seal(path: Path) -> None:
-    """Refuse a file that has changed since it was sealed.
+    """Refuse a file that has changed since it was sealed; one without a seal is another program's, and accepted.
 
-    HDF5's own checksums leave out some tables: of a flipped bit there it makes other values, or never comes back. A
-    file without a seal, one that another program has written, is taken as it is.
+    HDF5's own checksums leave out some tables: a flipped bit there makes other values, or an endless loop.
     """
     size = path.stat().st_size - _SEAL.size
     if size <= 0:
@@ -266,17 +253,6 @@ def _crc32(path: Path, size: int) -> int:
     """Of the first bytes of a file."""
     total = 0
     with path.open("rb") as file:
-        while size > 0:
-            block = file.read(min(size, 1 << 20))
-            if not block:
-                break
+        while block := file.read(min(size, 1 << 20)):
             total, size = zlib.crc32(block, total), size - len(block)
     return total
-
-
-def _text(value: Any) -> str | None:
-    return value if isinstance(value, str) else None
-
-
-def _line(cause: BaseException) -> str:
-    return (str(cause).splitlines() or [type(cause).__name__])[0][:120]

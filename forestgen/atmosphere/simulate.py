@@ -1,11 +1,11 @@
-"""Weather from a scenario: chapters of conditions, simulated one after another, and kept on disk.
+"""Weather from a scenario: phases of conditions, simulated one after another, and kept on disk.
 
-Time goes in marks of `MARK_S` from the beginning of each chapter. What goes on from a mark depends on the state there
+Time goes in marks of `MARK_S` from the beginning of each phase. What goes on from a mark depends on the state there
 and on nothing else, so a simulation that was interrupted, or that an earlier picture has brought half the way, has the
 bytes of one that runs through. At each mark, beside what `fluid.air` does:
 
 - the air below the inversion has cooled by `Conditions.cooling_k_per_h`, as air and fog that radiate do;
-- in a story's later chapters, each layer's mean temperature and vapour come closer to those of the chapter's sounding,
+- in a story's later phases, each layer's mean temperature and vapour come closer to those of the phase's sounding,
   exp(-t / change_s) of the difference being left, for the first 3 change_s: what weather maps change, and no box of a
   few kilometres can.
 
@@ -18,6 +18,7 @@ import hashlib
 import math
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
@@ -27,16 +28,15 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.conditions import Conditions, Emission
 from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
-from forestgen.atmosphere.kept_weather import read_weather
-from forestgen.atmosphere.regridding import regridded
+from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
-from forestgen.atmosphere.weather import AirGrid, Weather
-from forestgen.core.code_hash import code_hash
-from forestgen.core.disk_cache import DiskCache
-from forestgen.core.packed import pack
+from forestgen.core.cache import DiskCache, cache_root, code_hash
+from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 
+_MOST_BYTES = 4_000_000_000
+_Field = NDArray[np.float32]
 MARK_S = 60.0
 EVERY_S = 20.0  # of work, at least, from one keeping to the next
 WIND_RELAXATION_S = 1800.0
@@ -47,8 +47,73 @@ SOURCES = ("atmosphere", "core")  # layers that shape weather
 _COMPUTE_WITH = ("numpy", "scipy", "numba")
 
 
+def weather_store() -> DiskCache | None:
+    """Where weather is kept; None if there is no place for it."""
+    root = cache_root()
+    return None if root is None else DiskCache(root / "weather", _MOST_BYTES)
+
+
+def read_weather(store: DiskCache, key: str) -> Weather | None:
+    """What is kept under a key; None where there is nothing, or nothing that can be read, which is dropped."""
+    data = store.read(key)
+    if data is None:
+        return None
+    with suppress(UnreadableError):
+        found = unpack(data, (Weather, AirGrid))
+        if isinstance(found, Weather):
+            return found
+    store.drop(key)
+    return None
+
+
+def regridded(weather: Weather, fresh: Weather) -> Weather:
+    """The air of `weather` on the grid of `fresh`, whose values hold above the old ceiling and for the air at rest.
+
+    So where a story goes from fog to thunderheads, cells of 5 m become cells of 200 m. Values are linear between the
+    old cells' centres, after a Gaussian as wide as the new cells where those are larger. The old box is periodic at its
+    sides. Velocities are interpolated too: they are free of divergence again after the next step's pressure.
+    """
+    if weather.grid == fresh.grid:
+        return replace(weather, density_kg_per_m3=fresh.density_kg_per_m3, temperature_ratio=fresh.temperature_ratio)
+    old, new = weather.grid, fresh.grid
+
+    faces = {"east_m_per_s": 2, "north_m_per_s": 1, "up_m_per_s": 0}
+    moved: dict[str, Any] = {
+        name: _moved(getattr(weather, name), getattr(fresh, name), old, new, faces.get(name))
+        for name in (*faces, "potential_temperature_k", "vapour", "cloud", "rain")
+    }
+    fallen = np.full(new.shape[1:], float(weather.fallen_kg_per_m2.mean()))
+    return replace(fresh, time_s=weather.time_s, **moved, fallen_kg_per_m2=fallen)
+
+
+def _moved(old_values: _Field, fresh: _Field, old: AirGrid, new: AirGrid, faces: int | None) -> _Field:
+    """`old_values` on the new grid. `faces`: the axis across which they are faces' values; None: cells' centres."""
+    from scipy.ndimage import gaussian_filter, map_coordinates
+
+    wrapped = old_values
+    if faces:  # the last face is the first one again
+        wrapped = np.take(wrapped, np.arange(wrapped.shape[faces] - 1), axis=faces)
+    ratios = [one / other for one, other in zip(new.cell_m[::-1], old.cell_m[::-1], strict=True)]
+    sigma = [0.5 * ratio if ratio > 1 else 0.0 for ratio in ratios]
+    smooth = gaussian_filter(wrapped, sigma, mode=("nearest", "wrap", "wrap")) if any(sigma) else wrapped
+    places = []
+    for axis in range(3):
+        shift = 0.0 if faces == axis else 0.5
+        at_m = new.low_m[2 - axis] + (np.arange(fresh.shape[axis]) + shift) * new.cell_m[2 - axis]
+        place = (at_m - old.low_m[2 - axis]) / old.cell_m[2 - axis] - shift
+        places.append(place if axis == 0 else np.mod(place, smooth.shape[axis]))
+    around = np.pad(smooth, ((0, 0), (0, 1), (0, 1)), mode="wrap")  # between the last cell and the first
+    index = np.meshgrid(*places, indexing="ij")
+    out = map_coordinates(around, index, order=1, mode="nearest", prefilter=False)
+    if faces:  # the last face is the first one, though the new box may be no multiple of the old
+        out[(slice(None),) * faces + (-1,)] = out[(slice(None),) * faces + (0,)]
+    ceiling_m = old.low_m[2] + old.size_m[2]
+    heights = new.low_m[2] + (np.arange(fresh.shape[0]) + (0.0 if faces == 0 else 0.5)) * new.cell_m[2]
+    return np.ascontiguousarray(np.where((heights < ceiling_m)[:, None, None], out, fresh), dtype=np.float32)
+
+
 @dataclass(frozen=True)
-class Chapter:
+class WeatherPhase:
     """Conditions from one moment on."""
 
     at_s: float
@@ -58,20 +123,20 @@ class Chapter:
 
 @dataclass(frozen=True)
 class Scenario:
-    """Weather to be simulated: one chapter, or a story of several."""
+    """Weather to be simulated: one phase, or a story of several."""
 
-    chapters: tuple[Chapter, ...]  # in order; the first begins at 0
+    phases: tuple[WeatherPhase, ...]  # in order; the first begins at 0
 
     def at(self, time_s: float) -> Conditions:
         """The conditions at a time."""
-        return [one for one in self.chapters if one.at_s <= time_s][-1].conditions
+        return [one for one in self.phases if one.at_s <= time_s][-1].conditions
 
 
 @dataclass(frozen=True)
 class _Stop:
     """A time to which the air is brought in one piece."""
 
-    chapter: int
+    phase: int
     time_s: float
     mark: bool  # others go on from here
 
@@ -81,15 +146,8 @@ def simulate(
 ) -> Weather:
     """The weather at a time after the scenario's beginning.
 
-    Parameters
-    ----------
-    seed : of patches on the ground and of the air's first unrest.
-    kept : where states are looked for, and kept; None: nowhere.
-
-    Raises
-    ------
-    UnstableError : the air cannot be stepped on.
-    ValueError : layers that no air can have.
+    `seed` is that of patches on the ground and of the air's first unrest. States are looked for, and kept, in `kept`.
+    Raises `UnstableError` if the air cannot be stepped on, ValueError for layers that no air can have.
     """
     stops = list(_stops(scenario, until_s))
     work = _Work(scenario, seed, kept)
@@ -112,16 +170,16 @@ def simulate(
 
 def _stops(scenario: Scenario, until_s: float) -> Iterator[_Stop]:
     """Every mark up to a time, and that time."""
-    ends = [*(one.at_s for one in scenario.chapters[1:]), math.inf]
-    for number, (chapter, end_s) in enumerate(zip(scenario.chapters, ends, strict=True)):
-        if chapter.at_s > until_s:
+    ends = [*(one.at_s for one in scenario.phases[1:]), math.inf]
+    for number, (phase, end_s) in enumerate(zip(scenario.phases, ends, strict=True)):
+        if phase.at_s > until_s:
             return
-        count = math.ceil(round((min(end_s, until_s) - chapter.at_s) / MARK_S, 6))
+        count = math.ceil(round((min(end_s, until_s) - phase.at_s) / MARK_S, 6))
         for index in range(count + 1):
-            at_s = min(chapter.at_s + index * MARK_S, end_s, until_s)
+            at_s = min(phase.at_s + index * MARK_S, end_s, until_s)
             if at_s == end_s and index:
-                break  # the next chapter begins with it
-            yield _Stop(number, at_s, mark=at_s < until_s or at_s == chapter.at_s + index * MARK_S)
+                break  # the next phase begins with it
+            yield _Stop(number, at_s, mark=at_s < until_s or at_s == phase.at_s + index * MARK_S)
 
 
 class _Work:
@@ -129,7 +187,7 @@ class _Work:
 
     def __init__(self, scenario: Scenario, seed: int, kept: DiskCache | None) -> None:
         self._scenario, self._seed, self._kept = scenario, seed, kept
-        self._air: tuple[int, Air] | None = None  # of a chapter
+        self._air: tuple[int, Air] | None = None  # of a phase
         self._newest: dict[str, Weather] = {}  # the last mark, and the state after it: all that others need
         self._written: list[str] = []  # keys of what this simulation has kept
         self._kept_s = time.monotonic()
@@ -152,12 +210,13 @@ class _Work:
         if weather is None:
             weather = self._fresh(0)
         before_s = weather.time_s
-        own = self._owner(before_s, stop)
+        # The beginning of a phase is the end of the one before.
+        own = stop.phase - (stop.phase > 0 and before_s < self._scenario.phases[stop.phase].at_s)
         if stop.time_s > before_s:
             weather = self._air_of(own).run(weather, stop.time_s)
             weather = self._forced(replace(weather, time_s=stop.time_s), own, stop.time_s - before_s)
-        if stop.chapter != own:
-            weather = self._entered(weather, stop.chapter)
+        if stop.phase != own:
+            weather = self._entered(weather, stop.phase)
         if stop.mark:
             self._newest = {}  # the state at a mark is all that later ones need
         self._newest[self._key(stop)] = weather
@@ -181,19 +240,14 @@ class _Work:
         self._kept.trim()
         self._kept_s = time.monotonic()
 
-    def _owner(self, before_s: float, stop: _Stop) -> int:
-        """The chapter in which the air comes to a stop: the beginning of a chapter is the end of the one before."""
-        first = stop.chapter > 0 and before_s < self._scenario.chapters[stop.chapter].at_s
-        return stop.chapter - first
-
     def _key(self, stop: _Stop) -> str:
         digest = hashlib.blake2b(digest_size=20)
-        told = self._scenario.chapters[: stop.chapter + 1]
-        digest.update(repr((code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, described(told))).encode())
+        until_then = described(self._scenario.phases[: stop.phase + 1])
+        digest.update(repr((code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, until_then)).encode())
         return digest.hexdigest()
 
     def _fresh(self, number: int) -> Weather:
-        conditions = self._scenario.chapters[number].conditions
+        conditions = self._scenario.phases[number].conditions
         rng = child_rng(self._seed, "weather", "unrest")
         grid, sounding = conditions.domain.grid(), conditions.sounding()
         return at_rest(grid, sounding, self._surface(conditions), rng=rng, noise_k=_NOISE_K)
@@ -206,14 +260,14 @@ class _Work:
 
     def _air_of(self, number: int) -> Air:
         if self._air is None or self._air[0] != number:
-            conditions = self._scenario.chapters[number].conditions
+            conditions = self._scenario.phases[number].conditions
             physics = Physics(wind_relaxation_s=WIND_RELAXATION_S)
             air = Air(conditions.domain.grid(), conditions.sounding(), self._surface(conditions), physics)
             self._air = (number, air)
         return self._air[1]
 
     def _entered(self, weather: Weather, number: int) -> Weather:
-        """The air as a chapter takes it over, with new unrest: a larger box must not go on repeating the old."""
+        """The air as a phase takes it over, with new unrest: a larger box must not go on repeating the old."""
         fresh = self._fresh(number)
         theta = fresh.potential_temperature_k
         unrest = theta - theta.mean(axis=(1, 2), keepdims=True)
@@ -221,15 +275,15 @@ class _Work:
         return replace(taken, potential_temperature_k=taken.potential_temperature_k + unrest)
 
     def _forced(self, weather: Weather, number: int, seconds: float) -> Weather:
-        """Cooled, and pushed towards the chapter's sounding: what acts over the whole of a layer."""
-        chapter = self._scenario.chapters[number]
-        conditions = chapter.conditions
+        """Cooled, and pushed towards the phase's sounding: what acts over the whole of a layer."""
+        phase = self._scenario.phases[number]
+        conditions = phase.conditions
         height = weather.grid.layer_heights_m
         cooling_k = conditions.cooling_k_per_h / 3600 * seconds / weather.temperature_ratio
         warmer = np.where(height < conditions.inversion_m, -cooling_k, 0.0)
         moister = np.zeros_like(warmer)
-        if number and weather.time_s - chapter.at_s <= _CHANGES * chapter.change_s:
-            share = 1.0 - math.exp(-seconds / chapter.change_s)
+        if number and weather.time_s - phase.at_s <= _CHANGES * phase.change_s:
+            share = 1.0 - math.exp(-seconds / phase.change_s)
             sounding = conditions.sounding()
             theta = weather.potential_temperature_k.mean(axis=(1, 2), dtype=np.float64)
             vapour = weather.vapour.mean(axis=(1, 2), dtype=np.float64)

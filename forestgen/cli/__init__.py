@@ -24,7 +24,7 @@ from forestgen.cli.parsing import (
 )
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
-from forestgen.core.version import __version__
+from forestgen.core import __version__
 
 
 class _Commands(typer.core.TyperGroup):
@@ -81,7 +81,7 @@ def options(
     ] = None,
 ) -> None:
     if allowed:
-        from forestgen.recipe.paths import allow_folders
+        from forestgen.recipe.assets import allow_folders
 
         allow_folders(allowed)
 

@@ -70,7 +70,7 @@ class Printer:
 
     def __call__(self, text: str = "") -> None:
         if not self._quiet:
-            output().print(plain(text), markup=False)  # names of strangers' files may hold brackets, or control codes
+            output().print(plain(text), markup=False)  # names of files may hold brackets or control codes
 
     def json(self, content: object) -> None:
         """Plain values; NaN, which JSON lacks, as null."""
@@ -203,7 +203,7 @@ def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator
 
 @contextmanager
 def stops_keep(what: Callable[[], str]) -> Iterator[None]:
-    """A block that leaves something behind when it is interrupted; `what` tells of it, in the message's words."""
+    """A block that leaves something behind when it is interrupted; `what` is the text about it."""
     try:
         yield
     except BaseException as error:  # also an error that compiled code has made of a stop

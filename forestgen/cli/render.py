@@ -157,7 +157,7 @@ def _load(recipe: Path, overrides: list[str] | None, first: int | None) -> Recip
 
 
 def _run(make: Callable[[Display], Run], quiet: bool, verbose: bool, *, overwrite: bool, if_none: str = "") -> None:
-    """Make a data set, and print what was made; what stays where it is interrupted is told too, see `kept`."""
+    """Make a data set, and print what was made, or what stays if it is interrupted: see `kept`."""
     from forestgen.api.display import display_of
 
     display = display_of(progress_of(quiet))

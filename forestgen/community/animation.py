@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from forestgen.community.model import Site
-from forestgen.community.obstacles import NO_OBSTACLES, Obstacles
+from forestgen.community.plan import NO_OBSTACLES, Obstacles
 from forestgen.community.plots import OBSTACLE, colours_of
 from forestgen.community.population import Floats, Population, Status
 from forestgen.core.errors import OutputError

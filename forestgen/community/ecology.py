@@ -6,8 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
-from forestgen.recipe.plant_type import PlantType
-from forestgen.recipe.species import Species
+from forestgen.recipe.species import PlantType, Species
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ import pyarrow.parquet as pq
 from forestgen.architecture.modules import Modules
 from forestgen.community.population import Floats, Population
 from forestgen.core.errors import AssetError, ResourceError
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 
 MODULES_NAME, MAPS_NAME = "modules.parquet", "maps.nc"
 _KEY = b"forestgen.modules"

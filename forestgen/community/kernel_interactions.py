@@ -25,7 +25,7 @@ from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.population import Floats
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.compiled import compiled
 from forestgen.core.threads import over_ranges
 from forestgen.recipe.fields import Section

@@ -21,11 +21,11 @@ from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.population import Floats
 from forestgen.community.registry import COMPETITION_MODELS, DEFAULT_COMPETITION_MODEL
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.compiler import Value, compile_listing, settable, with_values
+from forestgen.lsystem.compiler import Value, compile_program, settable, with_values
 from forestgen.lsystem.multiset import Kind, Multiset, words_as_text
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
-from forestgen.lsystem.syntax import Listing
+from forestgen.lsystem.syntax import ProgramAST
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.fields import Section, Text, mistake, part_name
 
@@ -141,7 +141,7 @@ class MultisetParameters(CommunityParameters):
         self.environment.check()
         return self
 
-    def _check_value(self, listing: Listing, name: str, value: Value) -> None:
+    def _check_value(self, listing: ProgramAST, name: str, value: Value) -> None:
         try:
             with_values(listing, {name: value})
         except LsystemError as error:
@@ -171,7 +171,7 @@ def _compiled(name: str, text: str, known: tuple[Any, ...], own: tuple[Any, ...]
     listing = parse_text(text, name)
     asked = set(settable(listing))
     values: Mapping[str, Value] = {key: value for key, value in known if key in asked}
-    program = compile_listing(with_values(listing, {**values, **dict(own)}))
+    program = compile_program(with_values(listing, {**values, **dict(own)}))
     if not listing.is_multiset:
         raise LsystemError(
             "a community needs a multiset", where=name, expected="axiom: { ... }, a set of words", got="a single word"
@@ -224,7 +224,7 @@ def form_of(program: Program) -> Form:
 def _names(program: Program, arity: int, answers: int) -> tuple[str, ...]:
     """The names that the first productions give the parameters."""
     names: dict[Kind, list[str]] = {}
-    for production in program.listing.productions:
+    for production in program.ast.productions:
         for module in production.predecessor:
             found = [getattr(argument, "name", "") for argument in module.arguments]
             names.setdefault(Kind(module.symbol, len(found)), found)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.model import Site
-from forestgen.community.obstacles import NO_OBSTACLES, Obstacles
+from forestgen.community.plan import NO_OBSTACLES, Obstacles
 from forestgen.community.population import Floats, Population, Status, count_by_species
 from forestgen.core.errors import OutputError
 

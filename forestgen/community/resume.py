@@ -21,10 +21,9 @@ from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population
 from forestgen.community.simulation import simulation_code
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
+from forestgen.core import __version__
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.version import __version__
-from forestgen.recipe.hashing import recipe_hash
-from forestgen.recipe.map_files import is_map_file
+from forestgen.recipe.map_files import is_map_file, recipe_hash
 from forestgen.recipe.messages import show
 
 _MOST_SHOWN = 5

@@ -1,10 +1,11 @@
-"""Arguments of calls: what is no path, no number, or out of range is told at once, by the parameter's name."""
+"""What users give: arguments of calls, checked at once and named in errors, and text files."""
 
 from __future__ import annotations
 
 import errno
 import math
 import os
+import re
 import unicodedata
 from collections.abc import Mapping
 from contextlib import suppress
@@ -12,7 +13,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import ForestgenError, OutputError, RecipeError
+from forestgen.core.errors import AssetError, ForestgenError, OutputError, RecipeError
 
 PathLike = str | os.PathLike[str]
 MOST_SEEDS = 2**63 - 1
@@ -25,57 +26,51 @@ def shown(value: object) -> str:
     """A value for a message, of at most 100 characters, whatever it is."""
     try:
         text = repr(value)
-    except Exception:  # noqa: BLE001 - of a stranger's class; of a number with too many digits, of too deep a list
+    except Exception:  # noqa: BLE001 - of a foreign class; of a number with too many digits, of too deep a list
         text = "a huge whole number" if isinstance(value, int) else f"a value of type {type(value).__name__}"
     return text if len(text) <= 100 else f"{text[:97]}..."
 
 
 def path_of(value: Any, parameter: str, *, output: bool = False) -> Path:
-    """The path that an argument names.
-
-    Parameters
-    ----------
-    parameter : its name.
-    output : whether something is written there: the name must then be UTF-8 without control characters.
+    """The path that an argument names; `output`: something is written there.
 
     Raises
     ------
     RecipeError : this is no path, or no system can have a file there.
-    OutputError : the latter, of an output.
+    OutputError : the name of an output is not UTF-8 or has control characters.
     """
     return Path(_checked(value, parameter, OutputError if output else RecipeError, output=output))
 
 
 def paths_of(values: Any, parameter: str, *, output: bool = False) -> list[Path]:
-    """Several paths; one alone is welcome. See `path_of`."""
+    """Several paths, or one alone. See `path_of`."""
     return [path_of(one, parameter, output=output) for one in listed(values, parameter, "paths")]
 
 
 def address_of(value: Any, parameter: str) -> str:
-    """The same of an output that may be the address of an object store."""
+    """The path of an output, or the address of an object store."""
     return _checked(value, parameter, OutputError, output=True)
 
 
 def _checked(value: Any, parameter: str, error: type[ForestgenError], *, output: bool) -> str:
-    try:
-        text = os.fspath(value)
-    except TypeError:
-        text = None
+    text = os.fspath(value) if isinstance(value, str | os.PathLike) else None
     if not isinstance(text, str):
-        raise RecipeError("this is no path", parameter=parameter, expected="a text or a pathlib.Path", got=shown(value))
+        raise _wrong("this is no path", value, parameter, "a text or a pathlib.Path")
     expected = "a name of UTF-8 characters, none of them a control character" if output else "a file's or folder's name"
     wrong = any(unicodedata.category(one) in ("Cc", "Cs") for one in text) if output else "\0" in text
-    if not text or wrong or not _encodes(text):
+    try:
+        parts = [os.fsencode(part) for part in Path(text).parts]
+    except UnicodeEncodeError:
+        wrong = True
+    if not text or wrong:
         raise error("no file has such a name", parameter=parameter, expected=expected, got=f"{text!a:.100}")
-    if "://" not in text and _too_long(text):
+    if "://" not in text and (any(len(part) > _LONGEST_NAME for part in parts) or _too_long(text)):
         got = f"{os.strerror(errno.ENAMETOOLONG)}: {len(text):,} characters, {text!r:.60}..."
         raise error("the name is too long", parameter=parameter, expected="a shorter one", got=got)
     return text
 
 
 def _too_long(text: str) -> bool:
-    if any(len(os.fsencode(part)) > _LONGEST_NAME for part in Path(text).parts):
-        return True
     try:
         os.lstat(text)
     except OSError as cause:
@@ -83,24 +78,14 @@ def _too_long(text: str) -> bool:
     return False
 
 
-def _encodes(text: str) -> bool:
-    try:
-        os.fsencode(text)
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
 def listed(values: Any, parameter: str, what: str) -> list[Any]:
     """The entries of a list; a text or a path alone is a list of itself. Raises `RecipeError`."""
     if isinstance(values, str | os.PathLike):
         return [values]
-    try:
+    with suppress(TypeError):  # also of an array without dimensions, which has an __iter__
         if not isinstance(values, Mapping):
             return list(values)
-    except TypeError:  # also of an array without dimensions, which has an __iter__
-        pass
-    raise RecipeError(f"this is no list of {what}", parameter=parameter, expected="a list", got=shown(values))
+    raise _wrong(f"this is no list of {what}", values, parameter, "a list")
 
 
 def whole_of(value: Any, parameter: str, least: int, most: int) -> int:
@@ -121,39 +106,41 @@ def number_of(value: Any, parameter: str, least: float = -math.inf, most: float 
 def flag_of(value: Any, parameter: str) -> bool:
     """True or False; texts and numbers, which Python takes for either, are none. Raises `RecipeError`."""
     if not isinstance(value, bool):
-        raise RecipeError("this is neither yes nor no", parameter=parameter, expected="True or False", got=shown(value))
+        raise _wrong("this is neither yes nor no", value, parameter, "True or False")
     return value
+
+
+def text_of(value: Any, parameter: str) -> str:
+    """A text. Raises `RecipeError`."""
+    if not isinstance(value, str):
+        raise _wrong("this is no text", value, parameter, "a text")
+    return value
+
+
+def texts_of(values: Any, parameter: str) -> list[str]:
+    """Several texts, or one alone. Raises `RecipeError`."""
+    return [text_of(one, parameter) for one in listed(values, parameter, "texts")]
 
 
 def _is_a(kind: type, value: Any) -> bool:
     return isinstance(value, kind) and not isinstance(value, bool)
 
 
+def _wrong(problem: str, value: Any, parameter: str, expected: str) -> RecipeError:
+    return RecipeError(problem, parameter=parameter, expected=expected, got=shown(value))
+
+
 def _no_number(value: Any, parameter: str, least: float, most: float, kind: str) -> RecipeError:
-    whole = _is_a(Integral, value)
     low, high = (f"{one:,}" if isinstance(one, int) else f"{one:,.6g}" for one in (least, most))
-    expected = f"{'' if whole else kind}{low} to {high}" if math.isfinite(least + most) else "a number"
-    return RecipeError("no such number", parameter=parameter, expected=expected, got=shown(value))
-
-
-def text_of(value: Any, parameter: str) -> str:
-    """A text. Raises `RecipeError`."""
-    if not isinstance(value, str):
-        raise RecipeError("this is no text", parameter=parameter, expected="a text", got=shown(value))
-    return value
-
-
-def texts_of(values: Any, parameter: str) -> list[str]:
-    """Several texts; one alone is welcome. Raises `RecipeError`."""
-    return [text_of(one, parameter) for one in listed(values, parameter, "texts")]
+    kind = "" if _is_a(Integral, value) else kind
+    expected = f"{kind}{low} to {high}" if math.isfinite(least + most) else "a number"
+    return _wrong("no such number", value, parameter, expected)
 
 
 def plain_copy(value: Any, where: str) -> Any:
     """A copy of lists and mappings, as lists and dicts; what else they hold is the same object.
 
-    Raises
-    ------
-    RecipeError : they hold one another too deeply, or themselves, or mean too many values.
+    Raises `RecipeError` where they are nested too deeply, contain themselves, or mean too many values.
     """
     _measure(value, 0, where, {})
     return _copy(value)
@@ -179,6 +166,48 @@ def _measure(value: Any, depth: int, where: str, known: dict[int, tuple[int, int
 def _copy(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: _copy(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_copy(one) for one in value]
-    return tuple(_copy(one) for one in value) if isinstance(value, tuple) else value
+    if isinstance(value, list | tuple):
+        copies = [_copy(one) for one in value]
+        return copies if isinstance(value, list) else tuple(copies)
+    return value
+
+
+def read_text(path: Path, what: str, *, most_bytes: int, error: type[ForestgenError] = AssetError) -> str:
+    """The text of a file, UTF-8.
+
+    Parameters
+    ----------
+    what : names the file in messages, such as "an L-system program".
+    most_bytes : a larger file is refused.
+    error : is raised for a file that is no such text.
+
+    Raises
+    ------
+    AssetError : there is no such file, or it cannot be read.
+    """
+    where, expected = str(path), f"{what}, a text file"
+    try:
+        if path.is_dir():
+            raise error("this is a folder", where=where, expected=expected, got="a folder")
+        with path.open("rb") as file:
+            data = file.read(most_bytes + 1)
+            size = max(len(data), os.fstat(file.fileno()).st_size)
+    except FileNotFoundError as cause:
+        raise AssetError("no such file", where=where, expected=expected) from cause
+    except (OSError, ValueError) as cause:
+        got = cause.strerror if isinstance(cause, OSError) else str(cause)
+        raise AssetError("the file cannot be read", where=where, expected=expected, got=got) from cause
+    if size > most_bytes:
+        limit, got = f"at most {most_bytes / 1e6:g} MB", f"{size / 1e6:,.0f} MB"
+        raise error(f"the file is too large for {what}", where=where, expected=limit, got=got)
+    try:
+        text = data.decode("utf-8-sig")
+        control = re.search(r"[\x00-\x08\x0e-\x1f]", text)
+        at = len(text[: control.start()].encode()) if control else None
+    except UnicodeDecodeError as cause:
+        at = cause.start
+    if at is None:
+        return text
+    line, column = data.count(b"\n", 0, at) + 1, at - data.rfind(b"\n", 0, at)
+    got, hint = f"byte 0x{data[at]:02x}", "save the file as UTF-8"
+    raise error("this is not a text file", where=f"{path}:{line}:{column}", expected="UTF-8 text", got=got, hint=hint)

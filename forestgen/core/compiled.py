@@ -18,8 +18,8 @@ from numba.extending import intrinsic
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function as machine code, which runs without Python's lock.
 
-    It is compiled again when its own file changes, a file with a kernel or a named tuple that its file imports, or a
-    module that its file imports whole. So take another file's constants from its module: `layout.FIRST`.
+    It is compiled again when its own file changes, or a file from which that file imports a kernel, a named tuple or
+    the whole module. So read another file's constants from its module: `layout.FIRST`.
     """
     return _compiled(function)
 
@@ -27,13 +27,13 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 def contracted(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `compiled`; a product that is added is rounded once, with the sum, where the processor can do so.
 
-    For kernels that nobody compares bit by bit with those of a processor that cannot (x86 from before 2013).
+    For kernels whose results need not equal bit by bit those of a processor that cannot (x86 from before 2013).
     """
     return _compiled(function, fastmath={"contract"})
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `contracted`, for small functions: the machine code of whatever calls one contains it."""
+    """As `contracted`, for small functions, whose machine code becomes part of their callers."""
     return _compiled(function, fastmath={"contract"}, forceinline=True)
 
 
@@ -86,10 +86,10 @@ def _module_of(value: object) -> str:
 def borrowed(typing_context, arrays):  # type: ignore[no-untyped-def]
     """The same array, or tuple of arrays and numbers, without a claim on its memory, inside compiled code.
 
-    Numba counts references to an array in every call that passes it, with two locked instructions a time: in kernels
-    that call small functions for each element that is most of the time. Somebody else must keep the original alive:
-    numba frees an array that the kernel itself has made as soon as its own name is not read any more, be it borrowed or
-    not. So borrow arguments; what is made inside needs a later reading of its name, in or behind the last loop.
+    Numba counts references to an array in every call that passes it, by two locked instructions; in kernels that call
+    small functions for each element this takes most of the time. The caller must keep the original alive: numba frees
+    an array that the kernel itself made once its name is no longer read, even if it is borrowed. So borrow arguments;
+    for an array made inside, read its name again in or after the last loop.
     """
 
     def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]

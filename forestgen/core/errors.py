@@ -16,11 +16,15 @@ ours: the command line turns it into exit code 130.
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Callable, Sequence
-from typing import Any, Self
+from typing import Any, ParamSpec, Self, TypeVar
 
 MOST_SHOWN = 50
+_PLACE = re.compile(r"^(?P<origin>.*?):(?P<line>\d+)(?::|$)")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def plain(text: str) -> str:
@@ -33,18 +37,17 @@ def plain(text: str) -> str:
 
 
 class ForestgenError(Exception):
-    """Base of all errors that a user can cause and mend.
+    """Base of all errors that a user can cause and fix.
 
     Parameters
     ----------
     problem : one sentence: what is wrong.
     where : file, line and key, such as ``stand.yaml:12: site.size_m``.
-    parameter : in place of `where`: that of the call whose value is wrong, ``count`` or ``workers=8``.
+    parameter : in place of `where`: the parameter of a call whose value is wrong, ``count`` or ``workers=8``.
     expected, got : what a valid value looks like, and the value found.
     hint : what to do about it.
 
-    In the words of an error a parameter stands between backticks, such as `` `overwrite=True` ``. The command line
-    shows its options instead.
+    Texts name a parameter between backticks, such as `` `overwrite=True` ``; the command line shows its option instead.
     """
 
     code = "forestgen"  # the kind of error, for programs
@@ -95,12 +98,11 @@ class ForestgenError(Exception):
 class RecipeError(ForestgenError):
     """The recipe, an override or a command's argument is wrong."""
 
-    code = "recipe"
-    exit_code = 2
+    code, exit_code = "recipe", 2
 
 
 class RecipeErrors(RecipeError):  # noqa: N818 - a group
-    """Several errors of one recipe, in the order of its file; what it says of itself is the first one's."""
+    """Several errors of one recipe, in the order of its file; its own fields are those of the first error."""
 
     def __init__(self, errors: Sequence[ForestgenError]) -> None:
         self._errors = tuple(errors)
@@ -113,7 +115,7 @@ class RecipeErrors(RecipeError):  # noqa: N818 - a group
         return self._errors
 
     def text(self, prefix: str = "", message: Callable[[ForestgenError], str] = str) -> str:
-        """All errors, each as it would be alone and behind `prefix`, and their number."""
+        """All errors, each with the prefix, and their number."""
         shown = [error.text(prefix, message) for error in self._errors[:MOST_SHOWN]]
         if len(self._errors) > MOST_SHOWN:
             shown.append(f"... and {len(self._errors) - MOST_SHOWN} more")
@@ -129,40 +131,86 @@ class RecipeErrors(RecipeError):  # noqa: N818 - a group
 class AssetError(ForestgenError):
     """A file that the recipe names is missing or unreadable."""
 
-    code = "asset"
-    exit_code = 2
+    code, exit_code = "asset", 2
 
 
 class LsystemError(ForestgenError):
     """An L-system program is wrong, or asks for the impossible when it runs."""
 
-    code = "lsystem"
-    exit_code = 2
+    code, exit_code = "lsystem", 2
 
 
 class ResourceError(ForestgenError):
     """This machine lacks the memory or the library that the task needs."""
 
-    code = "resource"
-    exit_code = 3
+    code, exit_code = "resource", 3
 
 
 class OutputError(ForestgenError):
     """A result cannot be written."""
 
-    code = "output"
-    exit_code = 4
+    code, exit_code = "output", 4
 
 
 class RenderError(ForestgenError):
     """The renderer failed."""
 
-    code = "render"
-    exit_code = 5
+    code, exit_code = "render", 5
 
 
 class DatasetError(ForestgenError):
     """A data set's files are damaged or contradict each other."""
 
-    code = "dataset"
-    exit_code = 6
+    code, exit_code = "dataset", 6
+
+
+class ErrorList:
+    """Errors of a recipe's independent checks, at most one a place, to be raised together.
+
+    Parameters
+    ----------
+    origin : the recipe's file as errors name it; its errors come first.
+    """
+
+    def __init__(self, origin: str) -> None:
+        self.origin = origin
+        self.found: list[ForestgenError] = []
+
+    def __bool__(self) -> bool:
+        return bool(self.found)
+
+    @property
+    def places(self) -> set[str]:
+        """Where the errors are."""
+        return {error.where for error in self.found if error.where}
+
+    def add(self, *errors: ForestgenError) -> None:
+        """Add errors, except those at places that had errors before."""
+        known = self.places
+        single = (one for error in errors for one in error.errors)
+        self.found += [one for one in single if one.where is None or one.where not in known]
+
+    def attempt(self, check: Callable[P, T], *arguments: P.args, **keywords: P.kwargs) -> T | None:
+        """The result of a check, or None if the recipe fails it."""
+        try:
+            return check(*arguments, **keywords)
+        except (RecipeError, AssetError, LsystemError) as error:
+            self.add(error)
+            return None
+
+    def raise_all(self) -> None:
+        """Raise the only error, or all of them in the order of the file; nothing where there is none."""
+        if len(self.found) == 1:
+            raise self.found[0]
+        if self.found:
+            places = [_place(error) for error in self.found]
+            origins = list(dict.fromkeys([self.origin, *(origin for origin, _ in places)]))
+            order = sorted(range(len(places)), key=lambda k: (origins.index(places[k][0]), places[k][1]))
+            raise RecipeErrors([self.found[k] for k in order]) from self.found[order[0]]
+
+
+def _place(error: ForestgenError) -> tuple[str, int]:
+    """File and line of an error; line 0 where it names none."""
+    where = error.where or ""
+    match = _PLACE.match(where)
+    return (match["origin"], int(match["line"])) if match else (where.partition(": ")[0], 0)

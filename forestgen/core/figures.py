@@ -48,12 +48,7 @@ def table_lines(rows: Sequence[Sequence[str]], *, names_left: bool = True) -> li
 
 
 def parse_bytes(size: int | str, option: str) -> int:
-    """Bytes of a number, or of a text such as 500MB (decimal), 1.5 GB or 256MiB (binary).
-
-    Raises
-    ------
-    RecipeError : it is no size; the message names the option.
-    """
+    """Bytes of a number, or of a text such as 500MB (decimal), 1.5 GB or 256MiB (binary); `RecipeError` for others."""
     text = size if isinstance(size, str) else shown(size)
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([kmgt]?i?)b?\s*", text, re.IGNORECASE | re.ASCII)
     unit = found[2].lower() if found else None

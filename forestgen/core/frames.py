@@ -1,4 +1,4 @@
-"""Frames of reference.
+"""Frames of reference, and the height at which stems are measured.
 
 World: metres, right-handed, x east, y north, z up; the site is [0, W] x [0, H]. Camera: OpenCV's, x right, y down,
 z forward; pixel centres at +0.5.
@@ -11,14 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+BREAST_HEIGHT_M = 1.3  # at which stems are measured; a plant that does not reach it has none
+
 
 def look_at(position_m: Sequence[float], target_m: Sequence[float]) -> NDArray[np.float64]:
-    """(3, 3) rotation whose columns are the camera's right, down and forward axes in the world, with the horizon level.
-
-    Raises
-    ------
-    ValueError : position and target coincide.
-    """
+    """(3, 3) rotation whose columns are the camera's right, down and forward axes in the world, the horizon level."""
     forward = np.subtract(target_m, position_m).astype(np.float64)
     length = float(np.linalg.norm(forward))
     if length < 1e-9:

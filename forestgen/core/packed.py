@@ -29,9 +29,7 @@ class UnreadableError(ValueError):
 def pack(value: Any) -> bytes:
     """Bytes of a dataclass; its fields are dataclasses, tuples, lists, mappings, arrays, enums, numbers, text or None.
 
-    Raises
-    ------
-    TypeError : a field of another kind.
+    Raises `TypeError` for a field of another kind.
     """
     arrays: list[NDArray[Any]] = []
     tree = _tree(value, arrays)
@@ -48,15 +46,9 @@ def pack(value: Any) -> bytes:
 
 
 def unpack(data: bytes | bytearray | NDArray[np.uint8], classes: Sequence[type]) -> Any:
-    """What `pack` was given. The arrays are views of `data`.
+    """What `pack` was given, made of these dataclasses and enums. The arrays are views of `data`.
 
-    Parameters
-    ----------
-    classes : the dataclasses and enums that may occur.
-
-    Raises
-    ------
-    UnreadableError : `data` is not what `pack` wrote, or tells of classes and fields that there are no more.
+    Raises `UnreadableError` where `data` is not what `pack` wrote, or names classes or fields that no longer exist.
     """
     view = memoryview(data)  # type: ignore[arg-type]  # NumPy's types do not tell that arrays are buffers
     if len(view) < _HEAD.size:

@@ -1,11 +1,79 @@
-"""Processes of our own that need nothing of the caller's script."""
+"""This process and those that it starts: free memory, signals, and spawning without the caller's script."""
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import types
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+
+_CGROUP = Path("/sys/fs/cgroup")  # a container sees its own limits here
+_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP", "SIGALRM")
+
+
+def free_bytes() -> int:
+    """Memory that is free on this machine, or in the container if that allows less."""
+    import psutil
+
+    machine = int(psutil.virtual_memory().available)
+    container = _container_bytes(_CGROUP)
+    return machine if container is None else min(machine, container)
+
+
+def whole_bytes() -> int:
+    """Memory of this machine, or of the container if that allows less; used memory counts too."""
+    import psutil
+
+    machine, container = int(psutil.virtual_memory().total), _limit_bytes(_CGROUP)
+    return machine if container is None else min(machine, container)
+
+
+def _limit_bytes(folder: Path) -> int | None:
+    """The control group's limit, None without one."""
+    try:
+        return int((folder / "memory.max").read_text())
+    except (OSError, ValueError):  # no control group, or "max"
+        return None
+
+
+def _container_bytes(folder: Path) -> int | None:
+    """What the control group's limit leaves, None without a limit; cached files count as free."""
+    limit = _limit_bytes(folder)
+    if limit is None:
+        return None
+    try:
+        used = int((folder / "memory.current").read_text())
+        rows = (line.split() for line in (folder / "memory.stat").read_text().splitlines())
+        cached = next((int(value) for name, value in rows if name == "inactive_file"), 0)
+    except (OSError, ValueError):
+        return None
+    return max(0, limit - used + cached)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Delay Ctrl-C and other requests to end until the block is done; for short blocks only.
+
+    A compiled library may abort the whole process where Python would raise an exception, as Dr.Jit does during its
+    import.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    numbers = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]  # Windows has the first two
+    before = {number: signal.signal(number, lambda one, _: came.append(one)) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            # None stands for a handler that Python did not install and cannot restore.
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        for number in dict.fromkeys(came):
+            signal.raise_signal(number)
 
 
 @contextmanager

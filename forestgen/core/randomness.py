@@ -12,27 +12,22 @@ import numpy as np
 
 
 def _digest(root_seed: int, identity: tuple[str | int, ...]) -> bytes:
+    plain = (part if isinstance(part, str) else int(part) for part in identity)  # NumPy integers count as Python's
     # repr() keeps 1 and "1", and ("a", "b") and ("ab",), apart.
-    text = repr((int(root_seed), *identity))
+    text = repr((int(root_seed), *plain))
     return hashlib.blake2b(text.encode(), digest_size=16).digest()
 
 
 def child_rng(root_seed: int, *identity: str | int) -> np.random.Generator:
-    """Generator of the thing named by `identity`, such as ``child_rng(7, "plant", 1234)``.
-
-    NumPy integers count as Python integers of the same value.
-    """
-    plain = tuple(part if isinstance(part, str) else int(part) for part in identity)
-    return np.random.Generator(np.random.PCG64(int.from_bytes(_digest(root_seed, plain), "little")))
+    """Generator of the thing named by `identity`, such as ``child_rng(7, "plant", 1234)``."""
+    return np.random.Generator(np.random.PCG64(int.from_bytes(_digest(root_seed, identity), "little")))
 
 
 def child_root(root_seed: int, *identity: str | int) -> int:
     """Root seed in [0, 2^63) of a thing that has things of its own, such as an image; a million do not collide."""
-    plain = tuple(part if isinstance(part, str) else int(part) for part in identity)
-    return int.from_bytes(_digest(root_seed, plain)[:8], "little") >> 1
+    return int.from_bytes(_digest(root_seed, identity)[:8], "little") >> 1
 
 
 def child_seed(root_seed: int, *identity: str | int) -> int:
     """Seed in [0, 2^31) for a library that takes an integer (the renderer's samplers, k-means)."""
-    plain = tuple(part if isinstance(part, str) else int(part) for part in identity)
-    return int.from_bytes(_digest(root_seed, plain)[:4], "little") >> 1
+    return int.from_bytes(_digest(root_seed, identity)[:4], "little") >> 1

@@ -1,9 +1,8 @@
-"""Names of interchangeable parts, each a lazy dotted path: a listing imports nothing heavy.
+"""Names of interchangeable parts, each a dotted path that is imported when the part is used.
 
-Other packages add parts in two ways: `Registry.register`, and entry points of groups such as
-``forestgen.community_model``, which are read only when parts are listed or a name is not among those known. Worker
-processes get the parts in use by `registrations`, and what is kept on disk depends on their code too
-(`forestgen.core.code_hash`).
+Other packages add parts by `Registry.register`, or by entry points of groups such as ``forestgen.community_model``,
+which are read only when parts are listed or a name is unknown. Worker processes get the parts in use by
+`registrations`; the hash of code (`forestgen.core.cache`) covers them too.
 """
 
 from __future__ import annotations
@@ -84,17 +83,9 @@ class Registry:
         return self._entry(name)[1]
 
     def register(self, name: str, path: str, description: str) -> None:
-        """Add a part.
+        """Add a part: the name that recipes use, ``module:attribute``, and one line of description.
 
-        Parameters
-        ----------
-        name : that recipes use.
-        path : ``module:attribute``, imported when the part is first used.
-        description : one line.
-
-        Raises
-        ------
-        RecipeError : the name is taken, or no name.
+        Raises `RecipeError` for a name that is taken or malformed.
         """
         if not _NAME.fullmatch(name):
             expected = "letters, digits and underscores, a letter first"
@@ -122,9 +113,8 @@ class Registry:
     def load(self, name: str, *, where: str | None = None) -> Any:
         """The part to use, which counts among `registrations` if it is another package's.
 
-        Raises
-        ------
-        RecipeError : unknown name; or another package's part cannot be imported, or lacks what its kind must have.
+        Raises `RecipeError` for an unknown name, and for another package's part that cannot be imported or lacks what
+        its kind must have.
         """
         part = self.part(name, where=where)
         if name not in self._entries:
@@ -132,7 +122,7 @@ class Registry:
         return part
 
     def use(self, name: str, *, where: str | None = None) -> None:
-        """Before work begins: import another package's part, as `load` does, but no shipped one, which is sound."""
+        """Before work begins: check another package's part by `load`; shipped parts are not imported."""
         if name not in self._shipped:
             self.load(name, where=where)
 
@@ -142,7 +132,7 @@ class Registry:
         return [found[name] for name in self._entries if name in found]
 
     def part(self, name: str, *, where: str | None = None) -> Any:
-        """The part to look at: as `load`, but it does not count as used."""
+        """As `load`, but the part does not count as used."""
         self.check(name, where=where)
         path, description = self._entry(name)
         if name in self._shipped:
@@ -157,7 +147,7 @@ class Registry:
         return found
 
     def parts(self) -> Iterator[tuple[str, Any]]:
-        """Each id and its part, to look at, without other packages' parts that are broken."""
+        """Each id and its part, without other packages' parts that are broken; none counts as used."""
         for name in self:
             try:
                 found = self.part(name)
@@ -194,7 +184,7 @@ class Registry:
         """Entries of the entry points of installed packages whose names are not taken."""
         found: dict[str, tuple[str, str]] = {}
         for name, path, package in _entry_points(f"forestgen.{self.kind.replace(' ', '_')}", tuple(sys.path)):
-            if name in found:  # no place: whoever uses it is told
+            if name in found:  # no path: using it is an error
                 found[name] = ("", f"{found[name][1]}, and of {package}")
             elif _NAME.fullmatch(name) and name not in self._entries:
                 found[name] = (path, f"of the package {package}")
@@ -211,31 +201,24 @@ def _entry_points(group: str, paths: tuple[str, ...]) -> list[tuple[str, str, st
 
 
 def part_at(path: str) -> Any:
-    """The object at ``package.module:NAME``.
-
-    Raises
-    ------
-    RecipeError : this is no such place, there is no such module, it has no such name, or it cannot be imported.
-    """
+    """The object at ``package.module:NAME``. Raises `RecipeError` where it cannot be found or imported."""
     match = _PLACE.fullmatch(path)
     if match is None:
         raise _error("this is no place of a part", path)
     module, name = match.groups()
     try:
         there = importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError as error:
-        if error.name is None or not module.startswith(error.name):
-            raise _failed(path, module, error) from error
-        there = False
-    except Exception as error:  # of a package above it, which is a stranger's code
-        raise _failed(path, module, error) from error
+        found = importlib.import_module(module) if there else None
+    except Exception as error:  # whatever another package's code raises
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        there = missing is None or not f"{module}.".startswith(f"{missing}.")
+        if there:
+            said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+            problem, expected = f"the module {module} cannot be imported", f"{path!r:.200}"
+            raise RecipeError(problem, parameter="part", expected=expected, got=said) from error
     if not there:
         hint = "install its package, or add its folder to sys.path and, for worker processes, to PYTHONPATH"
         raise _error(f"there is no module {module}", path, hint)
-    try:
-        found = importlib.import_module(module)
-    except Exception as error:
-        raise _failed(path, module, error) from error
     if not hasattr(found, name):
         raise _error(f"the module {module} has no {name}", path)
     return getattr(found, name)
@@ -243,8 +226,3 @@ def part_at(path: str) -> Any:
 
 def _error(problem: str, path: str, hint: str | None = None) -> RecipeError:
     return RecipeError(problem, parameter="part", expected="'package.module:NAME'", got=shown(path), hint=hint)
-
-
-def _failed(path: str, module: str, error: Exception) -> RecipeError:
-    said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-    return RecipeError(f"the module {module} cannot be imported", parameter="part", expected=f"{path!r:.200}", got=said)

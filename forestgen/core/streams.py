@@ -1,4 +1,4 @@
-"""Standard streams of a program that somebody has closed, or that lead to a full disk."""
+"""Standard streams that are closed, or lead to a full disk."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class _Output(io.FileIO):
-    """Standard output that remembers why it failed, to be told from other files."""
+    """Standard output that keeps the error with which it failed."""
 
     failure: OSError | None = None
 

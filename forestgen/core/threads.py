@@ -11,10 +11,7 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-# A range shorter than this is not worth a thread's start.
-_LEAST_PER_THREAD = 10_000
-
-
+_LEAST_PER_THREAD = 10_000  # a shorter range is not worth a thread's start
 _ALONE = threading.local()
 _limit: list[int] = []  # of this process, once it is set
 
@@ -33,9 +30,9 @@ def cores() -> int:
 
 
 class _Pool:
-    """Threads that wait for the next loop: to start them anew takes longer than a short loop.
+    """Threads that wait for the next loop: starting new ones takes longer than a short loop.
 
-    A loop inside a loop gets threads of its own, since one that waits for others of its pool might wait for ever.
+    A loop inside a loop gets threads of its own: waiting for others of its own pool could deadlock.
     """
 
     def __init__(self) -> None:
@@ -72,9 +69,9 @@ if hasattr(os, "register_at_fork"):
 
 
 def apart(jobs: Sequence[Callable[[], T]]) -> list[T]:
-    """The results of large jobs that do not depend on one another, each on a core of its own.
+    """The results of large independent jobs, each on a core of its own.
 
-    The loops inside of a job stay on its core: they need not wait for each other's ends.
+    The loops inside a job stay on its core, so they do not wait for each other's ends.
     """
 
     def alone(job: Callable[[], T]) -> T:
@@ -90,36 +87,34 @@ def apart(jobs: Sequence[Callable[[], T]]) -> list[T]:
         return list(pool.map(alone, jobs))
 
 
+def at_once(jobs: Sequence[Callable[[], T]]) -> list[T]:
+    """The results of independent jobs, on all cores."""
+    if cores() < 2:
+        return [job() for job in jobs]
+    with _POOL.threads() as pool:
+        return list(pool.map(lambda job: job(), jobs))
+
+
 def map_ranges(n: int, work: Callable[[int, int], T]) -> list[T]:
     """``work(first, end)`` of as many disjoint ranges of 0 ... n as there are cores, in order.
 
     What is made of the results must not depend on the ranges.
     """
-    threads = max(1, min(cores(), n // _LEAST_PER_THREAD))
-    edges = [n * k // threads for k in range(threads + 1)]
-    if threads == 1:
-        return [work(0, n)]
-    with _POOL.threads() as pool:
-        return list(pool.map(work, edges[:-1], edges[1:]))
+    return _in_pieces(n, work, max(1, min(cores(), n // _LEAST_PER_THREAD)))
 
 
 def over_ranges(n: int, work: Callable[[int, int], None]) -> None:
     """``work(first, end)`` over 0 ... n in disjoint ranges, on all cores. Results must not depend on the ranges."""
     threads = min(cores(), n // _LEAST_PER_THREAD)
-    if threads < 2:
-        work(0, n)
-        return
-    edges = [n * k // (4 * threads) for k in range(4 * threads + 1)]  # four each: the last to finish has little left
-    with _POOL.threads() as pool:
-        list(pool.map(work, edges[:-1], edges[1:]))
+    _in_pieces(n, work, 1 if threads < 2 else 4 * threads)  # four each, so that no thread waits long for the last
 
 
-def at_once(jobs: Sequence[Callable[[], T]]) -> list[T]:
-    """The results of jobs that do not depend on one another, on all cores."""
-    if cores() < 2:
-        return [job() for job in jobs]
+def _in_pieces(n: int, work: Callable[[int, int], T], pieces: int) -> list[T]:
+    if pieces == 1:
+        return [work(0, n)]
+    edges = [n * k // pieces for k in range(pieces + 1)]
     with _POOL.threads() as pool:
-        return list(pool.map(lambda job: job(), jobs))
+        return list(pool.map(work, edges[:-1], edges[1:]))
 
 
 def over_slabs(count: int, cells_each: int, work: Callable[[int, int], None]) -> None:

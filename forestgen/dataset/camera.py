@@ -76,8 +76,6 @@ def write_camera(path: Path, camera: Camera) -> None:
 def world_to_camera(camera: Camera) -> NDArray[np.float32]:
     """(4, 4) OpenEXR's ``worldToCamera``: row vectors, left-handed camera space, x right, y up, z forward.
 
-    References
-    ----------
     OpenEXR, "Standard Attributes": "The camera coordinate space is left-handed [...] The positive z axis indicates
     the camera's viewing direction [...] the same as in Pixar's Renderman."
     """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ _COUNTED = (_CLASS, _INSTANCES, _SPECIES, "species_pixels")
 
 
 class CardCounts:
-    """What the card tells of the index' rows, gathered row by row."""
+    """What the card says of the index' rows, gathered row by row."""
 
     def __init__(self) -> None:
         self.totals: dict[str, Counter[str]] = {name: Counter() for name in _COUNTED}
@@ -45,15 +45,9 @@ class CardCounts:
 
 
 def card_text(description: Mapping[str, Any], counts: CardCounts, settings: DatasetSettings) -> str:
-    """The card.
-
-    Parameters
-    ----------
-    description : the content of dataset.json: images, frames, splits, recipes, made_with, licence.
-    counts : of all rows of the index.
-    """
+    """The card, of the content of dataset.json and the counts of all rows of the index."""
     return str(
-        _template().render(
+        markdown_template(_TEMPLATE).render(
             said=description,
             counts=counts,
             settings=settings,
@@ -65,7 +59,11 @@ def card_text(description: Mapping[str, Any], counts: CardCounts, settings: Data
                 (name, counts.totals[_SPECIES][name], counts.totals["species_pixels"][name])
                 for name in settings.species_names
             ],
-            draws=_draws(description["recipes"]),
+            draws=[
+                (recipe["file"], key, json.dumps(written, ensure_ascii=False))
+                for recipe in description["recipes"]
+                for key, written in recipe["draws"].items()
+            ],
             sizes=sorted(counts.sizes_px.items()),
             of_formats=[text for one in load_formats(settings.formats) if (text := one.card())],
             missing=sum(last - first + 1 for one in description["recipes"] for first, last in one["missing"]),
@@ -74,14 +72,20 @@ def card_text(description: Mapping[str, Any], counts: CardCounts, settings: Data
 
 
 @cache
-def _template() -> Any:
+def markdown_template(path: Path) -> Any:
+    """The template of a Markdown page, without escapes but those of its filters."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined, autoescape=False
     )
-    environment.filters |= {"yaml": _yaml, "cell": markdown, "number": _number, "share": _share}
-    return environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
+    environment.filters |= {
+        "yaml": lambda value: json.dumps(value, ensure_ascii=False),  # JSON's quotes are YAML's
+        "cell": markdown,
+        "number": "{:,}".format,
+        "share": lambda value: f"{100 * value:.3g} %",
+    }
+    return environment.from_string(path.read_text(encoding="utf-8"))
 
 
 def _licence(settings: DatasetSettings) -> dict[str, str]:
@@ -105,29 +109,7 @@ def _classes(counts: CardCounts, settings: DatasetSettings) -> list[tuple[int, s
     ]
 
 
-def _draws(recipes: Sequence[Mapping[str, Any]]) -> list[tuple[str, str, str]]:
-    """Recipe's file, key, distribution."""
-    return [
-        (recipe["file"], key, json.dumps(written, ensure_ascii=False))
-        for recipe in recipes
-        for key, written in recipe["draws"].items()
-    ]
-
-
-def _yaml(value: str) -> str:
-    """A text in YAML: JSON's quotes are YAML's."""
-    return json.dumps(value, ensure_ascii=False)
-
-
 def markdown(value: object) -> str:
     """A text in a table's cell, on one line, with nothing that Markdown or HTML would take for its own."""
     text = " ".join(str(value).split())
     return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", text)
-
-
-def _number(value: int) -> str:
-    return f"{value:,}"
-
-
-def _share(value: float) -> str:
-    return f"{100 * value:.3g} %"

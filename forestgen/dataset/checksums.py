@@ -26,15 +26,9 @@ def write_sums(path: Path, sums: Iterable[tuple[str, str]]) -> None:
 
 
 def read_sums(path: Path, refused: Callable[[DatasetError], None] | None = None) -> Iterator[tuple[str, str]]:
-    """Path and SHA-256 of each file that is listed.
+    """Path and SHA-256 of each file that is listed; a file that is missing raises `DatasetError`.
 
-    Parameters
-    ----------
-    refused : takes the error of each line of another form, and the other lines are read; None: the first one raises.
-
-    Raises
-    ------
-    DatasetError : there is no such file, or a line is of another form.
+    `refused` takes the error of each line of another form, and the other lines are read; None: the first one raises.
     """
     try:
         with SafePath(path.parent, path.name).open() as stream:

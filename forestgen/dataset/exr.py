@@ -58,34 +58,33 @@ radiance, its variance and the denoised copy take 36, what is in the camera's ax
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.camera import camera_model, exr_attributes
 from forestgen.dataset.legend import classes_text, parts_text
-from forestgen.dataset.light_parts import light_attributes, own_attributes, radiance_channels
+from forestgen.dataset.tonemap import band_figures, picture_light
 from forestgen.labels.channels.channel import Layers, layer
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.recipe.registries import LABEL_CHANNELS
+from forestgen.render.frame import Radiance
 from forestgen.scene.spec import Camera
 
 # x, y of red, green, blue and white (D65): ITU-R BT.709-6, table 1, item 1.3 and 1.4
 REC709_CHROMATICITIES = (0.640, 0.330, 0.300, 0.600, 0.150, 0.060, 0.3127, 0.3290)
+COLOUR_UNIT = "cd/m2, linear Rec. 709 (D65)"
+BAND_UNIT = "W m-2 sr-1 nm-1"
+_BIASED = "radiance.denoised"
 
 
 def write_exr(path: Path, labelled: LabelledFrame, attributes: Mapping[str, str]) -> None:
-    """Write a frame.
-
-    Parameters
-    ----------
-    path : the file to write.
-    labelled : what is known of the frame.
-    attributes : name -> text, written as ``forestgen/name`` in every part's header.
-    """
+    """Write a frame; `attributes`, name -> text, go into every part's header as ``forestgen/name``."""
     parts, radiance = frame_parts(labelled), labelled.frame.radiance
     names = {"classes": classes_text(labelled.classes.names), "parts": parts_text()}
     units = {part: unit for one in LABEL_CHANNELS.load_all(labelled.channels) for part, unit in one.units.items()}
@@ -100,17 +99,14 @@ def write_parts(
     header: Mapping[str, Any],
     own: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> None:
-    """Write parts of (H, W) channels; a single part makes a file that old readers know, without name.
+    """Write parts of (H, W) channels; a failure raises `OutputError`.
+
+    A single part makes a file that old readers know, without name.
 
     Parameters
     ----------
     header : attributes of all parts.
     own : part -> attributes that it has besides, or instead.
-
-    Raises
-    ------
-    OutputError
-        When the file cannot be written.
     """
     import OpenEXR
 
@@ -125,29 +121,23 @@ def write_parts(
     try:
         file.write(str(path))
     except (OSError, RuntimeError) as error:
-        reason = str(error).replace(f' "{path}"', "")  # `where` says it once
-        raise OutputError(
-            f"cannot write OpenEXR: {reason}", where=str(path), hint="check the folder and the free space of its disk"
-        ) from error
+        reason, hint = str(error).replace(f' "{path}"', ""), "check the folder and the free space of its disk"
+        raise OutputError(f"cannot write OpenEXR: {reason}", where=str(path), hint=hint) from error
 
 
 def read_exr(path: Path) -> dict[str, Layers]:
     """Pixels of an OpenEXR file: part name -> channel name -> (H, W) array in the type it was stored in."""
-    return {
-        part.name(): {name: np.asarray(channel.pixels) for name, channel in part.channels.items()}
-        for part in _open(path, header_only=False).parts
-    }
+    import OpenEXR
+
+    parts = OpenEXR.File(str(path), separate_channels=True).parts
+    return {part.name(): {name: np.asarray(one.pixels) for name, one in part.channels.items()} for part in parts}
 
 
 def read_exr_attributes(path: Path) -> dict[str, Any]:
     """Header of the first part: attribute name -> value."""
-    return dict(_open(path, header_only=True).parts[0].header)
-
-
-def _open(path: Path, *, header_only: bool) -> Any:
     import OpenEXR
 
-    return OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
+    return dict(OpenEXR.File(str(path), separate_channels=True, header_only=True).parts[0].header)
 
 
 def _header(camera: Camera, attributes: Mapping[str, str]) -> dict[str, Any]:
@@ -178,3 +168,50 @@ def frame_parts(labelled: LabelledFrame) -> dict[str, Layers]:
             into = last if one.of_all_samples or part in last else first
             into[part] = into.get(part, {}) | found
     return {name: found for name, found in {**first, **last}.items() if found}
+
+
+def radiance_channels(radiance: Radiance) -> dict[str, dict[str, NDArray[Any]]]:
+    """Part -> channel -> (H, W)."""
+    parts = {"radiance": radiance.mean, _BIASED: radiance.denoised, "radiance.variance": radiance.variance}
+    return {
+        part: {n: np.ascontiguousarray(values[..., k], dtype=np.float32) for k, n in enumerate(radiance.channels)}
+        for part, values in parts.items()
+        if values is not None
+    }
+
+
+def light_attributes(radiance: Radiance, units: Mapping[str, str | None]) -> dict[str, str]:
+    """Attributes of all parts' headers, which go under ``forestgen/``: units, colour or bands, bias.
+
+    `units` are those of each part of the file that is neither radiance nor depth; None: it has none.
+    """
+    unit = BAND_UNIT if radiance.bands else COLOUR_UNIT
+    own = {"radiance": unit, _BIASED: unit, "radiance.variance": f"({unit.partition(',')[0]})^2", "depth": "m"}
+    attributes = {f"units.{part}": found for part, one in units.items() if (found := own.get(part, one)) is not None}
+    attributes |= {"samples": str(radiance.samples), "picture": picture_light(radiance)[1]}
+    if radiance.replicates:
+        attributes["replicates"] = str(radiance.replicates)
+    if math.isfinite(radiance.relative_error):
+        attributes["relative_error"] = f"{radiance.relative_error:.6g}"
+        attributes["relative_error_p95"] = f"{radiance.relative_error_p95:.6g}"
+        attributes["stopped_by"] = radiance.stopped_by
+    if radiance.bands:
+        attributes["bands"] = json.dumps(band_figures(radiance.channels, radiance.bands))
+    else:
+        attributes["colour_space"] = "linear Rec. 709 (D65)"
+    if radiance.open_irradiance:
+        values = dict(zip(radiance.channels, radiance.open_irradiance, strict=True))
+        attributes["open_irradiance"] = json.dumps(values)
+    if radiance.denoised is not None:
+        attributes["biased"] = _BIASED
+    return attributes
+
+
+def own_attributes(radiance: Radiance) -> Mapping[str, Mapping[str, Any]]:
+    """Attributes of single parts: part -> name -> value.
+
+    OpenEXR's ``whiteLuminance`` is the luminance in cd/m² of the RGB value (1, 1, 1).
+    """
+    white = {} if radiance.bands else {"whiteLuminance": 1.0}
+    biased = {"forestgen/biased": "denoised: not the mean of samples, and radiance.variance is not its error"}
+    return {"radiance": white, _BIASED: {**white, **biased}}

@@ -16,7 +16,11 @@ import zlib
 from dataclasses import dataclass
 from typing import IO, Any
 
-from forestgen.core.memory import free_bytes
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.processes import free_bytes
+from forestgen.dataset.safe_path import SafePath
 
 _MAGIC, _VERSION = b"\x76\x2f\x31\x01", 2
 _LONG_NAMES, _MULTIPART = 0x400, 0x1000
@@ -48,7 +52,7 @@ class _Part:
 
 
 def check_chunks(stream: IO[bytes], *, unpack: bool = True) -> int:
-    """Refuse a file that the library would not read in full; how many parts it has.
+    """Number of parts of a file that the library would read in full.
 
     Parameters
     ----------
@@ -56,8 +60,7 @@ def check_chunks(stream: IO[bytes], *, unpack: bool = True) -> int:
 
     Raises
     ------
-    ValueError : the file is cut short, damaged, of another kind than forestgen writes, or needs more memory than is
-        free.
+    ValueError : the file is cut short, damaged, of another kind than forestgen writes, or larger than the free memory.
     """
     magic, version = _unpack(stream, "<4sI")
     if magic != _MAGIC or version & ~(_LONG_NAMES | _MULTIPART) != _VERSION:
@@ -72,6 +75,22 @@ def check_chunks(stream: IO[bytes], *, unpack: bool = True) -> int:
         for block, offset in enumerate(offsets):
             _check_block(stream, offset, part, block, number if several else None, unpack)
     return len(parts)
+
+
+def read_whole(path: SafePath, *, unpack: bool = True) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
+    """Part -> channel -> (H, W) array in the type it was stored in, and the first part's header, of a checked file.
+
+    Raises what `check_chunks` and `SafePath.open` raise, and what the library's C++ throws.
+    """
+    import OpenEXR
+
+    with path.open() as stream:
+        count = check_chunks(stream, unpack=unpack)
+    parts = OpenEXR.File(str(path.located()), separate_channels=True).parts
+    if len(parts) != count:
+        raise ValueError(f"{len(parts)} of {count} parts can be read")
+    pixels = {part.name(): {name: np.asarray(one.pixels) for name, one in part.channels.items()} for part in parts}
+    return pixels, dict(parts[0].header)
 
 
 def _parts(stream: IO[bytes], several: bool) -> list[_Part]:
@@ -105,8 +124,8 @@ def _part(header: dict[bytes, bytes]) -> _Part:
     except (KeyError, IndexError, struct.error) as error:
         raise ValueError("its header is damaged, or of another compression than forestgen's") from error
     width, height = right - left + 1, bottom - top + 1
-    told = header.get(b"chunkCount")
-    if told is not None and told != struct.pack("<i", min(max(0, -(-height // lines)), 2**31 - 1)):
+    count = struct.pack("<i", min(max(0, -(-height // lines)), 2**31 - 1))
+    if header.get(b"chunkCount", count) != count:
         raise ValueError("its header is damaged")
     if header.get(b"type", b"scanlineimage").rstrip(b"\0") != b"scanlineimage":
         raise ValueError("a part does not consist of scan lines")
@@ -140,10 +159,10 @@ def _check_block(stream: IO[bytes], offset: int, part: _Part, block: int, number
         return
     unpacker = zlib.decompressobj()
     try:
-        unpacked = len(unpacker.decompress(content, whole + 1))
-    except zlib.error as error:
-        raise ValueError("a block of lines cannot be unpacked") from error
-    if unpacked != whole or not unpacker.eof:
+        is_whole = len(unpacker.decompress(content, whole + 1)) == whole and unpacker.eof
+    except zlib.error:
+        is_whole = False
+    if not is_whole:
         raise ValueError("a block of lines cannot be unpacked")
 
 

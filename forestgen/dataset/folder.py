@@ -28,17 +28,14 @@ _LONGEST_STEM = 160  # bytes: leaves room for the suffix in a file system's usua
 class OutputFolder:
     """Context manager that gives the path of a staging folder and puts it in place on success.
 
+    A target that cannot be used raises `OutputError` on entry, before anything is computed; a failed write later.
+
     Parameters
     ----------
     target : the run's folder, absent, empty, or a previous run's.
     overwrite : replace a previous run's folder. No other folder is ever replaced.
     required_bytes : an estimate of what will be written, checked against the disk's free space.
-    is_ours : tells a previous output, which may be replaced, from any other folder.
-
-    Raises
-    ------
-    OutputError
-        On entry, before anything is computed, when the target cannot be used; later when writing fails.
+    is_ours : whether a folder is a previous output, which may be replaced.
     """
 
     def __init__(
@@ -101,9 +98,8 @@ class OutputFolder:
         if not _exists(target):
             return
         if not target.is_dir():
-            raise OutputError(
-                "the output is a file", where=str(self.target), expected="a folder", hint="choose another name"
-            )
+            hint = "choose another name"
+            raise OutputError("the output is a file", where=str(self.target), expected="a folder", hint=hint)
         if not any(target.iterdir()):
             return
         if not self.is_ours(target):
@@ -114,11 +110,8 @@ class OutputFolder:
                 hint="choose another folder; forestgen replaces only its own, with `overwrite=True`",
             )
         if not self.overwrite:
-            raise OutputError(
-                OURS,
-                where=str(self.target),
-                hint="choose another folder, or `overwrite=True` to replace it",
-            )
+            hint = "choose another folder, or `overwrite=True` to replace it"
+            raise OutputError(OURS, where=str(self.target), hint=hint)
 
     def _make_parents(self) -> None:
         missing = []
@@ -186,7 +179,7 @@ class OutputFolder:
 
 
 def _exists(path: Path) -> bool:
-    """Whether there is anything, a broken link included; a path that cannot be asked for raises `OSError`."""
+    """Whether there is anything, a broken link included; a path that cannot be read raises `OSError`."""
     try:
         os.lstat(path)
     except FileNotFoundError:
@@ -218,8 +211,8 @@ def _started(pid: int) -> str:
     import psutil
 
     try:
-        told = Path(f"/proc/{pid}/stat").read_bytes()
-        return told.rpartition(b")")[2].split()[19].decode()  # ticks since the machine was started
+        status = Path(f"/proc/{pid}/stat").read_bytes()
+        return status.rpartition(b")")[2].split()[19].decode()  # ticks since the machine was started
     except (OSError, IndexError):
         try:
             return str(int(100 * psutil.Process(pid).create_time()))

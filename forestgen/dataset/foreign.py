@@ -1,18 +1,5 @@
 """Files that other tools leave in a data set's folder: they are no part of it, and no damage.
 
-| pattern | tool |
-|---|---|
-| `*.cache` | Ultralytics: what it has read of the labels |
-| `.cache`, `.huggingface` | Hugging Face |
-| `.fiftyone*`, `fiftyone.yml` | FiftyOne |
-| `.DS_Store`, `._*` | macOS |
-| `Thumbs.db`, `desktop.ini` | Windows |
-| `.directory`, `.Trash-*` | Linux desktops |
-| `.ipynb_checkpoints`, `__pycache__` | Jupyter, Python |
-| `.git*`, `.dvc*`, `*.dvc` | Git, DVC |
-| `.nfs*` | network file systems: files removed while in use |
-| `*~`, `.*.swp`, `.*.swo`, `.#*`, `#*#`, `.idea`, `.vscode` | editors |
-
 A pattern matches the name of a file, or of a folder with all that is in it. A file that `SHA256SUMS` lists belongs to
 the data set, whatever its name.
 """
@@ -23,7 +10,7 @@ from fnmatch import fnmatchcase
 from functools import lru_cache
 
 _TOOLS: dict[str, tuple[str, ...]] = {
-    "Ultralytics": ("*.cache",),
+    "Ultralytics": ("*.cache",),  # what it has read of the labels
     "Hugging Face": (".cache", ".huggingface"),
     "FiftyOne": (".fiftyone*", "fiftyone.yml"),
     "macOS": (".DS_Store", "._*"),
@@ -33,7 +20,7 @@ _TOOLS: dict[str, tuple[str, ...]] = {
     "Python": ("__pycache__",),
     "Git": (".git*",),
     "DVC": (".dvc*", "*.dvc"),
-    "a network file system": (".nfs*",),
+    "a network file system": (".nfs*",),  # files that were removed while in use
     "an editor": ("*~", ".*.swp", ".*.swo", ".#*", "#*#", ".idea", ".vscode"),
 }
 # Names before patterns: ".cache" is a folder of Hugging Face's.
@@ -43,12 +30,7 @@ _PATTERNS = sorted(
 
 
 def tool_of(path: str) -> str | None:
-    """The tool that makes files of this name; None if forestgen knows none.
-
-    Parameters
-    ----------
-    path : below the data set's folder, with forward slashes.
-    """
+    """The tool that makes files of this path below the data set's folder; None if forestgen knows none."""
     return next((tool for name in path.split("/") if (tool := _tool_of_name(name)) is not None), None)
 
 

@@ -35,9 +35,9 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.dataset.files import make_folder, write_bytes
-from forestgen.dataset.png import instance_of, rgb_of, semantic_of
-from forestgen.dataset.safe_path import SafePath, check_cells, unreadable
-from forestgen.recipe.paths import MAPS
+from forestgen.dataset.png import instance_of, overlay, rgb_of, semantic_of
+from forestgen.dataset.safe_path import SafePath, read_parquet, unreadable
+from forestgen.recipe.assets import MAPS
 
 Parts = Mapping[str, Mapping[str, NDArray[Any]]]
 
@@ -198,8 +198,6 @@ class Frame:
 
     @cached_property
     def overlay(self) -> NDArray[np.uint8]:
-        from forestgen.dataset.png import overlay
-
         return overlay(self.preview, self.instance)
 
     def channel(self, part: str, name: str) -> NDArray[Any]:
@@ -272,14 +270,7 @@ def _is_frame_folder(folder: Path) -> bool:
 
 
 class StoredFrame:
-    """A `FrameSource`: the files of a frame's folder, each read when it is asked for.
-
-    Parameters
-    ----------
-    folder : of the frame.
-    info : its row of the index.
-    classes : names of the semantic classes, by number.
-    """
+    """A `FrameSource`: the files of a frame's folder, each read when it is asked for."""
 
     def __init__(self, folder: SafePath, info: Mapping[str, Any], classes: tuple[str, ...]) -> None:
         self.folder, self.info, self.classes = folder, info, classes
@@ -293,15 +284,10 @@ class StoredFrame:
         return int(self.info["width_px"]), int(self.info["height_px"])
 
     def parts(self) -> Parts:
-        from forestgen.dataset.exr import read_exr
-        from forestgen.dataset.exr_chunks import check_chunks
+        from forestgen.dataset.exr_chunks import read_whole
 
         with self._reading("frame.exr") as path:
-            with path.open() as stream:
-                # The library writes what it finds damaged to standard error. To unpack the blocks would take as long as
-                # to read them; without it a file that is cut short is found.
-                check_chunks(stream, unpack=False)
-            return read_exr(path.located())
+            return read_whole(path, unpack=False)[0]
 
     def instance(self) -> NDArray[np.uint32]:
         with self._reading("instance.png") as path:
@@ -312,11 +298,8 @@ class StoredFrame:
             return semantic_of(path.read(), self._size_px)
 
     def plants(self) -> Any:
-        import pyarrow.parquet as pq
-
-        with self._reading("plants.parquet") as path, path.open() as stream, pq.ParquetFile(stream) as file:
-            check_cells(file.metadata.num_rows, file.metadata.num_columns)
-            return file.read()
+        with self._reading("plants.parquet") as path:
+            return read_parquet(path)
 
     def camera(self) -> dict[str, Any]:
         with self._reading("camera.json") as path:

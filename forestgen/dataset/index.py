@@ -42,6 +42,18 @@ Metres, degrees, pixels; the world's axes are x east, y north, z up. Shares are 
 
 Maps leave out what is not there. A draw's column has one type in all rows: where draws are both numbers and texts,
 JSON.
+
+Anybody may have written an index. Within these bounds all that is computed from its values is finite:
+
+| column | bound |
+|---|---|
+| image, image_seed, and whole numbers of columns that the index does not know | int64 |
+| other numbers | below 1e12 in size; of columns that the index does not know, such as draws, 1e100 |
+| instance_pixels_histogram | at most 64 counts, each 0 to 1e12 and known |
+| maps | counts of 0 to 1e12 |
+
+Of frames that are to be read besides: neither name nor size is null, a side is 1 to 16,384 pixels, and there are
+channels.
 """
 
 from __future__ import annotations
@@ -53,9 +65,10 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.files import make_folder, output_error
-from forestgen.dataset.index_values import FRAME_COLUMNS, check_frames, check_values
 from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split
 from forestgen.dataset.settings import DRAW
 
@@ -63,25 +76,16 @@ INDEX_NAME = "index.parquet"
 _TEXT, _WHOLE, _SMALL, _NUMBER = "string", "int64", "int32", "double"
 _TEXTS, _COUNTS, _BY_NAME, _JSON = "list of string", "list of int64", "map", "JSON"
 COLUMNS: dict[str, str] = {
-    **dict.fromkeys(("frame", "folder", "split"), _TEXT),
-    "image": _WHOLE,
-    **dict.fromkeys(("camera", "sequence"), _TEXT),
-    "time_s": _NUMBER,
-    "image_seed": _WHOLE,
-    "recipe_hash": _TEXT,
-    **dict.fromkeys(("width_px", "height_px"), _SMALL),
-    "camera_kind": _TEXT,
+    **dict.fromkeys(("frame", "folder", "split"), _TEXT), "image": _WHOLE,
+    **dict.fromkeys(("camera", "sequence"), _TEXT), "time_s": _NUMBER, "image_seed": _WHOLE, "recipe_hash": _TEXT,
+    **dict.fromkeys(("width_px", "height_px"), _SMALL), "camera_kind": _TEXT,
     **dict.fromkeys(("hfov_deg", "camera_x_m", "camera_y_m", "camera_z_m"), _NUMBER),
     **dict.fromkeys(("camera_height_m", "camera_pitch_deg", "camera_azimuth_deg"), _NUMBER),
     **dict.fromkeys(("sky_kind", "clouds"), _TEXT),
     **dict.fromkeys(("cloud_cover", "cloud_share", "sun_elevation_deg", "sun_azimuth_deg"), _NUMBER),
-    **dict.fromkeys(("turbidity", "visibility_m"), _NUMBER),
-    "season": _TEXT,
-    "wind_m_per_s": _NUMBER,
-    "channels": _TEXTS,
-    "samples": _WHOLE,
-    **dict.fromkeys(("relative_error", "relative_error_p95"), _NUMBER),
-    "stopped_by": _TEXT,
+    **dict.fromkeys(("turbidity", "visibility_m"), _NUMBER), "season": _TEXT, "wind_m_per_s": _NUMBER,
+    "channels": _TEXTS, "samples": _WHOLE,
+    **dict.fromkeys(("relative_error", "relative_error_p95"), _NUMBER), "stopped_by": _TEXT,
     **dict.fromkeys(("sky_share", "sunlit_share", "depth_min_m", "depth_median_m", "depth_max_m"), _NUMBER),
     **dict.fromkeys(("plants", "plants_in_view", "plants_truncated"), _WHOLE),
     **dict.fromkeys(("visible_fraction_median", "instance_pixels_median"), _NUMBER),
@@ -89,8 +93,14 @@ COLUMNS: dict[str, str] = {
     **dict.fromkeys(("class_pixels", "part_pixels"), _BY_NAME),
     **dict.fromkeys(("category_instances", "species_instances", "species_pixels"), _BY_NAME),
     "notes": _TEXTS,
-}
+}  # fmt: skip
 _ROWS_A_GROUP = 500
+# What a frame cannot be without.
+_FRAME_COLUMNS = ("frame", "split", "image", "channels", "width_px", "height_px", "plants_in_view")
+_LARGEST, _LARGEST_OF_OTHERS = 1e12, 1e100
+_LONG = ("image", "image_seed")
+_MOST_COUNTS = 64
+_MOST_SIDE_PX = 16_384
 
 
 class DrawTypes:
@@ -116,10 +126,8 @@ def _kind(value: Any) -> str:
         return "null"
     if isinstance(value, bool):
         return "boolean"
-    if isinstance(value, int) and -(2**63) <= value < 2**63:
-        return _WHOLE
     if isinstance(value, int | float):
-        return _NUMBER
+        return _WHOLE if _is_whole(value) else _NUMBER
     return _TEXT if isinstance(value, str) else _JSON
 
 
@@ -130,13 +138,11 @@ def _common(kinds: set[str]) -> str:
 
 
 def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[str, str] | None = None) -> None:
-    """Write the rows of `frame_row`, a few hundred in memory at a time.
+    """Write the rows of `frame_row`, in that order, a few hundred in memory at a time; its folder is made if missing.
 
     Parameters
     ----------
-    path : the file; its folder is made if it is missing.
-    rows : in the order in which they are to lie; read twice where no `draws` are given.
-    draws : `DrawTypes.columns` of all rows.
+    draws : `DrawTypes.columns` of all rows; without it all rows are held in memory.
 
     Raises
     ------
@@ -157,8 +163,15 @@ def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[st
     try:
         with pq.ParquetWriter(path, schema, compression="zstd") as writer:
             remaining = iter(rows)
-            while _write_group(writer, schema, columns, list(islice(remaining, _ROWS_A_GROUP))):
-                pass
+            while group := list(islice(remaining, _ROWS_A_GROUP)):
+                strangers = {name for row in group for name in row} - set(columns)
+                if strangers:
+                    raise ValueError(f"the index has no columns {sorted(strangers)}")
+                cells = [
+                    pa.array([_cell(row.get(name), kind) for row in group], _arrow_type(kind))
+                    for name, kind in columns.items()
+                ]
+                writer.write_table(pa.Table.from_arrays(cells, schema=schema))
     except OSError as error:
         raise output_error(error, path) from error
 
@@ -166,30 +179,20 @@ def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[st
 def read_index(path: Path) -> Iterator[dict[str, Any]]:
     """Rows as `frame_row` made them, but for draws of other rows, which are None; a group in memory at a time.
 
-    Raises
-    ------
-    DatasetError : there is no such file, or it is no index.
+    A file that is missing, or no index, raises `DatasetError`.
     """
-    maps = {name for name, kind in COLUMNS.items() if kind == _BY_NAME}
+    maps = [name for name, kind in COLUMNS.items() if kind == _BY_NAME]
     with open_index(path, ("frame", "folder", "split", "image")) as file:
         for number in range(file.num_row_groups):
             for row in file.read_row_group(number).to_pylist():
-                yield {
-                    name: dict(value) if name in maps and value is not None else value for name, value in row.items()
-                }
+                yield row | {name: dict(row[name]) for name in maps if row.get(name) is not None}
 
 
 @contextmanager
 def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
-    """The index as a pyarrow.parquet.ParquetFile, whose known columns are of their types; see `read_index`.
+    """The index as a pyarrow.parquet.ParquetFile, whose known columns are of their types; `needed` ones must be there.
 
-    Parameters
-    ----------
-    needed : columns that must be there.
-
-    Raises
-    ------
-    DatasetError : there is no such file, it is no index, or it cannot be read in this block.
+    A file that is missing, no index, or cannot be read in this block, raises `DatasetError`.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -199,49 +202,41 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
             names = file.schema_arrow.names
             missing = [name for name in needed if name not in names]
             if missing:
-                raise DatasetError(
-                    "this is no index of forestgen", where=str(path), expected=f"columns {', '.join(missing)}"
-                )
+                expected = f"columns {', '.join(missing)}"
+                raise DatasetError("this is no index of forestgen", where=str(path), expected=expected)
             check_cells(file.metadata.num_rows, len(names))
             strange = [field.name for field in file.schema_arrow if not _is_of_its_type(field, needed)]
             if strange or len(set(names)) < len(names):
                 raise DatasetError("a column of the index is not of its type", where=str(path), got=", ".join(strange))
             yield file
     except FileNotFoundError as error:
-        raise DatasetError(
-            "there is no index",
-            where=str(path),
-            hint="the command that made the data set, with `resume=True`, writes it",
-        ) from error
+        hint = "the command that made the data set, with `resume=True`, writes it"
+        raise DatasetError("there is no index", where=str(path), hint=hint) from error
     except (OSError, ValueError, pa.ArrowException) as error:  # ValueError: texts that are no UTF-8
-        raise DatasetError(
-            "the index cannot be read", where=str(path), got=" ".join(str(error).split())[:200]
-        ) from error
+        got = " ".join(str(error).split())[:200]
+        raise DatasetError("the index cannot be read", where=str(path), got=got) from error
 
 
 def open_table(path: Path, needed: Sequence[str]) -> Any:
-    """The index as a `pyarrow.Table` whose values are within the bounds of `dataset.index_values`.
-
-    Raises
-    ------
-    DatasetError : see `open_index`; or a value is out of bounds.
-    """
+    """The index as a `pyarrow.Table`; a value beyond this module's bounds raises `DatasetError`, see `open_index`."""
     with open_index(path, needed) as file:
         table = file.read()
         table.validate(full=True)  # texts are UTF-8
-    check_values(table, COLUMNS, path)
+    for field in table.schema:
+        if not all(_is_bounded(field, chunk) for chunk in table[field.name].chunks):
+            raise DatasetError("a value of the index is out of all bounds", where=str(path), got=ascii(field.name)[:80])
     return table
 
 
 def whole_index(path: Path) -> Any:
     """The index as a `pyarrow.Table`, whose rows name folders of frames below the data set's folder.
 
-    Raises
-    ------
-    DatasetError : see `open_table`; or a row is no frame's, or a frame has two rows.
+    A row that is no frame's, or a frame with two rows, raises `DatasetError`, see `open_table`.
     """
-    index = open_table(path, FRAME_COLUMNS)
-    check_frames(index, path)
+    index = open_table(path, _FRAME_COLUMNS)
+    if index.num_rows and (wrong := _wrong_column(index)) is not None:
+        expected = f"a value of {wrong} in each row, as forestgen writes it"
+        raise DatasetError("a row of the index is not a frame's", where=str(path), expected=expected)
     names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
     for split, frame in names:
         if not is_split(split) or not is_frame(frame):
@@ -250,6 +245,60 @@ def whole_index(path: Path) -> Any:
     if len({frame for _, frame in names}) < len(names):
         raise DatasetError("a frame has two rows of the index", where=str(path))
     return index
+
+
+def plain_rows(table: Any, path: Path) -> list[dict[str, Any]]:
+    """The rows of an index as plain values, maps as dicts; what Python has no such value for raises `DatasetError`."""
+    import pyarrow as pa
+
+    try:
+        return list(table.to_pylist(maps_as_pydicts="strict"))
+    except (ValueError, KeyError, TypeError, OverflowError, pa.ArrowException) as error:
+        got = " ".join(str(error).split())[:200]
+        raise DatasetError("a row of the index cannot be read", where=str(path), got=got) from error
+
+
+def _wrong_column(index: Any) -> str | None:
+    """A column whose values are no frames'; None: there is none."""
+    import pyarrow.compute as pc
+
+    wrong = next((name for name in _FRAME_COLUMNS if index[name].null_count), None)
+    if wrong is not None:
+        return wrong
+    is_listed = pc.greater(pc.list_value_length(index["channels"]), 0)
+    if pc.list_flatten(index["channels"]).null_count or not pc.all(is_listed).as_py():
+        return "channels"
+    for name in ("width_px", "height_px"):
+        sides = index[name].to_numpy()
+        if ((sides < 1) | (sides > _MOST_SIDE_PX)).any():
+            return name
+    return None
+
+
+def _is_bounded(field: Any, chunk: Any) -> bool:
+    """Whether a column's array keeps within this module's bounds."""
+    import pyarrow.compute as pc
+    from pyarrow import types
+
+    most = _LARGEST if field.name in COLUMNS and field.name not in _LONG else _LARGEST_OF_OTHERS
+    if types.is_list(field.type) and COLUMNS.get(field.name) == _COUNTS:
+        values, lengths = chunk.flatten(), pc.list_value_length(chunk).drop_null().to_numpy()
+        return bool((lengths <= _MOST_COUNTS).all()) and not values.null_count and _are_within(values, 0.0, most)
+    if types.is_map(field.type) and field.name in COLUMNS:
+        return _are_within(chunk.items, 0.0, most)
+    return _are_within(chunk, -most, most)
+
+
+def _are_within(values: Any, low: float, high: float) -> bool:
+    """Whether an array's numbers are; nulls, NaN and what is no number are. Whole numbers fit int64 besides."""
+    from pyarrow import types
+
+    if not (types.is_integer(values.type) or types.is_floating(values.type)):
+        return True
+    known = values.drop_null().to_numpy(zero_copy_only=False)
+    if known.dtype.kind == "u" and (known > np.iinfo(np.int64).max).any():
+        return False
+    return not ((known < low) | (known > high)).any()
 
 
 def _is_of_its_type(field: Any, needed: Sequence[str]) -> bool:
@@ -301,39 +350,14 @@ _FITS: dict[str, Callable[[Any], bool]] = {
 }
 
 
-def _write_group(writer: Any, schema: Any, columns: Mapping[str, str], rows: list[Mapping[str, Any]]) -> bool:
-    """Write some rows; whether there were any."""
-    import pyarrow as pa
-
-    if rows:
-        _check_columns(rows, columns)
-        cells = [
-            pa.array([_cell(row.get(name), kind) for row in rows], _arrow_type(kind)) for name, kind in columns.items()
-        ]
-        writer.write_table(pa.Table.from_arrays(cells, schema=schema))
-    return bool(rows)
-
-
-def _check_columns(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> None:
-    strangers = {name for row in rows for name in row} - set(columns)
-    if strangers:
-        raise ValueError(f"the index has no columns {sorted(strangers)}")
-
-
 def _arrow_type(kind: str) -> Any:
     import pyarrow as pa
 
-    return {
-        "boolean": pa.bool_(),
-        _TEXT: pa.string(),
-        _JSON: pa.string(),
-        _WHOLE: pa.int64(),
-        _SMALL: pa.int32(),
-        _NUMBER: pa.float64(),
-        _TEXTS: pa.list_(pa.string()),
-        _COUNTS: pa.list_(pa.int64()),
-        _BY_NAME: pa.map_(pa.string(), pa.int64()),
-    }[kind]
+    if kind == _BY_NAME:
+        return pa.map_(pa.string(), pa.int64())
+    if kind in (_TEXTS, _COUNTS):
+        return pa.list_(pa.string() if kind == _TEXTS else pa.int64())
+    return pa.type_for_alias({_JSON: "string", "boolean": "bool"}.get(kind, kind))
 
 
 def _cell(value: Any, kind: str) -> Any:

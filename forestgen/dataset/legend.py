@@ -31,12 +31,7 @@ FILE_NAME = "classes.json"
 
 
 def write_legend(root: Path, settings: DatasetSettings, palette: NDArray[np.uint8]) -> None:
-    """Write classes.json into the data set's folder; a failure raises `OutputError`.
-
-    Parameters
-    ----------
-    palette : (classes, 3) sRGB of semantic.png.
-    """
+    """Write classes.json into the data set's folder; `palette` (classes, 3) is the sRGB one of semantic.png."""
     legend = {
         "semantic": _numbered(settings.class_names),
         "semantic_colours": {str(i): colour for i, colour in enumerate(palette.tolist())},
@@ -50,9 +45,7 @@ def write_legend(root: Path, settings: DatasetSettings, palette: NDArray[np.uint
 def read_legend(split: SafePath) -> dict[str, Any]:
     """classes.json of a split's folder; `semantic` counts from 0, and both it and `categories` have names.
 
-    Raises
-    ------
-    DatasetError : the file is missing, damaged, or of another form.
+    A file that is missing, damaged, or of another form raises `DatasetError`.
     """
     path = split / FILE_NAME
     try:
@@ -61,19 +54,13 @@ def read_legend(split: SafePath) -> dict[str, Any]:
         raise unreadable(path, error, "forestgen verify checks all files") from error
     for key in ("semantic", "categories"):
         named = content.get(key) if isinstance(content, dict) else None
-        if not isinstance(named, dict) or not all(map(_is_number, named)) or not _are_texts(named.values()):
-            raise _strange(path, f"{key}: a name for each number")
+        if not isinstance(named, dict) or not all(_is_number(key) and isinstance(named[key], str) for key in named):
+            expected = f"{key}: a name for each number"
+            raise DatasetError("a file is not what its name says", where=str(path), expected=expected)
     if set(content["semantic"]) != {str(number) for number in range(len(content["semantic"]))}:
-        raise _strange(path, "semantic: numbers from 0 on")
+        expected = "semantic: numbers from 0 on"
+        raise DatasetError("a file is not what its name says", where=str(path), expected=expected)
     return dict(content)
-
-
-def _strange(path: SafePath, expected: str) -> DatasetError:
-    return DatasetError("a file is not what its name says", where=str(path), expected=expected)
-
-
-def _are_texts(values: Any) -> bool:
-    return all(isinstance(one, str) for one in values)
 
 
 def _is_number(key: str) -> bool:

@@ -16,22 +16,9 @@ from forestgen.dataset.safe_path import SafePath
 MANIFEST_NAME = "manifest.json"
 SCHEMA = "forestgen-manifest/1"
 PACKAGES = (
-    "forestgen",
-    "numpy",
-    "scipy",
-    "numba",
-    "mitsuba",
-    "drjit",
-    "mitsuba-oidn",
-    "colour-science",
-    "pvlib",
-    "karellen-llvm-core",
-    "trimesh",
-    "OpenEXR",
-    "pillow",
-    "pyarrow",
-    "pycocotools",
-)
+    "forestgen", "numpy", "scipy", "numba", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "pvlib",
+    "karellen-llvm-core", "trimesh", "OpenEXR", "pillow", "pyarrow", "pycocotools",
+)  # fmt: skip
 
 
 def build_manifest(
@@ -43,15 +30,7 @@ def build_manifest(
     timings_s: Mapping[str, float],
     extra: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Describe a run after all of its other files are written.
-
-    Parameters
-    ----------
-    root : the run's folder; every file in it but the manifest is listed with size and SHA-256.
-    recipe_hash, root_seed, image_seeds : what the run was made from.
-    timings_s : stage -> seconds.
-    extra : further plain values, stored under ``run``.
-    """
+    """Describe a run after all of its other files in `root` are written; `extra` is stored under ``run``."""
     return {
         "schema": SCHEMA,
         "recipe_hash": recipe_hash,

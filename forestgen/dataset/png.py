@@ -7,7 +7,7 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from forestgen.dataset.legend import classes_text
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-COMPRESS_LEVEL = 4
+_COMPRESS_LEVEL = 4
 MAX_PNG_ID = (1 << 24) - 1
 _PALETTE_COLOURS = 256  # those without a class are black
 _TINT = 0.42  # share of a plant's own colour inside its mask
@@ -28,28 +28,18 @@ _SKY_RGB, _GROUND_RGB = (110, 160, 220), (122, 96, 70)
 
 def write_rgb(path: Path, picture: NDArray[np.uint8], text: Mapping[str, str] | None = None) -> None:
     """Write an (H, W, 3) uint8 picture; `text` goes into text chunks."""
-    from PIL import Image
-
-    _save(path, Image.fromarray(np.ascontiguousarray(picture)), text=text)
+    _save(path, picture, text=text)
 
 
 def write_grey(
-    path: Path, picture: NDArray[np.uint8] | NDArray[np.uint16], compress_level: int = COMPRESS_LEVEL
+    path: Path, picture: NDArray[np.uint8] | NDArray[np.uint16], compress_level: int = _COMPRESS_LEVEL
 ) -> None:
     """Write an (H, W) picture as a grey PNG of 8 or 16 bits."""
-    from PIL import Image
-
-    _save(path, Image.fromarray(np.ascontiguousarray(picture)), compress_level)
+    _save(path, picture, compress_level)
 
 
 def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
-    """Write plant ids as colours, id = R + 256 G + 65536 B, as COCO panoptic does.
-
-    Raises
-    ------
-    OutputError
-        When an id does not fit 24 bits.
-    """
+    """Write plant ids as colours, id = R + 256 G + 65536 B, as COCO panoptic does; others raise `OutputError`."""
     largest = int(instance.max(initial=0))
     if largest > MAX_PNG_ID:
         raise OutputError(
@@ -77,15 +67,9 @@ def instance_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint32]:
 
 
 def rgb_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 of a PNG's bytes.
+    """(H, W, 3) uint8 of a PNG's bytes; one of another size than `size_px` is refused before a pixel is unpacked.
 
-    Parameters
-    ----------
-    size_px : width and height that the picture must have; another one is refused before a pixel is unpacked.
-
-    Raises
-    ------
-    ValueError, OSError, SyntaxError : this is no PNG, one of another size, or a damaged one.
+    What is no PNG, of another size or damaged raises ValueError, OSError or SyntaxError.
     """
     with _opened(content, size_px) as image:
         return np.asarray(image.convert("RGB"))
@@ -119,14 +103,10 @@ def write_semantic(path: Path, semantic: NDArray[np.uint8], class_names: Sequenc
 
     The text chunk `classes` holds the names as JSON, number -> name.
     """
-    from PIL import Image
-
-    image = Image.fromarray(np.ascontiguousarray(semantic))
     # Pillow packs a short palette's pixels into 1, 2 or 4 bits, which some readers do not unpack (torchvision 0.29).
     palette = np.zeros((_PALETTE_COLOURS, 3), dtype=np.uint8)
     palette[: len(class_names)] = class_palette(len(class_names))
-    image.putpalette(palette.tobytes())
-    _save(path, image, text={"classes": classes_text(class_names)})
+    _save(path, semantic, text={"classes": classes_text(class_names)}, palette=palette)
 
 
 def class_palette(classes: int) -> NDArray[np.uint8]:
@@ -177,10 +157,18 @@ def _rgb_from_hsv(
 
 
 def _save(
-    path: Path, image: Image, compress_level: int = COMPRESS_LEVEL, text: Mapping[str, str] | None = None
+    path: Path,
+    pixels: NDArray[np.unsignedinteger[Any]],
+    compress_level: int = _COMPRESS_LEVEL,
+    text: Mapping[str, str] | None = None,
+    palette: NDArray[np.uint8] | None = None,
 ) -> None:
+    from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
+    image = Image.fromarray(np.ascontiguousarray(pixels))
+    if palette is not None:
+        image.putpalette(palette.tobytes())
     chunks = PngInfo()
     for key, value in (text or {}).items():
         chunks.add_text(key, value)

@@ -13,7 +13,7 @@ From luminance L (cd/m²) to digital numbers, pixel by pixel:
 
 So saturation fills the well at the base iso; at twice that, half of a well already reaches white and noise is larger.
 The black level is 1/32 of the range, or five times the read noise if that is more, so that noise about zero is not cut
-off. A shutter that is not given is metered: N² / t = L S / K of the mean luminance (recipe/exposure.py), without the
+off. A shutter that is not given is metered: N² / t = L S / K of the mean luminance (recipe/camera_keys.py), without the
 brightest half percent, such as the sun's disc. That puts the mean at 12.6% of saturation, as ISO 12232 has it.
 
 What L is by channel:
@@ -49,10 +49,10 @@ from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Band, Spectrum
-from forestgen.dataset.bands import picture_bands
 from forestgen.dataset.files import write_json
 from forestgen.dataset.png import write_grey
-from forestgen.recipe.exposure import Exposure
+from forestgen.dataset.tonemap import picture_bands
+from forestgen.recipe.camera_keys import Exposure
 from forestgen.recipe.spectra import load_table
 from forestgen.render.frame import Radiance
 from forestgen.scene.colour import colour_of_radiance
@@ -68,6 +68,8 @@ _READ_NOISES = 5.0  # that fit below the black level
 _SUN_SHARE = 0.5  # per cent of pixels that the meter leaves out, the brightest
 _D65_KELVIN, _D65_END_NM, _LAST_NM = 6504.0, 780, 2500
 _MOSAIC = ((0, 1), (1, 2))  # red, green over green, blue: index of the channel by row and column
+
+_EXPOSURE = ("read_noise_electrons", "full_well_electrons", "f_number", "iso", "base_iso", "vignetting")
 
 Floats = NDArray[np.float64]
 
@@ -111,7 +113,7 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
         expected = _luminance(light[rows], sensor) * shade[rows]
         if mosaic:
             expected = mosaiced(expected)[..., None]
-        # Far above white nothing is told apart, and Poisson's numbers have an end.
+        # Far above white nothing differs, and Poisson's numbers are bounded.
         full = 4.0 * gain * (white - black) + 1e4
         electrons = shot.poisson(np.minimum(np.nan_to_num(expected, posinf=full), full)).astype(np.float64)
         electrons += read.normal(0.0, 1.0, expected.shape) * exposure.read_noise_electrons
@@ -128,13 +130,8 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
         "black_level": black,
         "white_level": white,
         "electrons_per_dn": gain,
-        "read_noise_electrons": float(exposure.read_noise_electrons),
-        "full_well_electrons": float(exposure.full_well_electrons),
-        "f_number": float(exposure.f_number),
         "shutter_s": float(shutter_s),
-        "iso": float(exposure.iso),
-        "base_iso": float(exposure.base_iso),
-        "vignetting": float(exposure.vignetting),
+        **{name: float(getattr(exposure, name)) for name in _EXPOSURE},
         "projection": camera.projection,
         "hfov_deg": float(camera.hfov_deg),
         "radiance_per_dn": dict(zip(sensor.names, per_dn.tolist(), strict=True)),
@@ -163,9 +160,7 @@ def levels(exposure: Exposure) -> tuple[int, int, float]:
 
 
 def vignetting(camera: Camera, strength: float) -> Floats:
-    """(H, W) share of light that reaches a pixel beside one on the axis. Lenses of other projections are made not to
-    darken as the cosine does: theirs is 1.
-    """
+    """(H, W) share of light that reaches a pixel beside one on the axis; 1 of lenses of other projections."""
     width, height = camera.size_px
     if not strength or not projection_of(camera).is_pinhole:
         return np.ones((height, width))

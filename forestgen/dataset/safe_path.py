@@ -9,7 +9,7 @@ Largest files that are read in one piece:
 
 | file | at most |
 |---|---|
-| JSON over all images: manifest, coco, panoptic, transforms, bop's scenes | 8 GB |
+| JSON outside of the frames' folders: manifest.json, what a format has over all images | 8 GB |
 | other texts: .json, .yaml, .txt, .md | 64 MB |
 | all others: pictures, tables, maps | 16 GB |
 
@@ -33,11 +33,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import DatasetError, RecipeError
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 
 _MB, _GB = 10**6, 10**9
 _MOST_BYTES = 64 * _GB  # of any file
-_MERGED = re.compile(r"(manifest|coco|panoptic|transforms.*|scene_(camera|gt|gt_info))\.json")
 _TEXTS = (".json", ".yaml", ".yml", ".txt", ".md")
 _SHARE_OF_MEMORY = 0.8
 _MOST_LEVELS = 100
@@ -78,10 +77,7 @@ class SafePath:
     def located(self) -> Path:
         """The path, for libraries that take no stream.
 
-        Raises
-        ------
-        RefusedFileError : the name leads out of the data set, or a part of it is a link.
-        FileNotFoundError, NotADirectoryError : there is nothing of this name.
+        A name that leads out of the data set, or has a link in it, raises `RefusedFileError`; a missing one `OSError`.
         """
         return self._found()[0]
 
@@ -93,12 +89,7 @@ class SafePath:
         return stat.S_ISDIR(self._mode())
 
     def names(self) -> list[str]:
-        """What lies in the folder, sorted; nothing where there is no such folder.
-
-        Raises
-        ------
-        RefusedFileError : see `located`.
-        """
+        """What lies in the folder, sorted; nothing where there is no such folder. Raises as `located` does."""
         try:
             path, status = self._found()
         except (FileNotFoundError, NotADirectoryError):
@@ -112,13 +103,7 @@ class SafePath:
         return status.st_size
 
     def open(self) -> BufferedReader:
-        """The file as a stream.
-
-        Raises
-        ------
-        RefusedFileError : see `located`; or this is a pipe or a device, or larger than 64 GB.
-        OSError : there is no such file, or it cannot be opened.
-        """
+        """The file as a stream; raises as `located` does, and for a pipe, a device, or more than 64 GB."""
         path, status = self._found()
         _check_regular(path, status)  # before it is opened: to open a device can move it
         stream = os.fdopen(os.open(path, _FLAGS), "rb")
@@ -194,10 +179,9 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _most_bytes(name: str) -> int:
-    last = name.rpartition("/")[2].lower()
-    if _MERGED.fullmatch(last):
+    if name.lower().endswith(".json") and not any(map(is_frame, name.split("/"))):
         return 8 * _GB
-    return 64 * _MB if last.endswith(_TEXTS) else 16 * _GB
+    return 64 * _MB if name.lower().endswith(_TEXTS) else 16 * _GB
 
 
 def _check_size(size_bytes: int, most: int) -> None:
@@ -245,6 +229,15 @@ def check_cells(rows: int, columns: int) -> None:
         raise RefusedFileError(f"the table is too large: {rows:,} rows of {columns:,} columns")
 
 
+def read_parquet(path: SafePath) -> Any:
+    """A Parquet file as a `pyarrow.Table`; one that is too large raises what `check_cells` raises."""
+    import pyarrow.parquet as pq
+
+    with path.open() as stream, pq.ParquetFile(stream) as file:
+        check_cells(file.metadata.num_rows, file.metadata.num_columns)
+        return file.read()
+
+
 def check_folder(root: Path, expected: str, hint: str | None = None) -> None:
     """Refuse what is no folder of this machine, with a `RecipeError`: a wrong name, not a damaged data set."""
     if not root.is_dir():
@@ -253,12 +246,11 @@ def check_folder(root: Path, expected: str, hint: str | None = None) -> None:
 
 
 def unreadable(path: SafePath | Path, error: Exception, hint: str | None = None) -> DatasetError:
-    """What people are told of a file that raised an error when it was read."""
+    """The error of a file that raised `error` when it was read."""
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         return DatasetError("a file of the data set is missing", where=str(path), hint=hint)
-    return DatasetError(
-        f"cannot read: {getattr(error, 'strerror', None) or one_line(error)}", where=str(path), hint=hint
-    )
+    problem = f"cannot read: {getattr(error, 'strerror', None) or one_line(error)}"
+    return DatasetError(problem, where=str(path), hint=hint)
 
 
 def one_line(error: Exception) -> str:

@@ -1,15 +1,27 @@
-"""What holds for a whole data set: what every format's writer and merger is told."""
+"""What all images of a data set share: an argument of every format's writer and merger."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
+from forestgen.community.plan import CommunityPlan
+from forestgen.core.errors import RecipeError
 from forestgen.labels.classes import ClassMap
 from forestgen.recipe.dataset import View
+from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DEFAULT_FORMATS
-from forestgen.recipe.schema import Recipe
 
 DRAW = "draw."  # begins the index's columns of what the recipe's distributions gave, as draw.sky.turbidity
+_CLASSES = ("labels", "classes")
+_SAME = ("view", "description", "contributor", "depth_unit_m", "point_stride")  # as in the recipe
+# Key of the recipe behind a field of the settings, where it is not dataset.FIELD.
+_KEYS = {
+    "species_names": ("species",),
+    **dict.fromkeys(("class_names", "category_names", "species_category"), _CLASSES),
+    "licence_name": ("dataset", "licence", "name"),
+    "licence_url": ("dataset", "licence", "url"),
+}
 
 
 @dataclass(frozen=True)
@@ -30,9 +42,14 @@ class DatasetSettings:
     point_stride: int = 1  # of points: every n-th pixel of every n-th row
 
 
-def dataset_settings(recipe: Recipe, classes: ClassMap) -> DatasetSettings:
-    """Settings of a drawn recipe; all images of a data set must have the same."""
-    section = recipe.dataset
+def class_map(drawn: DrawnRecipe) -> ClassMap:
+    """The semantic classes of a drawn recipe."""
+    return ClassMap(drawn.recipe.labelled_names, drawn.recipe.labels.classes)
+
+
+def data_set_of(drawn: DrawnRecipe) -> DatasetSettings:
+    """Settings of the data set that a drawn recipe's image belongs to."""
+    section, classes = drawn.recipe.dataset, class_map(drawn)
     category_names, species_category = classes.instance_categories
     licence = section.licence
     return DatasetSettings(
@@ -41,11 +58,58 @@ def dataset_settings(recipe: Recipe, classes: ClassMap) -> DatasetSettings:
         category_names=category_names,
         species_category=tuple(species_category.tolist()),
         formats=tuple(section.formats),
-        view=section.view,
-        description=section.description,
-        contributor=section.contributor,
         licence_name="" if licence is None else licence.name,
         licence_url="" if licence is None else licence.url,
-        depth_unit_m=section.depth_unit_m,
-        point_stride=section.point_stride,
+        **{name: getattr(section, name) for name in _SAME},
     )
+
+
+def check_one_data_set(drawn: DrawnRecipe, settings: DatasetSettings) -> None:
+    """Refuse an image of other settings than the data set's, with a `RecipeError`: one file describes all images."""
+    own = data_set_of(drawn)
+    for field in fields(DatasetSettings):
+        mine, common = getattr(own, field.name), getattr(settings, field.name)
+        if mine != common:
+            keys = _KEYS.get(field.name, ("dataset", field.name))
+            raise RecipeError(
+                "images of one data set must agree on this",
+                where=drawn.where(*keys),
+                expected=f"{_show(common)}, as in the first image",
+                got=_show(mine),
+                hint="give a value, not a distribution",
+            )
+
+
+def check_stands(plan: CommunityPlan, loaded: LoadedRecipe, splits: Sequence[str]) -> None:
+    """Refuse several splits for a stand in which nothing is drawn: train and test would share it."""
+    community = plan.drawn.recipe.community
+    stands_differ = (
+        plan.parameters.is_random
+        or bool(plan.parameters.disturbances)
+        or any(keys[0] == "community" for keys in loaded.distributions)
+    )
+    nobody = plan.model.expected_plants(plan.parameters, plan.site, plan.ecologies) == 0
+    if len(splits) > 1 and not stands_differ and not nobody:
+        raise RecipeError(
+            "all images show the plants of one list: train and test would share a stand (data leakage)",
+            where=plan.drawn.where("community", "model"),
+            expected="one split, or a stand that is drawn for each image",
+            got=f"{community.model}, with the splits {', '.join(splits)}",
+            hint="`set='dataset.splits={train: 1}'`; merge data sets of several stands, each of its own split",
+        )
+
+
+def _show(value: object) -> str:
+    return ", ".join(map(str, value)) if isinstance(value, tuple) else repr(value)
+
+
+def check_splits(loaded: LoadedRecipe, splits: Sequence[str]) -> None:
+    """Refuse a run of ``same_stand: true`` that uses several splits: train and test would share the stand."""
+    if loaded.data.get("same_stand") is True and len(splits) > 1:
+        raise RecipeError(
+            "one stand cannot be in several splits: train and test would share a stand (data leakage)",
+            where=loaded.sources.where(("same_stand",)),
+            expected="by_split, a stand for each split; or false, a stand for each image",
+            got=f"true, with the splits {', '.join(splits)}",
+            hint="or one split: `set='dataset.splits={train: 1}'`",
+        )

@@ -48,14 +48,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Status
 from forestgen.dataset.files import write_bytes
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.labels.plants_table import KEYPOINTS, PlantViews
-from forestgen.scene.plant_measures import PlantMeasures
+from forestgen.labels.plants_table import KEYPOINTS
 
 STATUS_NAMES = {int(status): status.name.lower() for status in Status}
-_SIDES = ("x", "y", "w", "h")
+_CORNERS = ("left", "top", "right", "bottom")
 
 
 def write_plants(path: Path, labelled: LabelledFrame) -> None:
@@ -73,75 +72,45 @@ def plants_table(labelled: LabelledFrame) -> Any:
 
     if not np.array_equal(labelled.population.plant_id, labelled.views.visible.plant_id):
         raise ValueError("population and views must be of the same plants in the same order")
+    population, views, visible = labelled.population, labelled.views, labelled.views.visible
+    no_mask = np.isnan(views.amodal_area_px)
+    adaptation = population.columns.get("adaptation", np.full(len(population), np.nan))
     columns = {
-        **_community(labelled.population),
-        **_measures(labelled.measures),
-        **_views(labelled.views),
-        **_amodal(labelled.views),
-        **_keypoints(labelled.views),
-    }
-    return pa.table(columns, metadata={"forestgen.status": json.dumps(STATUS_NAMES)})
-
-
-def _community(population: Population) -> dict[str, Any]:
-    unknown = np.full(len(population), np.nan)
-    return {
         "plant_id": _column("uint32", population.plant_id),
         "species": _names(population.species_names, population.species),
         **{f"{axis}_m": _numbers(population.position_m[:, i]) for i, axis in enumerate("xyz")},
-        "height_m": _numbers(population.height_m),
-        "radius_m": _numbers(population.radius_m),
-        "age_yr": _numbers(population.age_yr),
+        **_attributes(population, "height_m", "radius_m", "age_yr"),
         "status": _column("uint8", population.status),
-        "adaptation": _numbers(np.asarray(population.columns.get("adaptation", unknown), dtype=np.float64)),
-    }
-
-
-def _measures(measures: PlantMeasures) -> dict[str, Any]:
-    return {
-        "exemplar": _column("uint32", measures.exemplar),
-        "crown_width_m": _numbers(measures.crown_width_m),
-        "dbh_m": _numbers(measures.dbh_m),
-        "leaf_area_m2": _numbers(measures.leaf_area_m2),
-    }
-
-
-def _views(views: PlantViews) -> dict[str, Any]:
-    visible = views.visible
-    return {
-        "distance_m": _numbers(views.distance_m),
+        "adaptation": _numbers(np.asarray(adaptation, dtype=np.float64)),
+        "exemplar": _column("uint32", labelled.measures.exemplar),
+        **_attributes(labelled.measures, "crown_width_m", "dbh_m", "leaf_area_m2"),
+        **_attributes(views, "distance_m"),
         "visible_pixels": _column("int64", visible.visible_pixels),
-        "visible_area_px": _numbers(visible.visible_area_px),
+        **_attributes(visible, "visible_area_px"),
         **_box("box", visible.box_px, ~visible.has_box),
         "truncated": _column("bool", visible.truncated),
         "stem_pixels": _column("int64", views.stem_pixels),
-    }
-
-
-def _amodal(views: PlantViews) -> dict[str, Any]:
-    unknown = np.isnan(views.amodal_area_px)
-    sides = ("left", "top", "right", "bottom")
-    return {
-        "amodal_pixels": _column("int64", views.amodal_pixels, unknown),
-        "amodal_area_px": _numbers(views.amodal_area_px),
+        "amodal_pixels": _column("int64", views.amodal_pixels, no_mask),
+        **_attributes(views, "amodal_area_px"),
         **_box("amodal_box", views.amodal_box_px, views.amodal_pixels == 0),
-        "visible_fraction": _numbers(views.visible_fraction),
-        **{f"full_box_{side}": _numbers(views.full_box_px[:, i]) for i, side in enumerate(sides)},
-        "truncation": _numbers(views.truncation),
+        **_attributes(views, "visible_fraction"),
+        **{f"full_box_{side}": _numbers(views.full_box_px[:, i]) for i, side in enumerate(_CORNERS)},
+        **_attributes(views, "truncation"),
     }
-
-
-def _keypoints(views: PlantViews) -> dict[str, Any]:
-    columns: dict[str, Any] = {}
     for k, name in enumerate(KEYPOINTS):
         for axis, symbol in enumerate("xy"):
             columns[f"{name}_{symbol}_px"] = _numbers(views.keypoint_px[:, k, axis])
         columns[f"{name}_state"] = _column("uint8", views.keypoint_state[:, k])
-    return columns
+    return pa.table(columns, metadata={"forestgen.status": json.dumps(STATUS_NAMES)})
+
+
+def _attributes(of: Any, *names: str) -> dict[str, Any]:
+    """Columns of doubles, each an attribute."""
+    return {name: _numbers(getattr(of, name)) for name in names}
 
 
 def _box(name: str, box_px: NDArray[np.int32], none: NDArray[np.bool_]) -> dict[str, Any]:
-    return {f"{name}_{side}": _column("int32", box_px[:, i], none) for i, side in enumerate(_SIDES)}
+    return {f"{name}_{side}": _column("int32", box_px[:, i], none) for i, side in enumerate("xywh")}
 
 
 def _numbers(values: NDArray[np.float64]) -> Any:

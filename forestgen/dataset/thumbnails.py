@@ -19,16 +19,9 @@ def thumbnail_name(frame: str) -> str:
 
 
 def write_thumbnail(frame_folder: Path, target: Path) -> None:
-    """Write a frame's preview, at most `LONG_SIDE_PX` long and never enlarged, as JPEG. No dates in it.
+    """Write a frame's preview.png, at most `LONG_SIDE_PX` long and never enlarged, as JPEG without a date.
 
-    Parameters
-    ----------
-    frame_folder : holds preview.png.
-    target : the file, such as ``thumbnails/000000-camera0.jpg``; its folder is made if it is missing.
-
-    Raises
-    ------
-    OutputError : there is no preview to read, or the file cannot be written.
+    The target's folder is made if it is missing. Without a preview to read it raises `OutputError`.
     """
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""Meshes -> files: .glb, .ply, .obj and OpenUSD's .usd, .usda, .usdc, .usdz.
+"""Files of plants' meshes: .glb, .ply, .obj and OpenUSD's .usd, .usda, .usdc, .usdz; and what they are written from.
 
 =======  =======  ========  ==========================  ====================================================
 suffix   up       normals   colour                      besides
@@ -20,8 +20,19 @@ A format is added by a module with a class of `MeshExporter` and its only object
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.parts import Part
 from forestgen.core.registry import Registry
-from forestgen.geometry.model import Model
+from forestgen.geometry.mesh import Mesh
+
+Colour = tuple[float, float, float]
+Value = str | int | float
 
 MESH_EXPORTERS = Registry(
     "mesh exporter",
@@ -36,6 +47,44 @@ MESH_EXPORTERS = Registry(
     },
     contract="forestgen.geometry.export:MeshExporter",
 )
+
+
+@dataclass(frozen=True)
+class Surface:
+    """How a piece looks."""
+
+    name: str
+    reflectance: Colour  # linear Rec. 709
+    transmittance: Colour = (0.0, 0.0, 0.0)
+    roughness: float = 0.8
+    sheet: bool = False  # seen from both sides, as a leaf
+    colour_image: NDArray[np.uint8] | None = None  # (H, W, 3) sRGB, row 0 at v = 0; in place of the reflectance
+    normal_image: NDArray[np.uint8] | None = None  # (H, W, 3) (normal + 1) / 2 along u, v and outwards, row 0 at v = 0
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One mesh of a plant."""
+
+    name: str
+    part: Part
+    mesh: Mesh
+    surface: Surface
+    properties: Mapping[str, Value] = field(default_factory=dict)  # custom data, keys with units
+
+
+@dataclass(frozen=True)
+class Model:
+    """All pieces of a plant."""
+
+    name: str
+    pieces: Sequence[Piece]
+    properties: Mapping[str, Value] = field(default_factory=dict)
+
+    @property
+    def surfaces(self) -> list[Surface]:
+        """The pieces' different surfaces by name, in their order."""
+        return list({piece.surface.name: piece.surface for piece in self.pieces}.values())
 
 
 class MeshExporter:
@@ -67,3 +116,40 @@ def exporter_of(file_name: str) -> MeshExporter:
 def model_files(model: Model, file_name: str) -> dict[str, bytes]:
     """Name -> content of a model's files: `file_name` first, then what goes beside it."""
     return exporter_of(file_name).files(model, file_name)
+
+
+def texture_files(model: Model, file_name: str) -> dict[tuple[str, str], tuple[str, bytes]]:
+    """(surface, "colour" or "normal") -> name and PNG of a texture that goes beside `file_name`."""
+    stem = file_name.rsplit(".", 1)[0]
+    return {
+        (surface.name, kind): (f"{stem}-{surface.name}-{kind}.png", png(image))
+        for surface in model.surfaces
+        for kind, image in images_of(surface).items()
+    }
+
+
+def images_of(surface: Surface) -> dict[str, NDArray[np.uint8]]:
+    """A surface's images as mesh files want them: "colour", and "normal" with its second axis up from row to row."""
+    images = {}
+    if surface.colour_image is not None:
+        images["colour"] = surface.colour_image
+    if surface.normal_image is not None:
+        images["normal"] = surface.normal_image.copy()
+        images["normal"][..., 1] = 255 - images["normal"][..., 1]  # ours runs along v, that is down the rows
+    return images
+
+
+def png(image: NDArray[np.uint8]) -> bytes:
+    """A PNG of an (H, W, 3) picture."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, format="PNG", compress_level=6)
+    return buffer.getvalue()
+
+
+def srgb(colour: Colour | NDArray[np.floating]) -> NDArray[np.uint8]:
+    """sRGB of linear colours (IEC 61966-2-1), of the same shape."""
+    linear = np.clip(np.asarray(colour, dtype=np.float64), 0.0, 1.0)
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return np.asarray(np.round(255 * encoded), dtype=np.uint8)

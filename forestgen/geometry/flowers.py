@@ -8,9 +8,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.leaves import Blade, blade
-from forestgen.geometry.outlines import Entire
-from forestgen.geometry.patches import Patch, attitude, bend, copies, join, placed, revolve, strip, tube, whorl
+from forestgen.geometry.leaves import Blade, Entire, blade
+from forestgen.geometry.patches import (
+    Patch,
+    attitude,
+    bend,
+    bent,
+    copies,
+    join,
+    on_axis,
+    outwards,
+    placed,
+    revolve,
+    strip,
+    tube,
+    whorl,
+)  # fmt: skip
 
 Floats = NDArray[np.float64]
 
@@ -20,12 +33,6 @@ _GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
 def lifted(patch: Patch, height_m: float) -> Patch:
     """The patch moved along y."""
     return placed(patch, np.eye(3), np.array([0.0, height_m, 0.0]))
-
-
-def stem(length_m: float, diameter_m: float, detail: int) -> Patch:
-    """A flower's round stalk."""
-    path = np.column_stack([np.zeros(2), [0.0, length_m], np.zeros(2)])
-    return tube(path, np.full(2, 0.5 * diameter_m), (3, 3, 6)[detail])
 
 
 def daisy(
@@ -53,20 +60,9 @@ def daisy(
 
 def four_petals(length_m: float, width_m: float, opening_deg: float, detail: int) -> tuple[Patch, Patch, Patch]:
     """Petals, sepals between them, and stamens with the style: a fireweed's flower, foot in the origin."""
-    petal = blade(
-        Blade(
-            Entire(0.66, 0.9, 0.45),
-            length_m,
-            width_m,
-            fold_deg=5.0,
-            curl_deg=20.0,
-            waves=1.0,
-            wave_height=0.12,
-            detail=detail,
-        )
-        if detail
-        else Blade(Entire(0.66, 0.9, 0.45), length_m, width_m, detail=0)
-    )
+    form = Entire(0.66, 0.9, 0.45)
+    wavy = Blade(form, length_m, width_m, fold_deg=5.0, curl_deg=20.0, waves=1.0, wave_height=0.12, detail=detail)
+    petal = blade(wavy if detail else Blade(form, length_m, width_m, detail=0))
     opening = np.radians(opening_deg)
     petals = whorl(petal, 4, opening, 0.04 * length_m, np.pi / 4.0)
     sepal = strip(0.9 * length_m, 0.17 * width_m * np.array([0.8, 1.0, 0.0]), folded=False)
@@ -87,21 +83,9 @@ def lily(
     form = Entire(0.55, 0.75, 0.9)
     tepals = []
     for k, share in enumerate((1.0, 0.78)):  # the outer three are narrower
-        petal = _recurved(
-            blade(
-                Blade(
-                    form,
-                    length_m,
-                    tepal_width_m * share,
-                    fold_deg=12.0,
-                    waves=1.5,
-                    wave_height=0.1,
-                    detail=max(detail, 1),
-                )
-            ),
-            length_m,
-            np.radians(recurve_deg),
-        )
+        width_m, fine = tepal_width_m * share, max(detail, 1)
+        flat = Blade(form, length_m, width_m, fold_deg=12.0, waves=1.5, wave_height=0.1, detail=fine)
+        petal = bent(blade(flat), length_m, np.radians(recurve_deg), 2.5)
         tepals.append(whorl(petal, 3, np.radians(opening_deg), 0.05 * length_m, k * np.pi / 3.0))
     curve = 0.35
     thread = tube(_line(0.72 * length_m, curve, 4), 0.010 * length_m * np.ones(4), 3)
@@ -115,12 +99,7 @@ def lily(
 
 
 def _line(length_m: float, bend_rad: float, stops: int) -> Floats:
-    path = np.column_stack([np.zeros(stops), np.linspace(0.0, length_m, stops), np.zeros(stops)])
-    return bend(path, length_m, bend_rad, 1.5)
-
-
-def _recurved(petal: Patch, length_m: float, angle_rad: float) -> Patch:
-    return petal._replace(points=bend(petal.points, length_m, angle_rad, 2.5))
+    return bend(on_axis(np.linspace(0.0, length_m, stops)), length_m, bend_rad, 1.5)
 
 
 def catkin(length_m: float, diameter_m: float, scales: int, detail: int) -> Patch:
@@ -130,17 +109,22 @@ def catkin(length_m: float, diameter_m: float, scales: int, detail: int) -> Patc
     core = _spindle(length_m, 0.75 * diameter_m, 6)
     size = 1.5 * np.sqrt(np.pi * diameter_m * length_m / scales)
     scale = blade(Blade(Entire(0.5, 0.6, 0.8), size, 0.9 * size, fold_deg=15.0, curl_deg=-20.0, detail=detail - 1))
-    k = np.arange(scales)
-    share = (k + 0.5) / scales
-    turn = k * _GOLDEN_RAD
-    outward = np.column_stack([np.cos(turn), np.zeros(scales), np.sin(turn)])
-    angle = np.radians(34.0)
-    along = np.sin(angle) * outward + np.cos(angle) * np.array([0.0, 1.0, 0.0])
-    upper = np.sin(angle) * np.array([0.0, 1.0, 0.0]) - np.cos(angle) * outward
+    share = (np.arange(scales) + 0.5) / scales
     radius = 0.30 * diameter_m * np.sin(np.pi * (0.12 + 0.8 * share)) ** 0.5
-    feet = np.column_stack([np.zeros(scales), share * length_m * 0.97, np.zeros(scales)]) + radius[:, None] * outward
     grow = np.clip(np.sin(np.pi * (0.15 + 0.75 * share)) ** 0.4, 0.4, 1.0)
-    return join([core, copies(scale, attitude(along, upper) * grow[:, None, None], feet)])
+    return _set_with(core, scale, np.radians(34.0), radius, share * length_m * 0.97, grow)
+
+
+def _set_with(core: Patch, scale: Patch, angle_rad: Floats, radius_m: Floats, height_m: Floats, size: Floats) -> Patch:
+    """The core and scales in a golden spiral about it, at (N, 1) angles, or one for all, from the axis.
+
+    The other arrays are (N,): where the scales' feet are, and the scales' sizes.
+    """
+    outward = outwards(np.arange(len(size)) * _GOLDEN_RAD)
+    along = np.sin(angle_rad) * outward + np.cos(angle_rad) * np.array([0.0, 1.0, 0.0])
+    upper = np.sin(angle_rad) * np.array([0.0, 1.0, 0.0]) - np.cos(angle_rad) * outward
+    feet = on_axis(height_m) + radius_m[:, None] * outward
+    return join([core, copies(scale, attitude(along, upper) * size[:, None, None], feet)])
 
 
 def _spindle(length_m: float, diameter_m: float, sides: int) -> Patch:
@@ -203,19 +187,13 @@ def cone(length_m: float, diameter_m: float, scales: int, opening_deg: float, de
     if detail == 0:
         return revolve(profile * [diameter_m, length_m], 5)
     core = revolve(profile * [0.72 * diameter_m, length_m], 6)
-    k = np.arange(scales)
-    share = (k + 0.5) / scales
-    turn = k * _GOLDEN_RAD
-    outward = np.column_stack([np.cos(turn), np.zeros(scales), np.sin(turn)])
+    share = (np.arange(scales) + 0.5) / scales
     angle = np.radians(opening_deg) * (1.1 - 0.6 * share)
-    along = np.sin(angle)[:, None] * outward + np.cos(angle)[:, None] * [0.0, 1.0, 0.0]
-    upper = np.sin(angle)[:, None] * [0.0, 1.0, 0.0] - np.cos(angle)[:, None] * outward
     radius = np.interp(share, profile[:, 1], profile[:, 0]) * 0.62 * diameter_m
     size = 1.6 * np.sqrt(np.pi * diameter_m * length_m / scales)
     scale = blade(Blade(Entire(0.62, 0.6, 0.5), size, 0.85 * size, fold_deg=10.0, curl_deg=-18.0, detail=detail - 1))
     grow = np.clip(radius / (0.31 * diameter_m), 0.45, 1.0)
-    feet = np.column_stack([np.zeros(scales), 0.92 * share * length_m, np.zeros(scales)]) + radius[:, None] * outward
-    return join([core, copies(scale, attitude(along, upper) * grow[:, None, None], feet)])
+    return _set_with(core, scale, angle[:, None], radius, 0.92 * share * length_m, grow)
 
 
 def disc(diameter_m: float, sides: int) -> Patch:

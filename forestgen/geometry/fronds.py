@@ -1,4 +1,9 @@
-"""Fronds of palms and ferns, blades of grass and their seed heads."""
+"""Fronds of palms and ferns, blades of grass and their seed heads; needles, in bundles and on twigs.
+
+A needle covers 0.8 of its length times its width, whatever the number of its triangles. A twig's shape may draw fewer
+needles than it bears: each one drawn then stands for several, longer by the power 0.4 of their number and wider by the
+power 0.6, so that the area stays.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +13,32 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.leaves import Blade, blade
-from forestgen.geometry.outlines import Entire, Lobed
-from forestgen.geometry.patches import Patch, area_m2, attitude, bend, bent, copies, join, placed, revolve, strip, tube
+from forestgen.geometry.leaves import Blade, Entire, Lobed, blade
+from forestgen.geometry.patches import (
+    Patch,
+    area_m2,
+    attitude,
+    bend,
+    bent,
+    copies,
+    join,
+    on_axis,
+    outwards,
+    placed,
+    revolve,
+    strip,
+    tube,
+)  # fmt: skip
 
 Floats = NDArray[np.float64]
 
 _UP = np.array([0.0, 0.0, 1.0])
 _ALONG = np.array([0.0, 1.0, 0.0])
 _PALM_LEAFLET = 0.68  # area of a leaflet over its length times its width
+_COVER = 0.8  # area of a needle over its length times its width
+_GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
+_LENGTH_POWER = 0.4
+_LONGEST = 3.2  # a needle that stands for many is at most so many times as long
 
 
 def _sideways(angle_rad: Floats, lift_rad: Floats | float, side: Floats) -> Floats:
@@ -32,9 +54,7 @@ def rachis(length_m: float, diameter_m: float, detail: int) -> Patch:
     """The axis of a frond along y, tapering to a point: 3 or 5 sides."""
     stops = (4, 8, 16)[detail]
     share = np.linspace(0.0, 1.0, stops)
-    path = np.column_stack([np.zeros(stops), share * length_m, np.zeros(stops)])
-    radius = 0.5 * diameter_m * (1.0 - share) ** 0.7
-    return tube(path, radius, (3, 3, 5)[detail])
+    return tube(on_axis(share * length_m), 0.5 * diameter_m * (1.0 - share) ** 0.7, (3, 3, 5)[detail])
 
 
 def _of_area(made: Callable[[float], Patch], wanted_m2: float) -> Patch:
@@ -67,15 +87,13 @@ def palm_frond(
     lift_deg : of the leaflets above the rachis' plane, so that the frond is V-shaped.
     droop_deg : bend of each leaflet.
     """
-    widths = leaflet_width_m * np.array(
-        ([1.0, 0.0], [0.5, 1.0, 0.75, 0.0], [0.3, 0.9, 1.0, 0.85, 0.5, 0.0])[detail],
-    )
+    profiles = ([1.0, 0.0], [0.5, 1.0, 0.75, 0.0], [0.3, 0.9, 1.0, 0.85, 0.5, 0.0])
+    widths = leaflet_width_m * np.array(profiles[detail])
     share = (np.arange(leaflets) + 0.5) / leaflets
     place = stalk_m + (length_m - stalk_m) * share**0.95
     size = np.clip(0.45 + 2.2 * share, 0.0, 1.0) * (1.0 - 0.62 * np.clip((share - 0.45) / 0.55, 0.0, 1.0) ** 2)
     angle = np.radians(72.0 - 48.0 * share**1.3)
     jitter = 0.12 * np.sin(12.9898 * np.arange(2 * leaflets))
-    feet = np.column_stack([np.zeros(leaflets), place, np.zeros(leaflets)])
 
     def made(broad: float) -> Patch:
         leaflet = strip(leaflet_length_m, broad * widths, keel_rad=np.radians(25.0), folded=detail == 2)
@@ -83,29 +101,18 @@ def palm_frond(
         parts = []
         for side, wobble in ((1.0, jitter[::2]), (-1.0, jitter[1::2])):
             turn = _sideways(angle + wobble, np.radians(lift_deg) + 1.3 * wobble, np.full(leaflets, side))
-            parts.append(copies(leaflet, turn * size[:, None, None], feet))
+            parts.append(copies(leaflet, turn * size[:, None, None], on_axis(place)))
         return bent(join(parts), length_m, np.radians(arch_deg), 1.6)
 
     return _of_area(made, 2.0 * float(np.sum(size**2)) * _PALM_LEAFLET * leaflet_length_m * leaflet_width_m)
 
 
 def fan_frond(
-    radius_m: float,
-    stalk_m: float,
-    segments: int,
-    *,
-    spread_deg: float,
-    split: float,
-    droop_deg: float,
-    detail: int,
+    radius_m: float, stalk_m: float, segments: int, *, spread_deg: float, split: float, droop_deg: float, detail: int
 ) -> Patch:
-    """The pleated blade of a fan palm at the end of its stalk.
+    """The pleated blade of a fan palm at the end of its stalk: folded segments, the outermost `spread_deg` apart.
 
-    Parameters
-    ----------
-    segments : folded rays of the fan.
-    spread_deg : angle between its outermost rays.
-    split : share of the radius over which the rays are apart.
+    `split` is the share of the radius over which the segments are separate.
     """
     edge = np.radians(spread_deg) * (np.arange(segments + 1) / segments - 0.5)
     middle = 0.5 * (edge[1:] + edge[:-1])
@@ -140,21 +147,10 @@ def _ray(y: Floats, width: Floats, keel_rad: float, *, folded: bool) -> Patch:
     return Patch(points, np.concatenate([body.faces, np.array(ends, np.int64)]), uv)
 
 
-def fern_frond(
-    length_m: float,
-    width_m: float,
-    pinnae: int,
-    *,
-    divisions: int,
-    arch_deg: float,
-    detail: int,
-) -> Patch:
-    """The blade of a fern: pinnae in pairs along the rachis, longest at its foot, each divided again.
+def fern_frond(length_m: float, width_m: float, pinnae: int, *, divisions: int, arch_deg: float, detail: int) -> Patch:
+    """The blade of a fern: pairs of pinnae along the rachis, longest at its foot.
 
-    Parameters
-    ----------
-    pinnae : pairs.
-    divisions : pinnules on each side of the longest pinna; drawn each from detail 1 on.
+    The longest pinna has so many divisions, pinnules, on each side; each is drawn from detail 1 on.
     """
     target = area_m2(_fern_blade(length_m, width_m, pinnae, divisions, 2, 1.0))
 
@@ -177,7 +173,7 @@ def _fern_blade(length_m: float, width_m: float, pinnae: int, divisions: int, de
         angle = np.array([np.radians(68.0 - 22.0 * share[k])] * 2)
         side = np.array([1.0, -1.0])
         shift = 0.12 * gap * side
-        feet = np.column_stack([np.zeros(2), np.maximum(place[k] + shift, 0.0), np.zeros(2)])
+        feet = on_axis(np.maximum(place[k] + shift, 0.0))
         parts.append(copies(pinna, _sideways(angle, 0.10 + 0.05 * np.sin(3.0 * k), side), feet))
     return join(parts)
 
@@ -199,8 +195,7 @@ def _pinna(length_m: float, breadth_m: float, pinnules: int, detail: int, broad:
         turn = _sideways(np.radians(66.0 - 20.0 * share), 0.05, np.full(pinnules, side))
         linear = turn * size[:, None, None]
         linear[:, :, 0] *= np.clip(1.9 * step / np.maximum(size, 1e-9), 0.3, 1.3)[:, None]
-        feet = np.column_stack([np.zeros(pinnules), share * length_m, np.zeros(pinnules)])
-        parts.append(copies(one, linear, feet))
+        parts.append(copies(one, linear, on_axis(share * length_m)))
     tip = strip(1.6 * step, np.array([0.5 * step * broad, 0.0]), folded=False)
     parts.append(placed(tip, np.eye(3), np.array([0.0, length_m - 1.2 * step, 0.0])))
     axis = strip(length_m, np.array([0.05 * breadth_m, 0.0]), folded=False)
@@ -244,32 +239,26 @@ def _grass_width(share: Floats) -> Floats:
 def grass_panicle(
     length_m: float, width_m: float, branches: int, spikelets: int, spikelet_m: float, *, nod_deg: float, detail: int
 ) -> tuple[Patch, Patch]:
-    """Axis with its branches, and the spikelets: two patches.
-
-    Parameters
-    ----------
-    width_m : of the panicle where it is widest; 0 makes a spike.
-    branches, spikelets : of the axis, and on each branch.
-    """
+    """Axis with its branches, and so many spikelets on each branch: two patches. A width of 0 makes a spike."""
     share = (np.arange(branches) + 0.5) / branches
     turn = np.arange(branches) * np.pi * (3.0 - np.sqrt(5.0))
     reach = np.maximum(0.5 * width_m * np.sin(np.pi * (0.2 + 0.8 * share)) ** 0.8, 0.4 * spikelet_m)
     angle = np.radians(62.0 - 35.0 * share)
-    outward = np.column_stack([np.cos(turn), np.zeros(branches), np.sin(turn)])
+    outward = outwards(turn)
     along = np.sin(angle)[:, None] * outward + np.cos(angle)[:, None] * _ALONG
-    feet = np.column_stack([np.zeros(branches), share * length_m, np.zeros(branches)])
+    feet = on_axis(share * length_m)
     wire = strip(1.0, np.array([0.012 * length_m, 0.0]), folded=False)
     linear = attitude(along, outward * np.cos(angle)[:, None] - np.sin(angle)[:, None] * _ALONG)
     stems = [copies(wire, linear * np.stack([np.ones(branches), reach, np.ones(branches)], 1)[:, None, :], feet)]
     stops = (3, 4, 8)[detail]
-    path = np.column_stack([np.zeros(stops), np.linspace(0.0, length_m, stops), np.zeros(stops)])
+    path = on_axis(np.linspace(0.0, length_m, stops))
     stems.append(tube(path, 0.006 * length_m * np.append(np.linspace(1.0, 0.4, stops - 1), 0.0), 3))
     grain = _spikelet(spikelet_m, detail)
     place = (np.arange(spikelets) + 1.0) / spikelets
     feet = (feet[:, None] + (reach[:, None] * place)[:, :, None] * along[:, None]).reshape(-1, 3)
     lean = np.repeat(along, spikelets, axis=0)
     roll = np.arange(len(lean)) * 2.4
-    side = np.column_stack([np.cos(roll), np.zeros(len(lean)), np.sin(roll)])
+    side = outwards(roll)
     grains = copies(grain, attitude(lean + 0.35 * side, side), feet)
     nod = np.radians(nod_deg)
     return bent(join(stems), length_m, nod, 1.3), bent(grains, length_m, nod, 1.3)
@@ -284,18 +273,106 @@ def _spikelet(length_m: float, detail: int) -> Patch:
     return revolve(profile, 4)
 
 
-def stem(length_m: float, diameter_m: float, detail: int) -> Patch:
-    """A round stalk along y, open at both ends."""
-    path = np.column_stack([np.zeros(2), [0.0, length_m], np.zeros(2)])
-    return tube(path, np.full(2, 0.5 * diameter_m), (3, 3, 6)[detail])
-
-
 def frond_axis(stipe_m: float, length_m: float, diameter_m: float, arch_deg: float, detail: int) -> Patch:
     """Stipe and rachis of a fern: straight below the blade, bent with it above."""
     stops = (3, 6, 12)[detail]
-    upper = np.column_stack([np.zeros(stops), np.linspace(0.0, length_m, stops), np.zeros(stops)])
+    upper = on_axis(np.linspace(0.0, length_m, stops))
     upper = bend(upper, length_m, np.radians(arch_deg), 1.4) + np.array([0.0, stipe_m, 0.0])
     radius = 0.5 * diameter_m * (1.0 - np.linspace(0.0, 1.0, stops)) ** 0.8
     if stipe_m > 0.0:
         upper, radius = np.concatenate([[[0.0, 0.0, 0.0]], upper]), np.append(0.5 * diameter_m, radius)
     return tube(upper, radius, (3, 3, 5)[detail])
+
+
+def needle(length_m: float, width_m: float, curve_rad: float, triangles: int) -> Patch:
+    """One needle along y: 1 triangle, 2 (a diamond, broadest at a third) or 4 (two pieces and a point), bent down."""
+    half = 0.5 * width_m * _COVER
+    match triangles:
+        case 1:
+            flat = np.array([[2.0 * half, 0.0], [0.0, 1.0], [-2.0 * half, 0.0]])
+            faces = [(0, 1, 2)]
+        case 2:
+            flat = np.array([[0.0, 0.0], [2.0 * half, 0.3], [0.0, 1.0], [-2.0 * half, 0.3]])
+            faces = [(0, 1, 3), (1, 2, 3)]  # the short diagonal: the needle may curve
+        case _:
+            side = half / 0.8
+            flat = np.array([[side, 0.0], [-side, 0.0], [side, 0.35], [-side, 0.35], [side * 0.9, 0.7]])
+            flat = np.concatenate([flat, [[-side * 0.9, 0.7], [0.0, 1.0]]])
+            flat[:, 0] *= 0.8 / (0.35 + 0.3325 + 0.135)  # the pieces' widths together
+            faces = [(0, 2, 1), (1, 2, 3), (2, 4, 3), (3, 4, 5), (4, 6, 5)]
+    points = np.column_stack([flat[:, 0], flat[:, 1] * length_m, np.zeros(len(flat))])
+    uv = np.column_stack([0.5 + 0.5 * flat[:, 0] / np.abs(flat[:, 0]).max(), flat[:, 1]])
+    return Patch(bend(points, length_m, curve_rad), np.array(faces, np.int64), uv)
+
+
+def fascicle(
+    needles: int, length_m: float, width_m: float, spread_deg: float, curve_deg: float, *, detail: int
+) -> Patch:
+    """A bundle of needles from one foot, as a pine's: each leans out by about half of `spread_deg`."""
+    one = needle(length_m, width_m, np.radians(curve_deg), (1, 2, 5)[detail])
+    k = np.arange(needles)
+    turn = 2.0 * np.pi * (k + 0.25) / needles
+    lean = 0.5 * np.radians(spread_deg) * (0.8 + 0.4 * _even(k, 0.7549))
+    outward = outwards(turn)
+    along = np.cos(lean)[:, None] * [0.0, 1.0, 0.0] + np.sin(lean)[:, None] * outward
+    size = 0.94 + 0.12 * _even(k, 0.5698)
+    size /= np.sqrt(np.mean(size**2))  # the area stays
+    return copies(one, attitude(along, -outward) * size[:, None, None], 0.3 * width_m * outward)
+
+
+def needle_twig(
+    length_m: float,
+    needles: int,
+    drawn: int,
+    needle_length_m: float,
+    needle_width_m: float,
+    *,
+    angle_deg: float,
+    parting: float,
+    curve_deg: float,
+    detail: int,
+) -> Patch:
+    """Needles around a twig, all around (parting 0) or in its plane (1); the twig itself is `twig`.
+
+    Of the needles that it bears, `drawn` are drawn. `angle_deg` is between twig and needle at the twig's base, and a
+    third less at its tip.
+    """
+    stands_for = max(needles / drawn, 1.0)
+    longer = min(stands_for**_LENGTH_POWER, _LONGEST)
+    width_m = needle_width_m * stands_for / longer
+    one = needle(needle_length_m * longer, width_m, np.radians(curve_deg), (1, 2, 5)[detail])
+    k = np.arange(drawn)
+    share = (k + 0.5) / drawn
+    turn = k * _GOLDEN_RAD
+    side, rise = np.cos(turn), np.sin(turn)
+    # Parted needles of the upper and lower side sweep to the right and left.
+    side = side + parting * (np.sign(side) * np.sqrt(1.0 - rise**2 * 0.2) - side)
+    rise = rise * (1.0 - parting) + 0.15 * parting
+    outward = np.column_stack([side, np.zeros(drawn), rise])
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    angle = np.radians(angle_deg) * (1.0 - 0.33 * share**2) * (0.85 + 0.3 * _even(k, 0.7549))
+    last = share > 1.0 - 0.5 * needle_length_m / length_m
+    angle = np.where(last, angle * 0.6, angle)
+    along = np.sin(angle)[:, None] * outward + np.cos(angle)[:, None] * [0.0, 1.0, 0.0]
+    # The flat side looks up, more or less: needles turn about themselves.
+    upper = outward * np.cos(angle)[:, None] * -1.0 + np.sin(angle)[:, None] * [0.0, 1.0, 0.0]
+    roll = 2.0 * np.pi * _even(k, 0.5698)
+    upper = np.cos(roll)[:, None] * upper + np.sin(roll)[:, None] * np.cross(along, upper)
+    upper = np.where(upper[:, 2:] < 0.0, -upper, upper)
+    size = (0.9 + 0.2 * _even(k, 0.618)) * np.where(share < 0.06, 0.75, 1.0)
+    size /= np.sqrt(np.mean(size**2))  # the area stays
+    return copies(one, attitude(along, upper) * size[:, None, None], on_axis(share * length_m))
+
+
+def twig(length_m: float, diameter_m: float, detail: int) -> Patch:
+    """The twig that bears needles: three sides, tapering to a point; a single slim triangle pair at detail 0."""
+    stops = 2 if detail == 0 else 3
+    path = on_axis(np.linspace(0.0, length_m, stops))
+    radius = 0.5 * diameter_m * np.linspace(1.0, 0.4, stops)
+    radius[-1] = 0.0
+    return join([tube(path, radius, 3)])
+
+
+def _even(k: NDArray[np.int64], step: float) -> Floats:
+    """Numbers in 0..1 that fill it evenly: additive recurrence."""
+    return np.asarray((0.5 + k * step) % 1.0, dtype=np.float64)

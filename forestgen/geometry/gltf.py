@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.export import MeshExporter
-from forestgen.geometry.model import Model, Piece, Surface, images_of
+from forestgen.geometry.export import MeshExporter, Model, Piece, Surface, images_of
 
 _BASE = "/"  # name of trimesh's own frame, which is not written: no plant and no piece has this name
 

@@ -12,8 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.export import MeshExporter
-from forestgen.geometry.model import Model, texture_files
+from forestgen.geometry.export import MeshExporter, Model, texture_files
 
 
 class Obj(MeshExporter):

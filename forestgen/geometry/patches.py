@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.vectors import unit, vertex_normals
+from forestgen.geometry.mesh import Mesh, triangle_areas, unit, vertex_normals
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -53,8 +52,18 @@ def to_mesh(*patches: Patch) -> Mesh:
 
 def area_m2(patch: Patch) -> float:
     """Sum of the triangles' areas."""
-    a, b, c = (patch.points[patch.faces[:, k]] for k in range(3))
-    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
+    return float(triangle_areas(patch.points, patch.faces).sum())
+
+
+def on_axis(y_m: Floats) -> Floats:
+    """(N, 3) points of the y axis at (N,) heights."""
+    nothing = np.zeros(len(y_m))
+    return np.column_stack([nothing, y_m, nothing])
+
+
+def outwards(turn_rad: NDArray[np.floating]) -> Floats:
+    """(N, 3) directions at right angles to the y axis, by (N,) turns about it."""
+    return np.column_stack([np.cos(turn_rad), np.zeros(len(turn_rad)), np.sin(turn_rad)])
 
 
 def placed(patch: Patch, linear: Floats, shift: Floats) -> Patch:
@@ -104,27 +113,18 @@ def bent(patch: Patch, length_m: float, angle_rad: float, growth: float = 1.0) -
 
 
 def strip(length_m: float, width_m: Floats, *, keel_rad: float = 0.0, folded: bool = True) -> Patch:
-    """A flat or V-shaped ribbon along y.
+    """A ribbon along y, of (N,) widths at even steps from foot to tip; a last width of 0 makes a pointed tip.
 
-    Parameters
-    ----------
-    width_m : (N,) at even steps from foot to tip; a last width of 0 makes a pointed tip.
-    keel_rad : rise of each half above the midrib.
-    folded : with a midrib, and so twice the triangles.
+    A folded one has a midrib, and so twice the triangles; each half rises above it by `keel_rad`.
     """
     pointed = width_m[-1] == 0.0
     rows = len(width_m) - 1 if pointed else len(width_m)
     y = np.linspace(0.0, length_m, len(width_m))
     across = np.array([1.0, 0.0, -1.0]) if folded else np.array([1.0, -1.0])
     half = 0.5 * width_m[:rows, None] * across
-    points = np.stack(
-        [
-            half * np.cos(keel_rad),
-            np.broadcast_to(y[:rows, None], half.shape),
-            np.abs(half) * (np.sin(keel_rad) if folded else 0.0),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
+    rise = np.abs(half) * (np.sin(keel_rad) if folded else 0.0)
+    place = np.broadcast_to(y[:rows, None], half.shape)
+    points = np.stack([half * np.cos(keel_rad), place, rise], axis=-1).reshape(-1, 3)
     uv = np.stack([np.broadcast_to(0.5 + 0.5 * across, half.shape), y[:rows, None] / length_m + 0.0 * half], axis=-1)
     faces = _grid(rows, len(across))
     if pointed:
@@ -146,13 +146,7 @@ def _grid(rows: int, columns: int) -> Ints:
 
 
 def tube(path: Floats, radius_m: Floats, sides: int) -> Patch:
-    """An open tube about a path that nowhere turns back; a last radius of 0 closes its end in a point.
-
-    Parameters
-    ----------
-    path : (N, 3).
-    radius_m : (N,).
-    """
+    """An open tube about a path (N, 3) that nowhere turns back, of (N,) radii; a last radius of 0 makes a point."""
     pointed = radius_m[-1] == 0.0
     rows = len(path) - 1 if pointed else len(path)
     tangent = unit(np.gradient(path, axis=0))
@@ -175,20 +169,22 @@ def tube(path: Floats, radius_m: Floats, sides: int) -> Patch:
 def stalk(length_m: float, width_m: float, detail: int) -> Patch:
     """A straight stalk along y: a slim triangle, a strip, or a strip folded upward; the same area each time."""
     if detail == 0:
-        half = width_m
-        points = np.array([[half, 0.0, 0.0], [0.0, length_m, 0.0], [-half, 0.0, 0.0]])
+        points = np.array([[width_m, 0.0, 0.0], [0.0, length_m, 0.0], [-width_m, 0.0, 0.0]])
         return Patch(points, np.array([[0, 1, 2]]), np.array([[1.0, 0.0], [0.5, 1.0], [0.0, 0.0]]))
     if detail == 1:
         return strip(length_m, np.full(2, width_m), folded=False)
     return strip(length_m, width_m * np.array([1.25, 0.85, 0.9]), keel_rad=np.radians(40.0))
 
 
+def stem(length_m: float, diameter_m: float, detail: int) -> Patch:
+    """A round stalk along y, open at both ends."""
+    return tube(on_axis(np.array([0.0, length_m])), np.full(2, 0.5 * diameter_m), (3, 3, 6)[detail])
+
+
 def revolve(profile: Floats, sides: int) -> Patch:
     """A body of revolution about y, wound outward.
 
-    Parameters
-    ----------
-    profile : (N, 2) radius and y, from the lower to the upper pole; a first or last radius of 0 is a pole.
+    The profile (N, 2) has radius and y, from the lower to the upper end; a first or last radius of 0 is a pole.
     """
     low, high = profile[0, 0] == 0.0, profile[-1, 0] == 0.0
     rings = profile[int(low) : len(profile) - int(high)]
@@ -197,16 +193,12 @@ def revolve(profile: Floats, sides: int) -> Patch:
     points = (rings[:, None, :1] * circle + rings[:, None, 1:] * [0.0, 1.0, 0.0]).reshape(-1, 3)
     here = np.arange(sides)
     after = (here + 1) % sides
-    faces = [
-        np.stack(
-            [
-                np.stack([k * sides + here, k * sides + after, (k + 1) * sides + here], 1),
-                np.stack([k * sides + after, (k + 1) * sides + after, (k + 1) * sides + here], 1),
-            ],
-            axis=1,
-        ).reshape(-1, 3)
-        for k in range(len(rings) - 1)
-    ]
+    faces = []
+    for low_row in range(0, (len(rings) - 1) * sides, sides):
+        row = low_row + sides
+        one = np.stack([low_row + here, low_row + after, row + here], 1)
+        other = np.stack([low_row + after, row + after, row + here], 1)
+        faces.append(np.stack([one, other], axis=1).reshape(-1, 3))
     height = np.maximum(np.ptp(profile[:, 1]), 1e-9)
     u = 1.0 - np.abs(turn / np.pi - 1.0)  # up and back again: no seam
     v = (rings[:, 1] - profile[:, 1].min()) / height
@@ -226,13 +218,9 @@ def revolve(profile: Floats, sides: int) -> Patch:
 def whorl(petal: Patch, count: int, opening_rad: float, foot_m: Floats | float = 0.0, turn_rad: float = 0.0) -> Patch:
     """`count` copies of a petal about y, opened by `opening_rad` from it, the upper side inward.
 
-    Parameters
-    ----------
-    foot_m : distance of the petals' feet from the axis.
-    turn_rad : turn of the first about the axis.
+    Their feet are `foot_m` from the axis, and the first one is turned by `turn_rad` about it.
     """
-    turn = turn_rad + np.arange(count) * (2.0 * np.pi / count)
-    outward = np.column_stack([np.cos(turn), np.zeros(count), np.sin(turn)])
+    outward = outwards(turn_rad + np.arange(count) * (2.0 * np.pi / count))
     axis = np.array([0.0, 1.0, 0.0])
     along = np.sin(opening_rad) * outward + np.cos(opening_rad) * axis
     upper = np.sin(opening_rad) * axis - np.cos(opening_rad) * outward

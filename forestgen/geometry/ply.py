@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.export import MeshExporter
+from forestgen.geometry.export import MeshExporter, Model, srgb
 from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.model import Model, srgb
 
 _VERTEX = np.dtype(
     [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")] + [(name, "u1") for name in ("red", "green", "blue")]

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.geometry.export import MeshExporter
-from forestgen.geometry.model import Model, Piece, Surface, texture_files
+from forestgen.geometry.export import MeshExporter, Model, Piece, Surface, texture_files
 
 _LONG_AGO_S = 315_964_800  # 1980-01-06, which a zip file can tell in any time zone
 

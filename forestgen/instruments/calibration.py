@@ -7,7 +7,7 @@ import io
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.core.spectrum import Spectrum
 from forestgen.dataset.files import write_bytes
 from forestgen.dataset.manifest import package_versions
-from forestgen.geometry.model import png
+from forestgen.geometry.export import png
 from forestgen.instruments.instrument import Point, Reading
 from forestgen.instruments.light_meter import LightMeter
 from forestgen.recipe.load import LoadedRecipe
@@ -137,9 +137,7 @@ def _numbers(found: Calibration, loaded: LoadedRecipe) -> dict[str, Any]:
             "above_ground_m": found.above_ground_m,
             "normal": list(found.normal),
         },
-        "checks": [
-            {"name": one.name, "value": one.value, "bound": one.bound, "holds": one.holds} for one in found.checks
-        ],
+        "checks": [{**asdict(one), "holds": one.holds} for one in found.checks],
         "delta_e_2000": found.totals,
         "light": {
             "illuminance_lux": found.illuminance_lux,

@@ -23,8 +23,7 @@ from dataclasses import dataclass
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import table_lines
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.manifest import package_versions
 from forestgen.instruments.instrument import Instrument, Reading
 from forestgen.labels.gap_fraction import GapFraction, gap_fraction_of, looks_up

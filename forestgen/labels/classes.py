@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.recipe.classes import MOST_CLASSES, OTHERS, PARTS, RESERVED, check_classes
+from forestgen.recipe.classes import MOST_CLASSES, OTHERS, PARTS, RESERVED, wrong_classes
 
 NOTHING_CLASS, GROUND_CLASS, FIRST_OWN_CLASS = 0, 1, 2
 
@@ -54,10 +54,11 @@ class ClassMap:
                 hint="let labels.classes put several species into one class",
             )
         if self.classes is not None:
-            wrong = check_classes(self.classes, self.species_names)
+            wrong = wrong_classes(self.classes, self.species_names)
             if wrong is not None:
-                where = ".".join(str(key) for key in ("labels", "classes", *wrong.at))
-                raise RecipeError(wrong.problem, where=where, expected=wrong.expected, got=wrong.got, hint=wrong.hint)
+                about = dict(wrong.context or {})
+                where = ".".join(map(str, about.pop("at")))
+                raise RecipeError(**about, where=where)
 
     @property
     def own_names(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Gap fraction of hemispherical photographs, exactly: the share of sky by zenith ring, and leaf area index from it.
 
 A camera that looks straight up sees the sky through gaps of the canopy. Foresters threshold photographs to find them;
-here each sample of the identity pass tells whether it met a plant. What lies under the horizon, ground and rock above
+here each sample of the identity pass has met a plant or not. What lies under the horizon, ground and rock above
 it, and what lies outside of the circle take no part.
 
 - gap fraction of a ring: P(theta) = sum of w (samples that met nothing) / sum of w (those and samples that met plants);
@@ -37,7 +37,7 @@ from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
 RINGS = 18  # of 5 degrees
-_WIDEST_RAD = float(np.radians(75.0 + 1e-6))  # of the rings that tell the leaf area
+_WIDEST_RAD = float(np.radians(75.0 + 1e-6))  # of the rings that give the leaf area
 LEVEL_DEG = 1.0  # how far from straight up a camera may look
 _HINGE_RAD = float(np.radians(57.5))
 
@@ -84,41 +84,31 @@ def gap_fraction_of(camera: Camera, identity: Identity) -> GapFraction:
 
 
 def gap_fraction(
-    camera: Camera,
-    plant_id: NDArray[np.uint32],
-    part: NDArray[np.uint8],
-    offset: NDArray[np.float64],
-    rings: int = RINGS,
+    camera: Camera, plant_id: NDArray[np.uint32], part: NDArray[np.uint8], offset: NDArray[np.float64]
 ) -> GapFraction:
     """Gap fraction by zenith ring.
 
     Parameters
     ----------
-    camera : a fisheye that looks up, see `looks_up`.
+    camera : a fisheye that looks up; another one raises `ValueError`.
     plant_id, part : (H, W, S) what each sample of the identity pass hit.
     offset : (S, 2) sub-pixel positions of the samples, x and y.
-    rings : equal steps of zenith angle from 0 to 90 degrees.
-
-    Raises
-    ------
-    ValueError
-        When the camera is none that looks up.
     """
     if not looks_up(camera):
         raise ValueError("gap fractions are those of a fisheye that looks straight up")
-    edges = np.linspace(0.0, np.pi / 2, rings + 1)
-    seen, gaps = np.zeros(rings, dtype=np.int64), np.zeros(rings, dtype=np.int64)
-    seen_weight, gap_weight = np.zeros(rings), np.zeros(rings)
+    edges = np.linspace(0.0, np.pi / 2, RINGS + 1)
+    seen, gaps = np.zeros(RINGS, dtype=np.int64), np.zeros(RINGS, dtype=np.int64)
+    seen_weight, gap_weight = np.zeros(RINGS), np.zeros(RINGS)
     for sample in range(plant_id.shape[2]):
         theta, exists = _zenith(camera, plant_id.shape[:2], offset[sample])
         is_gap = (part[..., sample] == Part.NOTHING) & exists
         counts = (is_gap | (plant_id[..., sample] != 0)) & (theta < np.pi / 2) & exists
-        ring = np.minimum((theta / (np.pi / 2) * rings).astype(np.int64), rings - 1)
+        ring = np.minimum((theta / (np.pi / 2) * RINGS).astype(np.int64), RINGS - 1)
         weight = np.sinc(theta / np.pi)
         for total, weights, chosen in ((seen, seen_weight, counts), (gaps, gap_weight, counts & is_gap)):
-            total += np.bincount(ring[chosen], minlength=rings)
-            weights += np.bincount(ring[chosen], weights=weight[chosen], minlength=rings)
-    share = np.divide(gap_weight, seen_weight, out=np.full(rings, np.nan), where=seen > 0)
+            total += np.bincount(ring[chosen], minlength=RINGS)
+            weights += np.bincount(ring[chosen], weights=weight[chosen], minlength=RINGS)
+    share = np.divide(gap_weight, seen_weight, out=np.full(RINGS, np.nan), where=seen > 0)
     logs = -np.log(np.maximum(share, 0.5 / np.maximum(seen, 1)))
     return GapFraction(
         edges_deg=np.degrees(edges),

@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.population import Population
-from forestgen.labels.amodal import AmodalMasks, amodal_masks
 from forestgen.labels.classes import ClassMap
-from forestgen.labels.pixels import PixelLabels, pixel_labels
+from forestgen.labels.masks import AmodalMasks, PixelLabels, amodal_masks, pixel_labels
 from forestgen.labels.plants_table import PlantViews, plant_views
 from forestgen.recipe.registries import DEFAULT_CHANNELS
 from forestgen.render.frame import Frame
@@ -45,19 +44,12 @@ def label_frame(
     measures: PlantMeasures,
     channels: Collection[str] = DEFAULT_CHANNELS,
 ) -> LabelledFrame:
-    """Make all labels of a frame.
+    """Make all labels of a frame of `population`.
 
     Parameters
     ----------
-    frame : what the camera saw of `population`.
-    population : the plants of the scene; `classes` knows their species.
-    measures : of the same plants, in the same order.
+    measures : of the same plants, in the same order; others raise `ValueError`, as plants of the image alone do.
     channels : what to write, names as in the recipe's labels.channels.
-
-    Raises
-    ------
-    ValueError
-        When the image holds a plant that the population does not, or the measures are of other plants.
     """
     if len(measures.exemplar) != len(population):
         raise ValueError(f"measures of {len(measures.exemplar)} plants for a population of {len(population)}")

@@ -27,9 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.labels.amodal import AmodalMasks
-from forestgen.labels.masks import rows_of
-from forestgen.labels.pixels import PixelLabels
+from forestgen.labels.masks import AmodalMasks, PixelLabels, rows_of
 from forestgen.render.frame import Frame
 from forestgen.scene import projection
 from forestgen.scene.plant_measures import PlantMeasures
@@ -57,7 +55,7 @@ class VisiblePlants:
 
 @dataclass(frozen=True)
 class PlantViews:
-    """Everything that one camera tells of each plant: one row a plant of the population, in its order."""
+    """What one camera sees of each plant: one row a plant of the population, in its order."""
 
     visible: VisiblePlants
     amodal_pixels: NDArray[np.int64]  # (N,) 0 where the plant is unseen or amodal masks were not asked for
@@ -79,15 +77,7 @@ def plant_views(
     measures: PlantMeasures,
     amodal: AmodalMasks | None,
 ) -> PlantViews:
-    """Measure each plant in one image; see the table above.
-
-    Parameters
-    ----------
-    plant_id : (N,) uint32, sorted: the population.
-    pixels : labels of the same frame.
-    measures : of the same plants, in the same order.
-    amodal : masks of plants that the frame shows, or None.
-    """
+    """Measure each plant (N,), ids sorted, in one image; see the table above. `measures` are in the same order."""
     count = len(plant_id)
     visible = visible_plants(plant_id, frame.identity.plant_id, pixels.instance)
     points_m = np.stack([measures.stem_base_m, measures.tip_m, measures.crown_centre_m], axis=1)
@@ -168,14 +158,9 @@ def visible_plants(
 
     Parameters
     ----------
-    plant_id : (N,) uint32, sorted: the population.
-    samples : (H, W, S) uint32, what each sample of the identity pass hit.
-    instance : (H, W) uint32, from `forestgen.labels.masks.instance_mask`.
-
-    Raises
-    ------
-    ValueError
-        When an id in the image is not in the population.
+    plant_id : (N,) sorted: the population. An id in the image that is not among them raises `ValueError`.
+    samples : (H, W, S) what each sample of the identity pass hit.
+    instance : (H, W) from `forestgen.labels.masks.instance_mask`.
     """
     pixels, box = _boxes(plant_id, instance)
     height, width = instance.shape

@@ -1,45 +1,50 @@
-"""From a `Listing` to a `Program`."""
+"""From a `ProgramAST` to a `Program`: checked, made into code, and laid out in the VM's two tables.
+
+User-defined functions are curves by control points, as cpfg's function editor makes them: those of a clamped cubic
+B-spline (of lower degree where there are fewer than four). The curve begins at the first, ends at the last, and its
+value at x is where it crosses x. Outside, the end values hold.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import NoReturn
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
+from forestgen.lsystem import vm_layout as layout
 from forestgen.lsystem.checks import check_arities, check_brackets, check_heads, check_probabilities
-from forestgen.lsystem.emitter import Emitter, Scope, assigned
-from forestgen.lsystem.folding import fold
-from forestgen.lsystem.functions import points_problem
-from forestgen.lsystem.multiset import RESERVED
-from forestgen.lsystem.packing import Rule, pack
-from forestgen.lsystem.program import Program
+from forestgen.lsystem.codegen import CodeGenerator, Region, Scope, assigned, fold
+from forestgen.lsystem.multiset import CLOSE, OPEN, RESERVED
+from forestgen.lsystem.program import Program, RuleSet
 from forestgen.lsystem.syntax import (
     Expression,
-    Listing,
     Macro,
     Module,
     Name,
     Number,
     Place,
     Production,
+    ProgramAST,
     Statement,
+    points_problem,
 )
 
 DEEPEST = 100_000  # decomposition, where the program states no maximum depth
+_SAMPLES_A_SPAN = 64
 
 #: What a caller may set: a #define's or an array's value, or a function's control points.
 Value = float | Sequence[float] | Sequence[tuple[float, float]]
 
 
-def with_values(listing: Listing, values: Mapping[str, Value]) -> Listing:
-    """The listing with other values of its #defines, arrays and functions.
+def with_values(ast: ProgramAST, values: Mapping[str, Value]) -> ProgramAST:
+    """The program with other values of its #defines, arrays and functions.
 
-    Raises
-    ------
-    LsystemError : a name that the program does not define, or a value of the wrong sort.
+    Raises `LsystemError` for a name that it does not define, or a value of the wrong sort.
     """
-    macros, arrays, functions = dict(listing.macros), dict(listing.arrays), dict(listing.functions)
+    macros, arrays, functions = dict(ast.macros), dict(ast.arrays), dict(ast.functions)
     for name, value in values.items():
         if name in macros and macros[name].parameters is None and isinstance(value, int | float):
             macros[name] = Macro(None, Number(float(value), macros[name].place), macros[name].place)
@@ -49,18 +54,18 @@ def with_values(listing: Listing, values: Mapping[str, Value]) -> Listing:
             points = tuple((float(x), float(y)) for x, y in value)  # type: ignore[union-attr,misc]
             problem = points_problem(points)
             if problem:
-                raise LsystemError(f"function {name} is wrong", where=listing.name, expected=problem, got=repr(points))
+                raise LsystemError(f"function {name} is wrong", where=ast.name, expected=problem, got=repr(points))
             functions[name] = points
         else:
             sort = "a list of numbers" if name in arrays else "[x, y] points" if name in functions else "a number"
             known = name in macros or name in arrays or name in functions
             raise LsystemError(
                 f"{name} cannot be set so" if known else f"the program defines no {name}",
-                where=listing.name,
-                expected=sort if known else ", ".join(settable(listing)) or "it defines nothing that can be set",
+                where=ast.name,
+                expected=sort if known else ", ".join(settable(ast)) or "it defines nothing that can be set",
                 got=repr(value) if known else name,
             )
-    return replace(listing, macros=macros, arrays=arrays, functions=functions)
+    return replace(ast, macros=macros, arrays=arrays, functions=functions)
 
 
 def _is_flat(value: Value) -> bool:
@@ -71,69 +76,78 @@ def _is_points(value: Value) -> bool:
     return not isinstance(value, int | float) and not any(isinstance(one, int | float) for one in value)
 
 
-def settable(listing: Listing) -> list[str]:
+def settable(ast: ProgramAST) -> list[str]:
     """Names of the values that `with_values` can change."""
-    plain = [name for name, macro in listing.macros.items() if macro.parameters is None]
-    return [*plain, *listing.arrays, *listing.functions]
+    plain = [name for name, macro in ast.macros.items() if macro.parameters is None]
+    return [*plain, *ast.arrays, *ast.functions]
 
 
-def compile_listing(listing: Listing) -> Program:
-    """Check a listing and make it a program.
-
-    Raises
-    ------
-    LsystemError : it is wrong; with line and column.
-    """
+def compile_program(ast: ProgramAST) -> Program:
+    """Check a program and compile it; raises `LsystemError`, with line and column, where it is wrong."""
     try:
-        return _Compiler(listing).program()
+        return _Compiler(ast).program()
     except RecursionError as error:
-        raise LsystemError("an expression is too long or too deep", where=listing.name) from error
+        raise LsystemError("an expression is too long or too deep", where=ast.name) from error
+
+
+@dataclass(frozen=True)
+class Rule:
+    """A production: kinds, and where its code begins in the generated code (-1: it has none)."""
+
+    group: int
+    left: tuple[int, ...]
+    predecessor: tuple[int, ...]
+    right: tuple[int, ...]  # with the brackets of its branches
+    condition: int
+    probability: int
+    successor: int
+    most_modules: int
+    most_values: int
+    plain: tuple[int, ...] | None  # the successor's kinds where it always applies and has no parameters
 
 
 class _Compiler:
-    def __init__(self, listing: Listing) -> None:
-        self.listing = listing
-        blocks = (listing.start, listing.start_each, listing.end_each, listing.end)
+    def __init__(self, ast: ProgramAST) -> None:
+        self.ast = ast
+        blocks = (ast.start, ast.start_each, ast.end_each, ast.end)
         names = dict.fromkeys(name for block in blocks for statement in block for name in assigned(statement))
-        self.e = Emitter(listing.name, listing.macros, list(listing.arrays), list(listing.functions), ["", *names])
-        self.e.groups |= {production.group for production in listing.productions}
+        self.e = CodeGenerator(ast.name, ast.macros, list(ast.arrays), list(ast.functions), ["", *names])
+        self.e.groups |= {production.group for production in ast.productions}
         for kind in RESERVED:
             self.e.kind(*kind)
 
-    def fail(self, problem: str, place: Place, **about: str | None) -> NoReturn:
-        self.e.fail(problem, place, **about)
-
     def program(self) -> Program:
-        one = self.listing
-        every = (*one.productions, *one.decomposition.productions, *one.interpretation.productions)
-        for production in every:
+        one = self.ast
+        for production in one.all_productions:
             check_heads(production, one)
-            check_brackets(production.successor, one.name, percent_turns=one.dialect == "rhover")
-        for block in (one.decomposition, one.interpretation):
-            self.refuse_contexts(block.productions)
+            check_brackets(production.successor, one)
+        for production in (*one.decomposition.productions, *one.interpretation.productions):
+            if production.left or production.right or len(production.predecessor) > 1:
+                problem = "a production of a block must be context-free"
+                self.e.fail(problem, production.place, expected="one module before the arrow")
         for word in one.axiom:
-            check_brackets(word, one.name, percent_turns=one.dialect == "rhover")
+            check_brackets(word, one)
         check_arities(one)
-        for rules in (one.productions, one.decomposition.productions, one.interpretation.productions):
+        groups = (one.productions, one.decomposition.productions, one.interpretation.productions)
+        for rules in groups:
             check_probabilities(rules, one)
         axiom = [self.word(word) for word in one.axiom]
-        sets = [
-            [self.production(production) for production in rules]
-            for rules in (one.productions, one.decomposition.productions, one.interpretation.productions)
-        ]
+        sets = [[self.production(production) for production in rules] for rules in groups]
         blocks = [self.block(block) for block in (one.start, one.start_each, one.end_each)]
         self.block(one.end)  # nothing is left for it to change, but it must be right
-        packed = pack(self.e, sets, self.ignored(), list(one.arrays.values()), list(one.functions.values()))
-        addresses = [packed.code_address(begin) for begin in (*axiom, *blocks)]
+        whole, real, packed, bases = _tables(self.e, one, sets, self.ignored())
+        code_at = bases[Region.CODE]
+        addresses = [begin if begin < 0 else code_at + 2 * begin for begin in (*axiom, *blocks)]
         every_rule = [rule for group in sets for rule in group]
+        length = one.derivation_length
         return Program(
-            listing=one,
+            ast=one,
             kinds=tuple(self.e.kinds),
-            whole=packed.whole,
-            real=packed.real,
-            productions=packed.sets[0],
-            decomposition=packed.sets[1],
-            interpretation=packed.sets[2],
+            whole=whole,
+            real=real,
+            productions=packed[0],
+            decomposition=packed[1],
+            interpretation=packed[2],
             decomposition_depth=self.whole(one.decomposition.maximum_depth, DEEPEST, "maximum depth"),
             interpretation_depth=self.whole(one.interpretation.maximum_depth, 1, "maximum depth"),
             has_contexts=any(rule.left or rule.right for rule in sets[0]),
@@ -147,21 +161,14 @@ class _Compiler:
             start=addresses[-3],
             start_each=addresses[-2],
             end_each=addresses[-1],
-            globals_at=packed.globals_at,
+            globals_at=bases[Region.GLOBAL],
             globals=tuple(self.e.globals),
             groups=frozenset(self.e.groups),
             counted=tuple((slot, symbol) for symbol, slot in self.e.counted.items()),
-            code_at=packed.code_address(0),
+            code_at=code_at,
             places=tuple(instruction.place for instruction in self.e.code),
-            derivation_length=self.length(),
+            derivation_length=None if length is None else self.whole(length, 0, "derivation length"),
         )
-
-    def refuse_contexts(self, productions: Sequence[Production]) -> None:
-        for one in productions:
-            if one.left or one.right or len(one.predecessor) > 1:
-                self.fail(
-                    "a production of a block must be context-free", one.place, expected="one module before the arrow"
-                )
 
     def word(self, modules: tuple[Module, ...]) -> int:
         scope = Scope(self.e)
@@ -220,19 +227,128 @@ class _Compiler:
 
     def ignored(self) -> list[bool]:
         """For each kind, whether contexts see through it."""
-        considered = self.listing.considered
-        hidden = {module.symbol for module in self.listing.ignored}
+        considered = self.ast.considered
+        hidden = {module.symbol for module in self.ast.ignored}
         seen = None if considered is None else {module.symbol for module in considered}
         return [kind.symbol in hidden or (seen is not None and kind.symbol not in seen) for kind in self.e.kinds]
 
     def whole(self, expression: Expression | None, default: int, what: str) -> int:
         if expression is None:
             return default
-        value = fold(expression, self.listing.macros, self.listing.name)
+        value = fold(expression, self.ast.macros, self.ast.name)
         if value is None or value != int(value) or not 0 <= value < 2**31:
-            self.fail(f"{what} must be a whole number", expression.place, got=None if value is None else f"{value:g}")
+            self.e.fail(f"{what} must be a whole number", expression.place, got=None if value is None else f"{value:g}")
         return int(value)
 
-    def length(self) -> int | None:
-        given = self.listing.derivation_length
-        return None if given is None else self.whole(given, 0, "derivation length")
+
+def _tables(
+    code: CodeGenerator, ast: ProgramAST, sets: Sequence[Sequence[Rule]], ignored: Sequence[bool]
+) -> tuple[NDArray[np.int64], NDArray[np.float64], tuple[RuleSet, ...], dict[Region, int]]:
+    """Code, productions and values as vm_layout.py says, and where each region begins."""
+    real, bases, stack, array_at, function_at = _reals(code, ast)
+    whole = [0] * layout.HEADER
+    arity = [kind.arity for kind in code.kinds]
+    whole[layout.ARITY] = _append(whole, arity)
+    whole[layout.IGNORED] = _append(whole, [int(one) for one in ignored])
+    numbers = list(code.functions.values())
+    by_number = dict(zip(numbers, function_at, strict=True))
+    most = max(numbers, default=0)
+    pairs = [by_number.get(number, (0, 0)) for number in range(1, most + 1)]  # no samples: there is no such function
+    whole[layout.FUNCTION_AT] = _append(whole, [one for pair in pairs for one in pair])
+    whole[layout.FUNCTIONS] = most
+    whole[layout.STACK], whole[layout.LOCALS] = stack, bases[Region.LOCAL]
+    whole[layout.SPARE], whole[layout.LOCAL_SIZE] = bases[Region.LOCAL] + code.local_size, code.local_size
+    bases[Region.ARRAY] = _append(whole, [one for pair in array_at for one in pair])
+    bases[Region.CODE] = code_at = len(whole)
+    for one in code.code:
+        size = 2 if one.region in (Region.CODE, Region.ARRAY) else 1
+        whole += [one.operation, bases[one.region] + size * one.operand]
+    packed = tuple(_pack_rules(whole, rules, code_at, arity) for rules in sets)
+    return np.array(whole, dtype=np.int64), real, packed, bases
+
+
+def _append(whole: list[int], values: Sequence[int]) -> int:
+    """The address where the values begin."""
+    whole += values
+    return len(whole) - len(values)
+
+
+def _reals(
+    code: CodeGenerator, ast: ProgramAST
+) -> tuple[NDArray[np.float64], dict[Region, int], int, list[tuple[int, int]], list[tuple[int, int]]]:
+    """The table of real numbers; its regions, the stack, arrays (first, last) and functions (first, samples)."""
+    constants, global_size = len(code.constants), len(code.globals)
+    bases = {Region.NOTHING: 0, Region.CONSTANT: 0, Region.GLOBAL: constants, Region.LOCAL: constants + global_size}
+    parts = [np.array(list(code.constants), dtype=np.float64), np.zeros(global_size + 2 * code.local_size)]
+    at = constants + len(parts[-1])
+    array_at, function_at = [], []
+    for values in ast.arrays.values():
+        parts.append(np.array(values, dtype=np.float64))
+        array_at.append((at, at + len(values)))
+        at += len(values)
+    for points in ast.functions.values():
+        x, y = _sampled(points)
+        parts += [x, y]
+        function_at.append((at, len(x)))
+        at += 2 * len(x)
+    parts.append(np.zeros(code.stack_size + 1))
+    return np.concatenate(parts), bases, at, array_at, function_at
+
+
+def _pack_rules(whole: list[int], rules: Sequence[Rule], code_at: int, arity: Sequence[int]) -> RuleSet:
+    """Records of the productions, sorted by the first kind of their predecessors and else in their own order."""
+    modules, values = np.ones(len(arity), np.int64), np.array(arity, dtype=np.int64)
+    for rule in rules:
+        kind = rule.predecessor[0]
+        # The other modules of the predecessor have their own share.
+        rest = rule.predecessor[1:]
+        modules[kind] = max(modules[kind], rule.most_modules - len(rest))
+        values[kind] = max(values[kind], rule.most_values - sum(arity[one] for one in rest))
+    if not rules:
+        return RuleSet(-1, modules, values)
+    ordered = sorted(rules, key=lambda rule: rule.predecessor[0])  # stable
+    lists = [
+        [_append(whole, kinds) for kinds in (rule.left, rule.predecessor, _with_branches(rule.right), rule.plain or ())]
+        for rule in ordered
+    ]
+    records = len(whole)
+    for rule, (left, head, right, plain) in zip(ordered, lists, strict=True):
+        begins = (rule.condition, rule.probability, rule.successor)
+        code = [-1 if begin < 0 else code_at + 2 * begin for begin in begins]
+        whole += [
+            rule.group, *code, left, len(rule.left), head, len(rule.predecessor), right, len(rule.right),
+            rule.most_modules, rule.most_values, -1 if rule.plain is None else plain, len(rule.plain or ()),
+        ]  # fmt: skip
+    counts = np.bincount([rule.predecessor[0] for rule in ordered], minlength=len(arity))
+    first = records + layout.RECORD * np.concatenate([[0], np.cumsum(counts)])
+    return RuleSet(_append(whole, first.tolist()), modules, values)
+
+
+def _with_branches(right: Sequence[int]) -> list[int]:
+    """The kinds of a right context and, behind them, the index of the ``[`` around each; -1: there is none.
+
+    A ``]`` has the index of its own ``[``.
+    """
+    enclosing: list[int] = []
+    opened = [-1]
+    for k, kind in enumerate(right):
+        enclosing.append(opened[-1])
+        if kind == OPEN:
+            opened.append(k)
+        elif kind == CLOSE:
+            opened.pop()
+    return [*right, *enclosing]
+
+
+def _sampled(points: Sequence[tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The curve as a fine polyline: x ascending, and y."""
+    control = np.array(points, dtype=np.float64)
+    degree = min(3, len(control) - 1)
+    if degree == 1:
+        return control[:, 0].copy(), control[:, 1].copy()
+    from scipy.interpolate import BSpline  # late: most programs have no functions
+
+    spans = len(control) - degree
+    knots = np.concatenate([np.zeros(degree), np.linspace(0, 1, spans + 1), np.ones(degree)])
+    curve = BSpline(knots, control, degree)(np.linspace(0, 1, spans * _SAMPLES_A_SPAN + 1))
+    return np.maximum.accumulate(curve[:, 0]), np.ascontiguousarray(curve[:, 1])

@@ -12,29 +12,27 @@ from numpy.typing import NDArray
 from forestgen.core.errors import LsystemError, ResourceError
 from forestgen.core.randomness import child_root
 from forestgen.core.threads import map_ranges
-from forestgen.lsystem import machine_layout as layout
-from forestgen.lsystem import opcodes as op
+from forestgen.lsystem import vm_layout as layout
 from forestgen.lsystem.multiset import PERCENT, Multiset
-from forestgen.lsystem.program import Program, RuleSet
-from forestgen.lsystem.queries import answer_queries, has_queries
+from forestgen.lsystem.program import Program, RuleSet, answer_queries, has_queries
 
 MOST_MODULES = 50_000_000
 _LARGEST_ID = 2**32 - 1
 _LARGEST_INDEX = 2**31 - 1  # of a module in its multiset
 _SLACK = 1024
 
-_FAULTS = {
-    op.DIVISION_BY_ZERO: ("division by zero", None),
-    op.OUTSIDE_DOMAIN: (
+_FAULTS = {  # problem, and what is expected
+    layout.DIVISION_BY_ZERO: ("division by zero", None),
+    layout.OUTSIDE_DOMAIN: (
         "this has no value as a real number",
         "sqrt, log, asin, acos, pow, poisson within their domains",
     ),
-    op.NO_SUCH_ELEMENT: ("the array has no such element", "an index from 0 to its size - 1"),
-    op.NO_SUCH_FUNCTION: ("there is no function of this number", "a number from 1 on, or a function's name"),
-    op.NOT_FINITE: ("a parameter of this module is not a finite number", None),
-    op.BAD_PROBABILITY: ("this probability does not lie between 0 and 1", None),
-    op.PROBABILITIES_OVER_ONE: ("with this one, the probabilities of the productions that apply exceed 1", None),
-    op.TOO_DEEP: ("the decomposition does not end", None),
+    layout.NO_SUCH_ELEMENT: ("the array has no such element", "an index from 0 to its size - 1"),
+    layout.NO_SUCH_FUNCTION: ("there is no function of this number", "a number from 1 on, or a function's name"),
+    layout.NOT_FINITE: ("a parameter of this module is not a finite number", None),
+    layout.BAD_PROBABILITY: ("this probability does not lie between 0 and 1", None),
+    layout.PROBABILITIES_OVER_ONE: ("with this one, the probabilities of the productions that apply exceed 1", None),
+    layout.TOO_DEEP: ("the decomposition does not end", None),
 }
 
 
@@ -53,15 +51,13 @@ class Derivation:
 
 
 #: Answers ?E: gets the words with their queries, returns them with other parameters of ?E.
-Environment = Callable[[Multiset], Multiset]
+CompetitionModel = Callable[[Multiset], Multiset]
 
 
 def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> Derivation:
     """The words before the first step; decomposed, and Start run.
 
-    Raises
-    ------
-    LsystemError : something in the program has no value; with line and column.
+    Raises `LsystemError`, with line and column, where something in the program has no value.
     """
     key = _key(seed, "axiom", 0)
     glob = _run_block(program, program.start, np.zeros(len(program.globals)), None, key, 0)
@@ -89,10 +85,8 @@ def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> D
 def derive_step(program: Program, state: Derivation, seed: int, *, most_modules: int = MOST_MODULES) -> Derivation:
     """One derivation step; `state` is left as it was. Queries are not answered here.
 
-    Raises
-    ------
-    LsystemError : something in the program has no value, or decomposition does not end; with line and column.
-    TooManyModulesError : the words grow beyond `most_modules`.
+    Raises `LsystemError`, with line and column, where something in the program has no value or decomposition does not
+    end, and `TooManyModulesError` where the words grow beyond `most_modules`.
     """
     step = state.step + 1
     key = _key(seed, "start each", step)
@@ -116,7 +110,7 @@ def derive(
     steps: int,
     seed: int,
     *,
-    environment: Environment | None = None,
+    competition_model: CompetitionModel | None = None,
     most_modules: int = MOST_MODULES,
 ) -> Iterator[Derivation]:
     """The words after step 0, 1, ..., `steps`, each made when it is asked for; see `derive_step`."""
@@ -126,7 +120,7 @@ def derive(
         if asks:
             drawn = interpret(program, state, seed, most_modules=most_modules)
             state = replace(state, multiset=answer_queries(program, state.multiset, drawn))
-        return state if environment is None else replace(state, multiset=environment(state.multiset))
+        return state if competition_model is None else replace(state, multiset=competition_model(state.multiset))
 
     state = answered(axiom(program, seed, most_modules=most_modules))
     yield state
@@ -146,9 +140,9 @@ def interpret(program: Program, state: Derivation, seed: int, *, most_modules: i
 
 def percent_meaning(program: Program) -> int:
     """What % does: fragments a multiset's words, cuts a plain string's branches, nothing in rhover's dialect."""
-    if program.listing.dialect == "rhover":
+    if program.ast.dialect == "rhover":
         return 0
-    return layout.FRAGMENT if program.listing.is_multiset else layout.CUT
+    return layout.FRAGMENT if program.ast.is_multiset else layout.CUT
 
 
 def _key(seed: int, stage: str, step: int) -> np.uint64:
@@ -187,11 +181,11 @@ def _run(
     out_parameter: NDArray[np.float64],
     step: int,
 ) -> NDArray[np.float64]:
-    from forestgen.lsystem.machine_expressions import run  # late: compiled kernels
+    from forestgen.lsystem.vm_expressions import run  # late: compiled kernels
 
     real, state = _reals(program, glob), _state(program)
     wrong = run(program.whole, real, state, key, begin, out_code, out_parameter)
-    if wrong != op.OK:
+    if wrong != layout.OK:
         _fail(program, wrong, int(state[layout.FAULT]), step, None)
     return real
 
@@ -199,7 +193,7 @@ def _run(
 def _fail(program: Program, wrong: int, address: int, step: int, module: str | None) -> NoReturn:
     place = program.place_of(address)
     problem, expected = _FAULTS[wrong]
-    if wrong == op.TOO_DEEP:
+    if wrong == layout.TOO_DEEP:
         most = f"{layout.MOST_EXPANSIONS:,} productions"
         expected = f"an end within maximum depth: {program.decomposition_depth}, and within {most}"
     at = f"rewriting {module} in" if module else "at"
@@ -220,13 +214,13 @@ def _rewritten(
     is_drawing: bool = False,
 ) -> Derivation:
     """All words rewritten by `rules`, and what comes out by `inner`; ranges of many words on several threads."""
-    from forestgen.lsystem import machine, machine_words  # late: compiled kernels
+    from forestgen.lsystem import vm, vm_words  # late: compiled kernels
 
     words, outer = state.multiset, rules or _nothing(program)
     starts = mate = np.zeros(0, np.int64)
     if program.has_contexts and rules is not None:
         starts, mate = words.parameter_start(), np.zeros(len(words.code), np.int64)
-        machine_words.pair_brackets(words.code, mate)
+        vm_words.pair_brackets(words.code, mate)
     text = layout.Text(words.code, words.parameter, starts, mate)
     has_outer = outer.address >= 0
     whole = program.whole if has_outer else _with_nothing(program)
@@ -242,7 +236,7 @@ def _rewritten(
     )
 
     def rewrite(first: int, end: int) -> tuple[int, NDArray[np.int64], _Space]:
-        """The words of a range: what went wrong, the machine's state, what was written."""
+        """The words of a range: what went wrong, the VM's state, what was written."""
         real, m = _reals(program, state.globals), _state(program)
         begin = words.word_start[first]
         m[layout.NEXT_VALUE] = np.bincount(words.code[:begin], minlength=len(program.kinds)) @ words.arity
@@ -251,8 +245,8 @@ def _rewritten(
         memory = layout.Memory(whole, real, m)
         chosen = layout.Words(words.word_start[first : end + 1], words.word_id[first:end], words.born_step[first:end])
         while True:
-            wrong = machine.rewrite(memory, key, how, text, chosen, space.made, space.pile, space.out, space.words)
-            if wrong != op.MORE_SPACE or not space.grow(m):
+            wrong = vm.rewrite(memory, key, how, text, chosen, space.made, space.pile, space.out, space.words)
+            if wrong != layout.MORE_SPACE or not space.grow(m):
                 return wrong, m, space
 
     done = map_ranges(len(words), rewrite)
@@ -269,9 +263,9 @@ def _check(
 ) -> None:
     """Raise what went wrong in a step, if something did."""
     for wrong, m in done:
-        if wrong == op.MORE_SPACE:
+        if wrong == layout.MORE_SPACE:
             raise _too_many(program, most_modules, step)
-        if wrong != op.OK:
+        if wrong != layout.OK:
             _fail(program, wrong, int(m[layout.FAULT]), step, _around(words, int(m[layout.FAULT_MODULE])))
     if sum(int(m[layout.DONE]) for _, m in done) > min(most_modules, _LARGEST_INDEX):
         raise _too_many(program, most_modules, step)
@@ -321,7 +315,7 @@ class _Space:
         )
 
     def grow(self, m: NDArray[np.int64]) -> bool:
-        """Twice the space of what the machine needs, with what was written; False where that exceeds the limit."""
+        """Twice the space of what the VM needs, with what was written; False where that exceeds the limit."""
         need = m[layout.NEED]
         if need == layout.NEED_PILE:
             if len(self.pile.code) > self.most_space:

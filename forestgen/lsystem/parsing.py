@@ -1,4 +1,4 @@
-"""From a program's text to a `Listing`."""
+"""From a program's text to a `ProgramAST`."""
 
 from __future__ import annotations
 
@@ -13,45 +13,27 @@ from typing import Any
 from lark import Token, Tree
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.functions import points_problem
-from forestgen.lsystem.source import Statement, read_program, statements
-from forestgen.lsystem.statement_reader import Reader, is_tree
-from forestgen.lsystem.syntax import (
-    Block,
-    Expression,
-    Listing,
-    Macro,
-    Module,
-    Place,
-    Production,
-)
-from forestgen.lsystem.sys_format import parse_sys_file
+from forestgen.lsystem.statements import Reader, Statement, is_tree, read_program, statements
+from forestgen.lsystem.syntax import Block, Expression, Macro, Place, Production, ProgramAST, points_problem
+from forestgen.lsystem.sys_format import parse_sys_text
 
 DIALECTS = ("cpfg", "abop")
 _MOST_FUNCTIONS = 1000
 _MOST_GROUPS = 1_000_000
 
 
-def read_listing(path: Path) -> Listing:
+def parse_file(path: Path) -> ProgramAST:
     """The program in a file: .sys as in Randleff-Rasmussen 2004, else in cpfg's conventions.
 
-    Raises
-    ------
-    AssetError : there is no such file, or it cannot be read.
-    LsystemError : it is not understood; with line and column.
+    Raises `AssetError` where it cannot be read, and `LsystemError`, with line and column, where it is not understood.
     """
     if path.suffix == ".sys":
-        return parse_sys_file(path)
+        return parse_sys_text(read_program(path), str(path))
     return parse_text(read_program(path), str(path))
 
 
-def parse_text(text: str, name: str) -> Listing:
-    """The program in a text; `name` stands in messages.
-
-    Raises
-    ------
-    LsystemError : the text is not understood; with line and column.
-    """
+def parse_text(text: str, name: str) -> ProgramAST:
+    """The program in a text, which messages call `name`; raises `LsystemError`, with line and column."""
     builder = _Builder(name)
     try:
         for statement in statements(text, name):
@@ -62,11 +44,11 @@ def parse_text(text: str, name: str) -> Listing:
 
 
 class _Builder:
-    """Collects statements into a listing."""
+    """Collects statements into a `ProgramAST`."""
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.listing = Listing(name)
+        self.ast = ProgramAST(name)
         self.group = 0
         self.block = "productions"
         self.productions: dict[str, list[Production]] = {"productions": [], "decomposition": [], "interpretation": []}
@@ -94,14 +76,11 @@ class _Builder:
 
     def take_production(self, reader: Reader, text: str) -> None:
         if "-->" not in text:
-            reader.unexpected(reader.origin, (), "a statement without an arrow", text) if re.search(
-                r"->|→", text
-            ) else reader.fail(
-                "this is neither a production nor a known statement",
-                reader.origin,
-                expected="predecessor --> successor, or axiom:, derivation length:, ignore:, ...",
-                got=text.strip().split("\n")[0][:60],
-            )
+            if re.search(r"->|→", text):
+                reader.unexpected(reader.origin, (), "a statement without an arrow", text)
+            problem, got = "this is neither a production nor a known statement", text.strip().split("\n")[0][:60]
+            expected = "predecessor --> successor, or axiom:, derivation length:, ignore:, ..."
+            reader.fail(problem, reader.origin, expected=expected, got=got)
         self.refuse_slips(reader, text)
         self.productions[self.block].append(reader.production(text, self.group if self.block == "productions" else 0))
 
@@ -115,15 +94,14 @@ class _Builder:
         if number and ":" not in text.partition("-->")[2]:
             line = text.count("\n", 0, number.start(1)) + 1
             place = reader.place(line, number.start(1) - text.rfind("\n", 0, number.start(1)))
-            reader.fail(
-                "a number among the modules", place, got=number[1], hint=f"a probability is written : {number[1]}"
-            )
+            hint = f"a probability is written : {number[1]}"
+            reader.fail("a number among the modules", place, got=number[1], hint=hint)
 
     def update(self, **changes: Any) -> None:
-        self.listing = replace(self.listing, **changes)
+        self.ast = replace(self.ast, **changes)
 
     def header(self, reader: Reader, statement: Statement) -> None:
-        """`lsystem: name` says nothing that matters."""
+        """`lsystem: name` has no effect."""
 
     def productions_begin(self, reader: Reader, statement: Statement) -> None:
         """`production:`, which may also end a block."""
@@ -158,12 +136,9 @@ class _Builder:
         self.update(axiom=(modules,) if modules else ())
 
     def consider(self, reader: Reader, statement: Statement) -> None:
-        found = self.symbols(reader, statement)
-        self.update(**({"considered": found} if statement.keyword == "consider" else {"ignored": found}))
-
-    def symbols(self, reader: Reader, statement: Statement) -> tuple[Module, ...]:
         tree = reader.parse(statement.text, "word")
-        return reader.modules(tree.children[0]) if is_tree(tree) else ()
+        found = reader.modules(tree.children[0]) if is_tree(tree) else ()
+        self.update(**({"considered": found} if statement.keyword == "consider" else {"ignored": found}))
 
     def group_begins(self, reader: Reader, statement: Statement) -> None:
         self.group = int(statement.keyword.split()[1])
@@ -188,17 +163,15 @@ class _Builder:
 
     def depth(self, reader: Reader, statement: Statement) -> None:
         if self.block == "productions":
-            reader.fail(
-                "maximum depth belongs to a block", statement.start, expected="decomposition or interpretation above it"
-            )
+            expected = "decomposition or interpretation above it"
+            reader.fail("maximum depth belongs to a block", statement.start, expected=expected)
         self.depths[self.block] = reader.expression(reader.parse(statement.text, "expression"))
 
     def instructions(self, reader: Reader, statement: Statement) -> None:
         text, bare = statement.text, statement.text.strip()
         if not (bare.startswith("{") and bare.endswith("}")):
-            reader.fail(
-                f"{statement.keyword} needs a block", reader.origin, expected="{ ... }", got=bare[:40] or "nothing"
-            )
+            got = bare[:40] or "nothing"
+            reader.fail(f"{statement.keyword} needs a block", reader.origin, expected="{ ... }", got=got)
         opened, closed = text.index("{"), text.rindex("}")
         inner = text[:opened] + " " + text[opened + 1 : closed]
         if statement.keyword == "define":
@@ -209,15 +182,13 @@ class _Builder:
         self.update(**{key: found})
 
     def arrays(self, reader: Reader, text: str) -> None:
-        known = dict(self.listing.arrays)
+        known = dict(self.ast.arrays)
         for tree in reader.parse(text, "arrays").children:
             _, name, _, size, _, _, _, numbers, *_ = tree.children
             values = tuple(_signed(one) for one in numbers.children if isinstance(one, Tree)) if numbers else ()
             if size is not None and float(size) != len(values):
-                place = reader.at(size)
-                reader.fail(
-                    f"array {name} is declared with another size", place, expected=str(len(values)), got=str(size)
-                )
+                problem = f"array {name} is declared with another size"
+                reader.fail(problem, reader.at(size), expected=str(len(values)), got=str(size))
             self.declare(reader, str(name), reader.at(name))
             known[str(name)] = values
         self.update(arrays=known)
@@ -230,18 +201,16 @@ class _Builder:
     def function(self, reader: Reader, statement: Statement) -> None:
         name = statement.keyword.split()[1]
         if name.isdigit() and not 1 <= int(name) <= _MOST_FUNCTIONS:
-            reader.fail(
-                "no number for a function", statement.start, expected=f"1 to {_MOST_FUNCTIONS}, or a name", got=name
-            )
+            expected = f"1 to {_MOST_FUNCTIONS}, or a name"
+            reader.fail("no number for a function", statement.start, expected=expected, got=name)
         self.declare(reader, f"function {name}", statement.start)
         tree = reader.parse(statement.text, "points")
-        points = tuple(
-            (x, y) for x, y in ([_signed(one) for one in p.children if isinstance(one, Tree)] for p in tree.children)
-        )
+        pairs = ([_signed(one) for one in p.children if isinstance(one, Tree)] for p in tree.children)
+        points = tuple((x, y) for x, y in pairs)
         problem = points_problem(points)
         if problem:
             reader.fail(f"function {name} is wrong", statement.place, expected=problem)
-        self.update(functions={**self.listing.functions, name: points})
+        self.update(functions={**self.ast.functions, name: points})
 
     def turtle(self, reader: Reader, statement: Statement) -> None:
         name = statement.keyword.replace("color", "colour")
@@ -251,16 +220,15 @@ class _Builder:
                 raise ValueError
         except ValueError:
             reader.fail(f"{name} needs numbers", statement.place, got=statement.text.strip())
-        if name in self.listing.turtle:
+        if name in self.ast.turtle:
             reader.fail(f"a second {name!r}", statement.start)
-        self.update(turtle={**self.listing.turtle, name: numbers})
+        self.update(turtle={**self.ast.turtle, name: numbers})
 
     def define(self, reader: Reader, statement: Statement) -> None:
         head = re.match(r"\s*([A-Za-z_]\w*)(\(([^()]*)\))?", statement.text)
         if head is None:
-            reader.fail(
-                "#define needs a name", statement.place, expected="#define NAME value", got=statement.text.strip()
-            )
+            got = statement.text.strip()
+            reader.fail("#define needs a name", statement.place, expected="#define NAME value", got=got)
         name, _, given = head.groups()
         rest = statement.text[head.end() :]
         if not rest.strip():
@@ -271,18 +239,17 @@ class _Builder:
         parameters = None if given is None else tuple(one.strip() for one in given.split(",") if one.strip())
         if parameters and not (all(map(str.isidentifier, parameters)) and len(set(parameters)) == len(parameters)):
             reader.fail(f"#define {name} has bad parameters", statement.place, expected="different names", got=given)
-        self.update(macros={**self.listing.macros, name: Macro(parameters, body, self.seen[name])})
+        self.update(macros={**self.ast.macros, name: Macro(parameters, body, self.seen[name])})
 
-    def finish(self) -> Listing:
+    def finish(self) -> ProgramAST:
         if "axiom" not in self.seen:
-            raise LsystemError(
-                "the program has no axiom", where=f"{self.name}:1:1", expected="axiom: and a string of modules"
-            )
+            expected = "axiom: and a string of modules"
+            raise LsystemError("the program has no axiom", where=f"{self.name}:1:1", expected=expected)
         blocks = {
             name: Block(tuple(self.productions[name]), self.depths.get(name), self.places.get(name, Place(1, 1)))
             for name in ("decomposition", "interpretation")
         }
-        return replace(self.listing, productions=tuple(self.productions["productions"]), **blocks)  # type: ignore[arg-type]
+        return replace(self.ast, productions=tuple(self.productions["productions"]), **blocks)  # type: ignore[arg-type]
 
 
 def _is_word(tree: Any) -> bool:
@@ -295,45 +262,26 @@ def _signed(tree: Tree[Token]) -> float:
 
 
 _ONCE = {
-    "lsystem",
-    "dialect",
-    "derivation length",
-    "axiom",
-    "consider",
-    "ignore",
-    "start",
-    "starteach",
-    "endeach",
-    "end",
-}
+    "lsystem", "dialect", "derivation length", "axiom", "consider", "ignore", "start", "starteach", "endeach", "end",
+}  # fmt: skip
 _STATEMENTS = [
     "lsystem", "dialect", "derivation length", "axiom", "consider", "ignore", "maximum depth", "group", "start",
     "starteach", "endeach", "define", "production", "function", "angle", "step", "width", "tropism", "heading",
 ]  # fmt: skip
-_HANDLERS: dict[str, Any] = {
+_TURTLE = ("angle", "step", "scale", "width", "tip", "tropism", "elasticity", "heading", "colour", "color")
+_HANDLERS: dict[str, Any] = {  # by a statement's first word
     "lsystem": _Builder.header,
-    "production": _Builder.productions_begin,
-    "productions": _Builder.productions_begin,
     "dialect": _Builder.dialect,
     "derivation": _Builder.length,
     "axiom": _Builder.axiom,
-    "consider": _Builder.consider,
-    "ignore": _Builder.consider,
     "group": _Builder.group_begins,
     "endgroup": _Builder.group_ends,
-    "decomposition": _Builder.block_begins,
-    "interpretation": _Builder.block_begins,
-    "homomorphism": _Builder.block_begins,
     "maximum": _Builder.depth,
-    "start": _Builder.instructions,
-    "starteach": _Builder.instructions,
-    "endeach": _Builder.instructions,
-    "end": _Builder.instructions,
-    "define": _Builder.instructions,
-    **dict.fromkeys(
-        ("angle", "step", "scale", "width", "tip", "tropism", "elasticity", "heading", "colour", "color"),
-        _Builder.turtle,
-    ),
     "function": _Builder.function,
     "#define": _Builder.define,
+    **dict.fromkeys(("production", "productions"), _Builder.productions_begin),
+    **dict.fromkeys(("consider", "ignore"), _Builder.consider),
+    **dict.fromkeys(("decomposition", "interpretation", "homomorphism"), _Builder.block_begins),
+    **dict.fromkeys(("start", "starteach", "endeach", "end", "define"), _Builder.instructions),
+    **dict.fromkeys(_TURTLE, _Builder.turtle),
 }

@@ -1,19 +1,27 @@
-"""A compiled L-system: one table of whole numbers and one of real numbers, laid out as `machine` reads them."""
+"""A compiled L-system: one table of whole numbers and one of real numbers, laid out as `vm` reads them; its queries.
+
+Queries ?P, ?H, ?U, ?L: after each step the turtle gives the module its place or direction. A query of three parameters
+gets x, y, z in the plant's frame (positions in metres), one of two x and y. The turtle reads the interpreted words.
+
+Reference: P. Prusinkiewicz, M. James, R. Mech, Synthetic topiary, SIGGRAPH 1994.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.lsystem.multiset import Kind
-from forestgen.lsystem.syntax import Listing, Place
+from forestgen.core.errors import LsystemError
+from forestgen.lsystem.checks import QUERIES
+from forestgen.lsystem.multiset import Kind, Multiset
+from forestgen.lsystem.syntax import Place, ProgramAST
 
 
 @dataclass(frozen=True)
 class RuleSet:
-    """A set of productions: where the machine finds it, and how much it writes."""
+    """A set of productions: where the VM finds it, and how much it writes."""
 
     address: int  # in the table of whole numbers: for each kind, where its productions begin; -1: there are none
     most_modules: NDArray[np.int64]  # (number of kinds,) written for a module of a kind, at most
@@ -24,9 +32,9 @@ class RuleSet:
 class Program:
     """An L-system, ready to run."""
 
-    listing: Listing
+    ast: ProgramAST
     kinds: tuple[Kind, ...]
-    whole: NDArray[np.int64]  # code, productions, arities: see machine.py
+    whole: NDArray[np.int64]  # code, productions, arities: see vm.py
     real: NDArray[np.float64]  # constants, global and local variables, arrays, functions, stack
     productions: RuleSet
     decomposition: RuleSet
@@ -51,8 +59,39 @@ class Program:
 
     @property
     def name(self) -> str:
-        return self.listing.name
+        return self.ast.name
 
     def place_of(self, address: int) -> Place:
         """Where in the text the instruction at an address comes from."""
         return self.places[(address - self.code_at) // 2]
+
+
+def has_queries(program: Program) -> bool:
+    """Whether the program has modules that ask the turtle."""
+    return any(kind.symbol in QUERIES for kind in program.kinds)
+
+
+def answer_queries(program: Program, words: Multiset, drawn: Multiset) -> Multiset:
+    """The words with the parameters of their queries set; `drawn` is the same words, interpreted.
+
+    Raises `LsystemError` where the turtle cannot read a word, or the interpretation makes or removes queries.
+    """
+    from forestgen.lsystem.turtle import options_from, query_values  # late: compiled kernels
+
+    options = options_from(program.ast.turtle, program.ast.dialect, program.name)
+    asks = np.array([kind.symbol in QUERIES for kind in program.kinds])
+    arity, starts, drawn_starts = words.arity, words.parameter_start(), drawn.parameter_start()
+    asked = np.flatnonzero(asks[words.code])
+    parameter = words.parameter.copy()
+    answers = []
+    for begin, end in zip(drawn.word_start[:-1], drawn.word_start[1:], strict=True):
+        own = drawn.parameter[drawn_starts[begin] : drawn_starts[end]]
+        answers.append(query_values(drawn.code[begin:end], own, drawn.kinds, options)[0])
+    values = np.concatenate([np.zeros((0, 3)), *answers])
+    if len(values) != len(asked):
+        problem, expected = "the interpretation makes or removes queries", f"{len(asked)} queries, as in the words"
+        raise LsystemError(problem, where=program.name, expected=expected, got=str(len(values)))
+    for axis in range(3):
+        wide = arity[words.code[asked]] > axis
+        parameter[starts[:-1][asked[wide]] + axis] = values[wide, axis]
+    return replace(words, parameter=parameter)

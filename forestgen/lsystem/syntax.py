@@ -5,7 +5,10 @@ Expressions are equal if they are written alike, wherever they stand.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 
@@ -100,16 +103,16 @@ class Module:
     place: Place
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Production:
     """``left < predecessor > right : {before} condition {after} --> successor : probability``"""
 
-    left: tuple[Module, ...]
+    left: tuple[Module, ...] = ()
     predecessor: tuple[Module, ...]
-    right: tuple[Module, ...]
-    before: tuple[Statement, ...]
-    condition: Expression | None
-    after: tuple[Statement, ...]
+    right: tuple[Module, ...] = ()
+    before: tuple[Statement, ...] = ()
+    condition: Expression | None = None
+    after: tuple[Statement, ...] = ()
     successor: tuple[Module, ...]
     probability: Expression | None
     place: Place
@@ -135,7 +138,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Listing:
+class ProgramAST:
     """A whole L-system program, parsed."""
 
     name: str  # of the file, for messages
@@ -156,3 +159,19 @@ class Listing:
     productions: tuple[Production, ...] = ()
     decomposition: Block = Block()
     interpretation: Block = Block()
+
+    @property
+    def all_productions(self) -> tuple[Production, ...]:
+        """Those of the derivation, of the decomposition and of the interpretation."""
+        return (*self.productions, *self.decomposition.productions, *self.interpretation.productions)
+
+
+def points_problem(points: Sequence[tuple[float, float]]) -> str | None:
+    """What is expected of a function's control points, where these are not so."""
+    if not all(math.isfinite(value) for point in points for value in point):
+        return "finite numbers"
+    if len(points) < 2 or points[0][0] == points[-1][0]:
+        return "two points of different x, at least"
+    if any(b[0] < a[0] for a, b in pairwise(points)):
+        return "control points that ascend in x"
+    return None

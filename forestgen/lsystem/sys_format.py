@@ -35,12 +35,11 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from pathlib import Path
+from dataclasses import replace
 from typing import NoReturn
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.source import read_program
-from forestgen.lsystem.syntax import Listing, Module, Name, Number, Place, Production
+from forestgen.lsystem.syntax import Module, Name, Number, Place, Production, ProgramAST
 
 _MOST_PARAMETERS = {"F": 3, "<": 1, ">": 1, "&": 1, "@": 1, "%": 1, "#": 1, "|": 0, "[": 0, "]": 0}
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
@@ -48,32 +47,22 @@ _SHAPE = "symbol, replacement and probability, such as: F F[>F]F 1"
 _ROUNDING = 1e-9
 
 
-def parse_sys_file(path: Path) -> Listing:
-    """The program in a file; see `parse_sys_text`."""
-    return parse_sys_text(read_program(path), str(path))
-
-
-def parse_sys_text(text: str, name: str) -> Listing:
-    """The program in a `.sys` file's text, dialect `rhover`; `name` stands in messages.
-
-    Raises
-    ------
-    LsystemError : the text is not such a program; with line and column.
-    """
+def parse_sys_text(text: str, name: str) -> ProgramAST:
+    """The program in a `.sys` file's text, dialect `rhover`; raises `LsystemError`, with line and column."""
     lines = [_Line(name, number, raw) for number, raw in enumerate(text.splitlines(), 1) if raw.strip()]
-    after = Place(text.count("\n") + 1, 1)
-    if not lines or lines[0].text.strip() != "LSYSTEM":
-        _fail(name, lines[0].place if lines else Place(1, 1), "no .sys file", "LSYSTEM in its first line", lines[:1])
+    first, end = lines[0] if lines else _Line(name, 1, ""), _Line(name, text.count("\n") + 1, "")
+    if first.text.strip() != "LSYSTEM":
+        first.fail(first.indent, "no .sys file", "LSYSTEM in its first line", first.text.strip()[:60] or None)
     if len(lines) < 3:
         what = "the number of rules" if len(lines) == 1 else "the axiom"
-        _fail(name, after, f"the file ends before {what}", what, [])
-    expected = lines[1].whole_number()
-    rules = lines[3:]
-    if len(rules) < expected:
-        _fail(name, after, "too few rules", f"{expected}, as line {lines[1].number} says", [], str(len(rules)))
-    if len(rules) > expected:
-        more = rules[expected]
-        _fail(name, more.place, "more rules than announced", f"{expected}, as line {lines[1].number} says", [more])
+        end.fail(0, f"the file ends before {what}", what)
+    count, rules = lines[1].whole_number(), lines[3:]
+    expected = f"{count}, as line {lines[1].number} says"
+    if len(rules) < count:
+        end.fail(0, "too few rules", expected, str(len(rules)))
+    if len(rules) > count:
+        more = rules[count]
+        more.fail(more.indent, "more rules than announced", expected, more.text.strip()[:60])
     parsed = [line.rule() for line in rules]
     _check_sums(name, parsed)
     axiom = lines[2].modules(0, len(lines[2].text))
@@ -81,7 +70,7 @@ def parse_sys_text(text: str, name: str) -> Listing:
     for module in [*axiom, *(module for rule in parsed for module in rule.successor)]:
         arities.setdefault(module.symbol, set()).add(len(module.arguments))
     productions = tuple(one for rule in parsed for one in _for_each_arity(rule, arities))
-    return Listing(name, dialect="rhover", axiom=(axiom,), productions=productions)
+    return ProgramAST(name, dialect="rhover", axiom=(axiom,), productions=productions)
 
 
 def _for_each_arity(rule: Production, arities: dict[str, set[int]]) -> Iterable[Production]:
@@ -89,17 +78,7 @@ def _for_each_arity(rule: Production, arities: dict[str, set[int]]) -> Iterable[
     (head,) = rule.predecessor
     for count in sorted(arities.get(head.symbol, {0})):
         formal = tuple(Name(f"p{k}", head.place) for k in range(1, count + 1))
-        yield Production(
-            left=(),
-            predecessor=(Module(head.symbol, formal, head.place),),
-            right=(),
-            before=(),
-            condition=None,
-            after=(),
-            successor=rule.successor,
-            probability=rule.probability,
-            place=rule.place,
-        )
+        yield replace(rule, predecessor=(Module(head.symbol, formal, head.place),))
 
 
 def _check_sums(name: str, rules: Iterable[Production]) -> None:
@@ -109,8 +88,9 @@ def _check_sums(name: str, rules: Iterable[Production]) -> None:
         assert isinstance(rule.probability, Number)
         total[symbol] = total.get(symbol, 0.0) + rule.probability.value
         if total[symbol] > 1.0 + _ROUNDING:
-            problem = f"the probabilities of the rules for {symbol} exceed 1"
-            _fail(name, rule.probability.place, problem, "a sum of at most 1", [], f"{total[symbol]:g}")
+            place, problem = rule.probability.place, f"the probabilities of the rules for {symbol} exceed 1"
+            where, got = f"{name}:{place.line}:{place.column}", f"{total[symbol]:g}"
+            raise LsystemError(problem, where=where, expected="a sum of at most 1", got=got)
 
 
 class _Line:
@@ -120,19 +100,19 @@ class _Line:
         self.name, self.number, self.text = name, number, text
 
     @property
-    def place(self) -> Place:
-        return self.at(len(self.text) - len(self.text.lstrip()))
+    def indent(self) -> int:
+        return len(self.text) - len(self.text.lstrip())
 
     def at(self, index: int) -> Place:
         return Place(self.number, index + 1)
 
     def fail(self, index: int, problem: str, expected: str, got: str | None = None) -> NoReturn:
-        _fail(self.name, self.at(index), problem, expected, [self] if got is None else [], got)
+        raise LsystemError(problem, where=f"{self.name}:{self.number}:{index + 1}", expected=expected, got=got)
 
     def whole_number(self) -> int:
         word = self.text.strip()
         if not re.fullmatch(r"[0-9]{1,6}", word):
-            self.fail(self.place.column - 1, "the number of rules is not understood", "a whole number", word)
+            self.fail(self.indent, "the number of rules is not understood", "a whole number", word)
         return int(word)
 
     def rule(self) -> Production:
@@ -149,12 +129,7 @@ class _Line:
             self.fail(last.start(), "this cannot be a probability", "a number from 0 to 1", last.group())
         place = self.at(symbol.start())
         return Production(
-            left=(),
             predecessor=(Module(symbol.group(), (), place),),
-            right=(),
-            before=(),
-            condition=None,
-            after=(),
             successor=self.modules(symbol.end(), last.start()),
             probability=Number(probability, self.at(last.start())),
             place=place,
@@ -174,26 +149,20 @@ class _Line:
                 self.fail(index, "this is not a module", "a symbol, or its parameters in parentheses", symbol)
             here = index
             index, arguments = self.arguments(index + 1, end)
-            self.check_count(here, symbol, len(arguments))
-            self.match_bracket(here, symbol, opened)
+            most = _MOST_PARAMETERS.get(symbol, len(arguments))
+            if len(arguments) > most:
+                expected = f"at most {most}" if most else "none"
+                self.fail(here, f"too many parameters of {symbol}", expected, str(len(arguments)))
+            if symbol == "[":
+                opened.append(here)
+            elif symbol == "]":
+                if not opened:
+                    self.fail(here, "no bracket is open that this could close", "[ before ]", "]")
+                opened.pop()
             found.append(Module(symbol, arguments, self.at(here)))
         if opened:
             self.fail(opened[-1], "this bracket is never closed", "as many ] as [", "[")
         return tuple(found)
-
-    def match_bracket(self, index: int, symbol: str, opened: list[int]) -> None:
-        if symbol == "[":
-            opened.append(index)
-        elif symbol == "]":
-            if not opened:
-                self.fail(index, "no bracket is open that this could close", "[ before ]", "]")
-            opened.pop()
-
-    def check_count(self, index: int, symbol: str, count: int) -> None:
-        most = _MOST_PARAMETERS.get(symbol)
-        if most is not None and count > most:
-            expected = f"at most {most}" if most else "none"
-            self.fail(index, f"too many parameters of {symbol}", expected, str(count))
 
     def arguments(self, index: int, end: int) -> tuple[int, tuple[Number, ...]]:
         """Parameters in parentheses, if any begin at an index, and the index behind them."""
@@ -214,12 +183,3 @@ class _Line:
             numbers.append(Number(float(word), self.at(where)))
             at += len(piece) + 1
         return closes + 1, tuple(numbers)
-
-
-def _fail(
-    name: str, place: Place, problem: str, expected: str, lines: Iterable[_Line], got: str | None = None
-) -> NoReturn:
-    for line in lines:
-        got = line.text.strip()[:60]
-    where = f"{name}:{place.line}:{place.column}"
-    raise LsystemError(problem, where=where, expected=expected, got=got)

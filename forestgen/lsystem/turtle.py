@@ -79,16 +79,9 @@ from forestgen.lsystem.multiset import Kind, Multiset
 from forestgen.lsystem.turtle_options import ACTIONS, TURTLE_STATEMENTS, TurtleOptions, options_from
 
 __all__ = [
-    "TURTLE_STATEMENTS",
-    "Drawing",
-    "Polygons",
-    "Surfaces",
-    "TurtleOptions",
-    "draw",
-    "draw_word",
-    "options_from",
+    "TURTLE_STATEMENTS", "Drawing", "Polygons", "Surfaces", "TurtleOptions", "draw", "draw_word", "options_from",
     "query_values",
-]
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -155,9 +148,8 @@ def draw(
     parameter : (P,) parameters of all modules, in order.
     surfaces : names that may follow ~; None: all.
 
-    Raises
-    ------
-    LsystemError : brackets that do not match, an unknown surface, a negative width, a number that is not finite.
+    Raises `LsystemError` for brackets that do not match, an unknown surface, a negative width, or a number that is not
+    finite.
     """
     walk = _walk(code, parameter, kinds, options)
     placed = _surfaces(walk, parameter, options.scale, surfaces)
@@ -201,12 +193,9 @@ def draw_word(
 def query_values(
     code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], options: TurtleOptions
 ) -> tuple[Floats, Ints]:
-    """What ?P, ?H, ?L and ?U of a word are answered.
+    """Answers to ?P, ?H, ?L and ?U of a word, and the index of each query in it.
 
-    Returns
-    -------
-    values : (Q, 3) x, y, z in the plant frame, positions in metres; a query of two parameters takes the first two.
-    module : (Q,) index of each query in the word.
+    The answers (Q, 3) are x, y, z in the plant frame, positions in metres; a query of two parameters takes two of them.
     """
     walk = _walk(code, parameter, kinds, options)
     asked = walk.event_marks[:, 0] >= act.ASK_POSITION
@@ -340,12 +329,7 @@ def _fail(problem: str, module: int, code: NDArray[np.uint16], kinds: Sequence[K
 
 
 def _deepest(op: Ints, opens: int, closes: int, code: NDArray[np.uint16], kinds: Sequence[Kind]) -> int:
-    """How deep brackets lie within one another.
-
-    Raises
-    ------
-    LsystemError : they do not match.
-    """
+    """How deep brackets lie within one another; raises `LsystemError` where they do not match."""
     where = np.flatnonzero((op == opens) | (op == closes))
     if not len(where):
         return 0
@@ -368,8 +352,7 @@ def _check_numbers(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[
 
 def _check_splines(code: NDArray[np.uint16], kinds: Sequence[Kind], op: Ints) -> None:
     strange = [i for i, kind in enumerate(kinds) if kind.symbol in ("{", "}") and kind.arity]
-    if strange:
-        found = np.isin(code, strange) & (op != act.NOTHING)
-        if found.any():
-            module = int(np.argmax(found))
-            _fail("braces with parameters are not supported", module, code, kinds, "{ and }, or @Gs, @Gc and @Ge")
+    found = np.isin(code, strange) & (op != act.NOTHING)
+    if found.any():
+        module = int(np.argmax(found))
+        _fail("braces with parameters are not supported", module, code, kinds, "{ and }, or @Gs, @Gc and @Ge")

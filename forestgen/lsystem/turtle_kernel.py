@@ -11,54 +11,23 @@ import numpy as np
 
 from forestgen.core.compiled import compiled
 
-# What a module does
-NOTHING: Final = 0
-TURN_U: Final = 1  # about U, H towards L
-TURN_L: Final = 2  # about L, U towards H
-TURN_H: Final = 3  # about H, L towards U
-AROUND: Final = 4
-LEVEL: Final = 5
-DRAW: Final = 6  # F
-DRAW_BARE: Final = 7  # G: records no vertex
-MOVE: Final = 8  # f
-MOVE_BARE: Final = 9  # g
-PUSH: Final = 10
-POP: Final = 11
-WIDTH: Final = 12
-ELASTICITY: Final = 13
-COLOUR: Final = 14
-POLYGON: Final = 15
-VERTEX: Final = 16
-END_POLYGON: Final = 17
-SURFACE: Final = 18
-CYLINDER: Final = 19
-KNOT: Final = 20
-END_CYLINDER: Final = 21
-ASK_POSITION: Final = 22
-ASK_HEADING: Final = 23
-ASK_LEFT: Final = 24
-ASK_UP: Final = 25
+# What a module does: turns about U (H towards L), about L (U towards H) and about H (L towards U), half a turn, levels
+NOTHING, TURN_U, TURN_L, TURN_H, AROUND, LEVEL = 0, 1, 2, 3, 4, 5
+DRAW, DRAW_BARE, MOVE, MOVE_BARE = 6, 7, 8, 9  # F, G, f, g; the bare ones record no vertex
+PUSH, POP, WIDTH, ELASTICITY, COLOUR, POLYGON, VERTEX, END_POLYGON, SURFACE = 10, 11, 12, 13, 14, 15, 16, 17, 18
+CYLINDER, KNOT, END_CYLINDER, ASK_POSITION, ASK_HEADING, ASK_LEFT, ASK_UP = 19, 20, 21, 22, 23, 24, 25
 
 # What may go wrong
-OK: Final = 0
-NEGATIVE_WIDTH: Final = 1
-NO_SURFACE: Final = 2
-NO_CYLINDER: Final = 3
-BAD_STRIPS: Final = 4
+OK, NEGATIVE_WIDTH, NO_SURFACE, NO_CYLINDER, BAD_STRIPS = 0, 1, 2, 3, 4
 
 # The turtle's numbers `s`: vectors of three, then single ones
 _P, HEADING, _L, _U, _KNOT_P, _KNOT_H = 0, 3, 6, 9, 12, 15
 _H = HEADING
 STATE_WIDTH, STATE_ELASTICITY, _KNOT_WIDTH = 18, 19, 20
 STATE_SIZE: Final = 21
-# Its marks `m`, which brackets restore
-_NODE = 0
-_AXIS = 1  # -1 where the next node begins an axis
-_MOVED = 2  # 1 after a move from the node; 2 while the move's end begins a branch
-STATE_COLOUR = 3
-OPEN_SEGMENT = 4  # node whose segment may still taper, or -1
-_IN_CYLINDER = 5
-_RESTORED = 6
+# Its marks `m`, which brackets restore: the axis is -1 where the next node begins one; moved is 1 after a move from the
+# node, and 2 while the move's end begins a branch; the open segment is the node whose segment may still taper, or -1
+_NODE, _AXIS, _MOVED, STATE_COLOUR, OPEN_SEGMENT, _IN_CYLINDER, _RESTORED = 0, 1, 2, 3, 4, 5, 6
 # and its counters, which go on; _HERE is the index of the module
 NODES, AXES, EVENTS, _DEPTH, _BRACES, _TURNS, _POLYGON, _BORNE, _HERE = 6, 7, 8, 9, 10, 11, 12, 13, 14
 MARKS_SIZE: Final = 15

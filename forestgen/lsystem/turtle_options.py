@@ -14,19 +14,9 @@ from forestgen.lsystem import turtle_kernel as act
 
 #: Statements of a program's header that set the turtle up: name -> how many numbers may follow.
 TURTLE_STATEMENTS: dict[str, tuple[int, ...]] = {
-    "angle": (1,),
-    "step": (1,),
-    "scale": (1,),
-    "width": (1,),
-    "width increment": (1,),
-    "width factor": (1,),
-    "tip width": (1,),
-    "tropism": (3, 4),
-    "elasticity": (1,),
-    "elasticity increment": (1,),
-    "heading": (3,),
-    "colour": (1,),
-}
+    **dict.fromkeys(("angle", "step", "scale", "width", "width increment", "width factor", "tip width"), (1,)),
+    "tropism": (3, 4), "elasticity": (1,), "elasticity increment": (1,), "heading": (3,), "colour": (1,),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -95,9 +85,7 @@ _FIELDS = {"angle": "angle_deg"} | {name: name.replace(" ", "_") for name in TUR
 def options_from(turtle: Mapping[str, tuple[float, ...]], dialect: str, where: str | None = None) -> TurtleOptions:
     """The options that a program's header sets, over the dialect's defaults; `where` names the program in messages.
 
-    Raises
-    ------
-    LsystemError : an unknown name, a wrong number of numbers, or an impossible value.
+    Raises `LsystemError` for an unknown name, a wrong number of numbers, or an impossible value.
     """
     if dialect not in _DEFAULTS:
         raise LsystemError("an unknown dialect", where=where, expected=" or ".join(_DEFAULTS), got=dialect)
@@ -112,11 +100,8 @@ def options_from(turtle: Mapping[str, tuple[float, ...]], dialect: str, where: s
             changes[_FIELDS[name]] = int(numbers[0]) if name == "colour" else float(numbers[0])
     if "width_increment" in changes:
         if "width_factor" in changes:
-            raise LsystemError(
-                "the width has both an increment and a factor",
-                where=where,
-                expected="width increment: or width factor:, not both",
-            )
+            expected = "width increment: or width factor:, not both"
+            raise LsystemError("the width has both an increment and a factor", where=where, expected=expected)
         changes["width_factor"] = None
     return TurtleOptions(**{**vars(_DEFAULTS[dialect]), **changes})
 
@@ -146,53 +131,27 @@ def _check(name: str, numbers: tuple[float, ...], where: str | None) -> None:
 
 _Actions = dict[str, tuple[int, float]]
 _SHARED: _Actions = {
-    "F": (act.DRAW, 0.0),
-    "[": (act.PUSH, 0.0),
-    "]": (act.POP, 0.0),
-    "|": (act.AROUND, 0.0),
-    "?P": (act.ASK_POSITION, 0.0),
-    "?H": (act.ASK_HEADING, 0.0),
-    "?L": (act.ASK_LEFT, 0.0),
-    "?U": (act.ASK_UP, 0.0),
-}
+    "F": (act.DRAW, 0.0), "[": (act.PUSH, 0.0), "]": (act.POP, 0.0), "|": (act.AROUND, 0.0),
+    "?P": (act.ASK_POSITION, 0.0), "?H": (act.ASK_HEADING, 0.0), "?L": (act.ASK_LEFT, 0.0), "?U": (act.ASK_UP, 0.0),
+}  # fmt: skip
 _BOTANY: _Actions = _SHARED | {
-    "f": (act.MOVE, 0.0),
-    "G": (act.DRAW_BARE, 0.0),
-    "+": (act.TURN_U, 1.0),
-    "-": (act.TURN_U, -1.0),
-    "&": (act.TURN_L, 1.0),
-    "^": (act.TURN_L, -1.0),
-    "$": (act.LEVEL, 0.0),
-    "!": (act.WIDTH, -1.0),
-    "{": (act.POLYGON, 0.0),
-    ".": (act.VERTEX, 0.0),
-    "}": (act.END_POLYGON, 0.0),
-    "~": (act.SURFACE, 0.0),
+    "f": (act.MOVE, 0.0), "G": (act.DRAW_BARE, 0.0), "+": (act.TURN_U, 1.0), "-": (act.TURN_U, -1.0),
+    "&": (act.TURN_L, 1.0), "^": (act.TURN_L, -1.0), "$": (act.LEVEL, 0.0), "!": (act.WIDTH, -1.0),
+    "{": (act.POLYGON, 0.0), ".": (act.VERTEX, 0.0), "}": (act.END_POLYGON, 0.0), "~": (act.SURFACE, 0.0),
     "_": (act.ELASTICITY, 0.0),
-}
+}  # fmt: skip
+_CPFG: _Actions = _BOTANY | {
+    "\\": (act.TURN_H, 1.0), "/": (act.TURN_H, -1.0), "g": (act.MOVE_BARE, 0.0), "#": (act.WIDTH, 1.0),
+    ";": (act.COLOUR, 1.0), ",": (act.COLOUR, -1.0), "@v": (act.LEVEL, 0.0), "@Gs": (act.CYLINDER, 0.0),
+    "@Gc": (act.KNOT, 0.0), "@Ge": (act.END_CYLINDER, 0.0),
+}  # fmt: skip
+_RHOVER: _Actions = _SHARED | {
+    "<": (act.TURN_U, -1.0), ">": (act.TURN_U, 1.0), "&": (act.TURN_H, -1.0), "@": (act.TURN_H, 1.0),
+    "%": (act.TURN_L, 1.0), "#": (act.TURN_L, -1.0),
+}  # fmt: skip
 #: Dialect -> symbol -> what the turtle does, and the sign of its angle or increment in the right-handed frame.
 ACTIONS: dict[str, _Actions] = {
-    "cpfg": _BOTANY
-    | {
-        "\\": (act.TURN_H, 1.0),
-        "/": (act.TURN_H, -1.0),
-        "g": (act.MOVE_BARE, 0.0),
-        "#": (act.WIDTH, 1.0),
-        ";": (act.COLOUR, 1.0),
-        ",": (act.COLOUR, -1.0),
-        "@v": (act.LEVEL, 0.0),
-        "@Gs": (act.CYLINDER, 0.0),
-        "@Gc": (act.KNOT, 0.0),
-        "@Ge": (act.END_CYLINDER, 0.0),
-    },
+    "cpfg": _CPFG,
     "abop": _BOTANY | {"\\": (act.TURN_H, -1.0), "/": (act.TURN_H, 1.0), "'": (act.COLOUR, 1.0)},
-    "rhover": _SHARED
-    | {
-        "<": (act.TURN_U, -1.0),
-        ">": (act.TURN_U, 1.0),
-        "&": (act.TURN_H, -1.0),
-        "@": (act.TURN_H, 1.0),
-        "%": (act.TURN_L, 1.0),
-        "#": (act.TURN_L, -1.0),
-    },
+    "rhover": _RHOVER,
 }

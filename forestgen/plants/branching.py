@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.vectors import any_perpendicular, rotate, unit
+from forestgen.geometry.mesh import any_perpendicular, rotate, unit
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from forestgen.core.errors import RecipeError
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 
 LARGEST_PLANT = 50_000_000  # nodes or organs: no plant needs more, whatever the machine has
 _SHARE_OF_FREE = 0.5

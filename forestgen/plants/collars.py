@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Mesh, unit
 from forestgen.geometry.sweep import Polylines, rotation_minimising_frames, sides_for_radius, sweep_tubes
-from forestgen.geometry.vectors import unit
 from forestgen.plants.skeleton import Skeleton
 
 Floats = NDArray[np.float64]

@@ -8,15 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.geometry.vectors import rotate, unit
+from forestgen.geometry.mesh import rotate, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
-from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.recipe.curves import Curve, PositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
-
-__all__ = ["Foliage", "OrganShape", "organ_frames", "place"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
-from forestgen.geometry.vectors import unit
+from forestgen.geometry.mesh import unit
 from forestgen.lsystem.derivation import MOST_MODULES, derive, interpret
 from forestgen.lsystem.program import Program
 from forestgen.lsystem.turtle import Drawing, Polygons, draw_word, options_from
@@ -73,7 +73,7 @@ def draw_program(
     LsystemError : the program is wrong, or its word has died out.
     TooManyModulesError : its words grow longer than `most_modules`.
     """
-    listing = program.listing
+    listing = program.ast
     *_, last = derive(program, steps, seed, most_modules=most_modules)
     words = interpret(program, last, seed, most_modules=most_modules)
     if not len(words):

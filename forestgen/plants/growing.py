@@ -18,9 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from forestgen.core.bounded_cache import BoundedCache
-from forestgen.core.code_hash import code_hash
-from forestgen.core.disk_cache import DiskCache, cache_root
+from forestgen.core.cache import BoundedCache, DiskCache, cache_root, code_hash
 from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng, child_seed

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from forestgen.architecture.geometry import skeletal_graph
 from forestgen.architecture.prototypes import MOST_NODES, Tables
 from forestgen.community.population import Population, Status
-from forestgen.geometry.vectors import any_perpendicular, unit
+from forestgen.geometry.mesh import any_perpendicular, unit
 from forestgen.plants.skeleton import Skeleton
 
 Floats = NDArray[np.float64]

@@ -31,8 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.vectors import concatenate
+from forestgen.geometry.mesh import Mesh, concatenate
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
 Floats = NDArray[np.float64]

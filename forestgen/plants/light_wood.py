@@ -9,11 +9,9 @@ import numpy as np
 
 from forestgen.core.arguments import whole_of
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.baking import bake, unwrap
-from forestgen.geometry.mesh import Mesh, surface_area_m2
-from forestgen.geometry.model import Piece, Surface, srgb
-from forestgen.geometry.simplify import decimate
-from forestgen.geometry.vectors import concatenate
+from forestgen.geometry.export import Piece, Surface, srgb
+from forestgen.geometry.mesh import Mesh, concatenate, surface_area_m2
+from forestgen.geometry.simplify import bake, decimate, unwrap
 from forestgen.plants.bark.texture import SurfaceTexture
 
 FEWEST_TRIANGLES = 100

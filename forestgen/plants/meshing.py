@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh, instance
+from forestgen.geometry.mesh import Mesh, concatenate, instance, unit
 from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep, sweep_tubes
-from forestgen.geometry.vectors import concatenate, unit
 from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.levels import far_piece, mean_size

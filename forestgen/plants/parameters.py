@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.geometry.mesh import Mesh
-from forestgen.plants.foliage import Foliage, OrganShape, place
+from forestgen.plants.foliage import Foliage, place
+from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.fields import Section

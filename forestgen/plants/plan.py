@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from forestgen.community.capabilities import OwnSkeletons, capability
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import ErrorList, RecipeError
 from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS, clothes_modules

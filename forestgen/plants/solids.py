@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.vectors import vertex_normals
+from forestgen.geometry.mesh import Mesh, vertex_normals
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 
 Floats = NDArray[np.float64]

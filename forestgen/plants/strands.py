@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.core.compiled import compiled
-from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.vectors import unit
+from forestgen.geometry.mesh import Mesh, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
 from forestgen.plants.foliage import droop, organ_frames

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from forestgen.core.errors import RecipeError
+from forestgen.core.randomness import child_rng
 from forestgen.plants.build import build_exemplar, leaf_area_m2, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.parameters import Sways
+from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
-from forestgen.recipe.species import Species
 
 
 def check_sways(species_name: str, parameters: Any) -> None:
@@ -31,23 +33,16 @@ def check_sways(species_name: str, parameters: Any) -> None:
 
 
 def sway(
-    species_name: str,
-    species: Species,
-    parameters: Any,
-    radius_m: float,
-    seed_rng: Callable[[], np.random.Generator],
-    frames: int,
-    frames_per_s: float,
+    plan: PlantPlan, species_name: str, radius_m: float, seed: int, frames: int, frames_per_s: float
 ) -> Iterator[Exemplar]:
-    """The plant of `build_exemplar` at times 0, 1 / frames_per_s, ...
-
-    `seed_rng`: gives the plant's random generator, anew at each call.
-    """
+    """The plant of a seed at times 0, 1 / frames_per_s, ..."""
+    species, parameters = plan.drawn.species[species_name], plan.generators[species_name]
     generator: Sways = GENERATORS.load(parameters.generator)
     parameters = generator.in_wind(parameters)
-    still = build_exemplar(species_name, species, parameters, radius_m, seed_rng())
+    anew = partial(child_rng, seed, "exemplar", species_name)
+    still = build_exemplar(species_name, species, parameters, radius_m, anew())
     times_s = (np.arange(frames) / frames_per_s).tolist()
-    for skeleton in generator.poses(parameters, *size_m(species, radius_m), seed_rng(), times_s):
+    for skeleton in generator.poses(parameters, *size_m(species, radius_m), anew(), times_s):
         organs = organ_meshes(skeleton, parameters.shapes, parameters.wood)
         posed = replace(still, organs=_with_the_faces_of(still.organs, organs))
         low, high = posed.bounds_m()

@@ -1,44 +1,46 @@
-"""From what a recipe's author wrote to one plain, complete-but-for-defaults mapping: shorthands, overrides, species."""
+"""From what a recipe's author wrote to one plain mapping: shorthands, overrides, species, and the texts of files."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.text_file import read_text
-from forestgen.recipe.assets import find_asset, list_assets
+from forestgen.core.arguments import read_text
+from forestgen.core.errors import AssetError, ErrorList, RecipeError
+from forestgen.recipe.assets import find_asset, list_assets, scenes_dir
 from forestgen.recipe.distributions import is_distribution
-from forestgen.recipe.own_tables import embed_sensors, embed_spectra
-from forestgen.recipe.sources import Keys, Place, SourceMap, dotted
+from forestgen.recipe.sources import Keys, Place, SourceMap, dotted, parse_yaml, read_yaml
+from forestgen.recipe.spectra import (
+    KIND,
+    SEASONS,
+    Columns,
+    bands_of,
+    of_season,
+    seasons_of,
+    sensor_file,
+    surface_columns,
+    table_text,
+)  # fmt: skip
 from forestgen.recipe.variables import is_reference
-from forestgen.recipe.yaml_source import parse_yaml, read_yaml
 
 _LARGEST_PROGRAM_BYTES = 1_000_000
 MOST_SPECIES = 1000
+T = TypeVar("T")
 
 _Files = dict[Path, tuple[dict[str, Any], SourceMap]]  # read once: many species may be made from one
 
 SHORTHANDS: dict[Keys, str] = {("site", "terrain"): "kind", ("sky", "clouds"): "type"}
 OPTIONAL: tuple[Keys, ...] = (
-    ("site",),
-    ("plants",),
-    ("sky",),
-    ("cameras",),
-    ("render",),
-    ("labels",),
-    ("wind",),
-    ("dataset",),
-    ("sampling",),
+    ("site",), ("plants",), ("sky",), ("cameras",), ("render",), ("labels",), ("wind",), ("dataset",), ("sampling",),
     ("sky", "sun"),
-)
+)  # fmt: skip
 
 
-def spell_out(data: dict[str, Any]) -> None:
+def normalize(data: dict[str, Any]) -> None:
     """Replace shorthands in place: ``terrain: flat``, ``spruce:``; an optional section left empty is left out."""
     for keys in (*OPTIONAL, *SHORTHANDS):
         parent = data if len(keys) == 1 else data.get(str(keys[0]))
@@ -62,9 +64,8 @@ def apply_override(data: dict[str, Any], sources: SourceMap, text: str) -> None:
     place = Place(f"`set='{text}'`" if len(text) <= 100 else f"`set='{text[:97]}...'`")
     parts = path.strip().split(".")
     if not equals or not all(parts):
-        raise RecipeError(
-            "not an override", where=str(place), expected="key.path=value", hint="`set='site.size_m=[80,80]'`"
-        )
+        hint = "`set='site.size_m=[80,80]'`"
+        raise RecipeError("not an override", where=str(place), expected="key.path=value", hint=hint)
     value, value_sources = parse_yaml(written, str(place), lines=False)
     container: Any = data
     keys: Keys = ()
@@ -98,29 +99,19 @@ def _step(container: Any, part: str, keys: Keys, place: Place) -> str | int:
     return int(part)
 
 
-def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path, errors: ErrorList | None = None) -> list[str]:
+def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path, errors: ErrorList) -> list[str]:
     """Replace each ``{from: NAME, ...}`` of the species in place by the file's content under the recipe's overrides.
 
     A mapping without ``from`` that is no whole species, such as ``pine: {height_m: 20}``, takes the rest from the
-    shipped species of its name, as ``pine:`` alone does.
-
-    Parameters
-    ----------
-    errors : takes the errors of species' files; None: the first is raised.
-
-    Returns
-    -------
-    list : names of the species with errors.
+    shipped species of its name, as ``pine:`` alone does. `errors` takes the errors of species' files. Returns the names
+    of the species with errors.
     """
     species = data.get("species")
     if not isinstance(species, dict) or is_distribution(species):
         return []
     if len(species) > MOST_SPECIES:
-        expected = f"at most {MOST_SPECIES} species"
-        raise RecipeError(
-            "too many species", where=sources.where(("species",)), expected=expected, got=str(len(species))
-        )
-    collected = ErrorList(sources.place(()).origin) if errors is None else errors
+        expected, where = f"at most {MOST_SPECIES} species", sources.where(("species",))
+        raise RecipeError("too many species", where=where, expected=expected, got=str(len(species)))
     written = _sources_by_species(sources)
     files: _Files = {}
     shipped = frozenset(list_assets("species")) if any(map(_is_partial, species.values())) else frozenset()
@@ -130,13 +121,11 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path, errors
             entry["from"] = name
         if not isinstance(entry, dict) or "from" not in entry:
             continue
-        merged = collected.attempt(_from_file, name, entry, written.get(name, {}), sources, files, folder)
+        merged = errors.attempt(_from_file, name, entry, written.get(name, {}), sources, files, folder)
         if merged is None:
             failed.append(name)
         else:
             species[name] = merged
-    if errors is None:
-        collected.raise_all()
     return failed
 
 
@@ -148,14 +137,13 @@ def _from_file(
     where = sources.where((*keys, "from"))
     source = entry.pop("from")
     if not isinstance(source, str):
-        raise RecipeError(
-            "bad value", where=where, expected="the name or path of a species file", got=f"{source!r:.60}"
-        )
+        expected = "the name or path of a species file"
+        raise RecipeError("bad value", where=where, expected=expected, got=f"{source!r:.60}")
     path = find_asset("species", source, folder=folder, where=where)
     if path not in files:
         base, base_sources = read_yaml(path, error=AssetError)
         _embed(base.get("plant"), base_sources, ("plant", "program"), path.parent, folder)
-        embed_spectra(base.get("materials"), base_sources, ("materials",), path.parent, root=folder)
+        _embed_spectra(base.get("materials"), base_sources, ("materials",), path.parent, root=folder)
         files[path] = base, base_sources
     base, base_sources = copy.deepcopy(files[path][0]), files[path][1]
     _without_other_light(base.get("materials"), entry.get("materials"))
@@ -187,6 +175,12 @@ def _sources_by_species(sources: SourceMap) -> dict[str | int, dict[Keys, Place]
     return written
 
 
+def _mappings(section: Any) -> list[tuple[str, dict[str, Any]]]:
+    """The entries of a section that are mappings."""
+    entries = section.items() if isinstance(section, dict) else ()
+    return [(name, entry) for name, entry in entries if isinstance(entry, dict)]
+
+
 def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
     """Replace ``program: NAME`` of the community and of plants in place by the L-system program's name and text.
 
@@ -194,23 +188,73 @@ def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> Non
     embedded when the file was read: its path is relative to that file.
     """
     _embed(data.get("community"), sources, ("community", "program"), folder)
-    species = data.get("species")
-    for name, entry in species.items() if isinstance(species, dict) else ():
-        if isinstance(entry, dict):
-            _embed(entry.get("plant"), sources, ("species", name, "plant", "program"), folder)
+    for name, entry in _mappings(data.get("species")):
+        _embed(entry.get("plant"), sources, ("species", name, "plant", "program"), folder)
 
 
 def embed_tables(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
-    """Check the spectra that species and cameras name, in place, and keep the user's own as text: see `embed_spectra`.
+    """Check the spectra that species and cameras name, in place, and keep the user's own as text: see `_embed_table`.
 
     As with programs, a species file's own tables were taken when the file was read.
     """
-    species, plants = data.get("species"), data.get("plants")
+    plants = data.get("plants")
     season = plants.get("season", "summer") if isinstance(plants, dict) else "summer"
-    for name, entry in species.items() if isinstance(species, dict) else ():
-        if isinstance(entry, dict):
-            embed_spectra(entry.get("materials"), sources, ("species", name, "materials"), folder, season)
-    embed_sensors(data.get("cameras"), sources, folder)
+    for name, entry in _mappings(data.get("species")):
+        _embed_spectra(entry.get("materials"), sources, ("species", name, "materials"), folder, season)
+    cameras = data.get("cameras")
+    for index, camera in enumerate(cameras) if isinstance(cameras, list) else ():
+        where = sources.where(("cameras", index, "bands"))
+        find, read = partial(sensor_file, folder=folder, where=where), partial(bands_of, where=where)
+        _embed_table(camera, "bands", find, read)
+
+
+def _embed_spectra(
+    materials: Any, sources: SourceMap, keys: Keys, folder: Path, season: str | None = None, root: Path | None = None
+) -> None:
+    """Embed the spectra of a species' materials, whose key path is `keys`; `season` is that of materials without one.
+
+    Raises `AssetError` for a table that no surface can have, or that lacks the season.
+    """
+    for name, material in _mappings(materials):
+        where = sources.where((*keys, name, "spectrum"))
+        find = partial(find_asset, KIND, folder=folder, root=root, where=where)
+        found = _embed_table(material, "spectrum", find, partial(surface_columns, where=where))
+        if found is not None:
+            _check_season(found[1], material.get("season") or season, found[0], where)
+
+
+def _embed_table(
+    section: Any, key: str, find: Callable[[str], Path], read: Callable[[str, str], T]
+) -> tuple[str, T] | None:
+    """Replace the table's name at a section's key in place by ``{name: NAME}``; its name, and what `read` makes of it.
+
+    A file that forestgen does not ship is kept as its ``text``: so a recipe's hash covers it, and a drawn recipe holds
+    all that it needs. None: what stands there is no table, and the schema says what is wrong.
+    """
+    written = section.get(key) if isinstance(section, dict) else None
+    if isinstance(written, str):
+        written = section[key] = {"name": written}
+    if not isinstance(written, dict) or not isinstance(written.get("name"), str):
+        return None
+    name, text = written["name"], written.get("text")
+    if isinstance(text, str):
+        return name, read(text, name)
+    if text is not None:
+        return None
+    path = find(name)
+    text = table_text(path)
+    found = read(text, str(path))
+    if not path.is_relative_to(scenes_dir()) or ".." in path.parts:
+        written["name"], written["text"] = path.name, text
+    return name, found
+
+
+def _check_season(columns: Columns, season: object, name: str, where: str) -> None:
+    """The table serves the season, if that is one."""
+    if season in SEASONS and of_season(columns, season) is None:
+        expected = f"one of {', '.join(seasons_of(columns))}"
+        hint = "the material's own `season` takes precedence over plants.season"
+        raise AssetError(f"{name} has no {season}", where=where, expected=expected, got=str(season), hint=hint)
 
 
 def _embed(section: Any, sources: SourceMap, keys: Keys, folder: Path, root: Path | None = None) -> None:
@@ -218,10 +262,8 @@ def _embed(section: Any, sources: SourceMap, keys: Keys, folder: Path, root: Pat
     if not isinstance(section, dict) or not isinstance(section.get("program"), str):
         return
     path = find_asset("lsystems", section["program"], folder=folder, root=root, where=sources.where(keys))
-    section["program"] = {
-        "name": path.name,
-        "text": read_text(path, "an L-system program", most_bytes=_LARGEST_PROGRAM_BYTES, error=AssetError),
-    }
+    text = read_text(path, "an L-system program", most_bytes=_LARGEST_PROGRAM_BYTES)
+    section["program"] = {"name": path.name, "text": text}
 
 
 def _without_other_generator(
@@ -229,9 +271,9 @@ def _without_other_generator(
 ) -> dict[str, Any]:
     """`base` less its ``plant`` section if the override chooses another generator: the keys would not fit."""
     old, new = base.get("plant"), override.get("plant")
-    if not (isinstance(old, dict) and isinstance(new, dict) and "generator" in new):
+    if not (isinstance(old, dict) and isinstance(new, dict)):
         return base
-    if new["generator"] == old.get("generator"):
+    if new.get("generator", old.get("generator")) == old.get("generator"):
         return base
     sources.drop((*keys, "plant"))
     return {key: value for key, value in base.items() if key != "plant"}
@@ -239,9 +281,9 @@ def _without_other_generator(
 
 def _without_other_light(base: Any, override: Any) -> None:
     """Take from materials in place what a recipe replaces: a spectrum by colours, or colours by a spectrum."""
-    for name, material in base.items() if isinstance(base, dict) and isinstance(override, dict) else ():
-        new = override.get(name)
-        if not (isinstance(material, dict) and isinstance(new, dict)):
+    for name, material in _mappings(base):
+        new = override.get(name) if isinstance(override, dict) else None
+        if not isinstance(new, dict):
             continue
         if "reflectance" in new and new.get("spectrum") is None:
             material.pop("spectrum", None)

@@ -1,4 +1,4 @@
-"""Biomes: which species grow under a climate of two numbers, and what people call such land.
+"""Biomes: which species grow under a climate of two numbers, and the name of such land.
 
 ``community: {model: branch_modules, biome: {temperature_c: 5.6, precipitation_mm_per_yr: 940}}`` or ``biome: {place:
 Helsinki}``: a recipe that names no species gets those shipped species with a ``modules`` section that the climate
@@ -8,7 +8,7 @@ suits best, by their adaptation
 
 (Makowski 2023, Eq. 13), and initial plants in proportion to it. Where the recipe names species, these are what grows.
 A place's two numbers come from the climate normals in ``scenes/climate/stations.csv``; a number that stands beside the
-place goes before its own, so a stored recipe, which has both, is that recipe again.
+place takes precedence, so a stored recipe, which has both, gives the same recipe again.
 """
 
 from __future__ import annotations
@@ -24,14 +24,13 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.text_file import read_text
 from forestgen.recipe.assets import list_assets, scenes_dir
-from forestgen.recipe.plant_type import PlantType
-from forestgen.recipe.sources import SourceMap
-from forestgen.recipe.yaml_source import parse_yaml
+from forestgen.recipe.sources import SourceMap, parse_yaml
+from forestgen.recipe.species import PlantType
 
-ADAPTATION_MIN = 0.2  # a species less at home than this is not chosen
+ADAPTATION_MIN = 0.2  # a species of less is not chosen
 MOST_SPECIES = 8
 PLANTS_PER_M2 = 0.2  # at the start, where the recipe does not say
 MOST_PLANTS = 2000
@@ -65,7 +64,7 @@ class Chosen:
 
 
 def biome_name(temperature_c: float, precipitation_mm_per_yr: float) -> str:
-    """What people call land of this climate: one of the ten biomes of Whittaker's diagram.
+    """Name of land of this climate: one of the ten biomes of Whittaker's diagram.
 
     Bounds that are straight lines stand for the diagram's curves (Whittaker, R. H. (1975). Communities and Ecosystems;
     Ricklefs, R. E. (2008). The Economy of Nature, Fig. 5.5), set so that the climates of Makowski 2023, Table 4, have
@@ -136,28 +135,22 @@ def _modules_section(text: str) -> str:
 def choose_species(temperature_c: float, precipitation_mm_per_yr: float, *, where: str | None = None) -> list[Chosen]:
     """The shipped species that a climate suits, the best first; at most `MOST_SPECIES`.
 
-    Raises
-    ------
-    RecipeError : none is suited; the message says which came closest. `where` is the biome's place in the recipe.
+    Raises `RecipeError`, at the biome's place in the recipe, where none is suited; it says which came closest.
     """
-    ranked = sorted(
-        (
-            Chosen(name, adaptation(plant_type, temperature_c, precipitation_mm_per_yr), plant_type)
-            for name, plant_type in shipped_plant_types().items()
-            if plant_type.in_biomes
-        ),
-        key=lambda one: (-one.adaptation, one.name),
-    )
+    climate = (temperature_c, precipitation_mm_per_yr)
+    types = {name: one for name, one in shipped_plant_types().items() if one.in_biomes}
+    found = [Chosen(name, adaptation(one, *climate), one) for name, one in types.items()]
+    ranked = sorted(found, key=lambda one: (-one.adaptation, one.name))
     chosen = [one for one in ranked if one.adaptation >= ADAPTATION_MIN][:MOST_SPECIES]
     if chosen:
         return chosen
     best = ranked[0]
+    closest = f"{best.name} comes closest with {best.adaptation:.2g}: it likes {_likes(best.plant_type)}"
     raise RecipeError(
         "no species fits this climate",
         where=where,
         expected=f"an adaptation of at least {ADAPTATION_MIN:g} for one of {len(ranked)} species",
-        got=f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {best.name} comes closest with "
-        f"{best.adaptation:.2g}: it likes {_likes(best.plant_type)}",
+        got=f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {closest}",
         hint="name species yourself, with a modules section of their own climate",
     )
 
@@ -184,12 +177,7 @@ def stations() -> Mapping[str, Station]:
 
 
 def find_station(place: str, *, where: str | None = None) -> Station:
-    """The station of that name, in any case of its letters.
-
-    Raises
-    ------
-    RecipeError : there is none; the message lists them all, or the nearest name.
-    """
+    """The station of that name, in any case of its letters; raises `RecipeError` with all names where there is none."""
     known = stations()
     if place.strip().lower() in known:
         return known[place.strip().lower()]
@@ -202,13 +190,8 @@ def find_station(place: str, *, where: str | None = None) -> Station:
 def settle_biome(data: dict[str, Any], sources: SourceMap) -> bool:
     """Give a recipe's ``community.biome`` its numbers and, where none are named, its species; in place.
 
-    Returns
-    -------
-    Whether species were chosen: they are then ``{from: NAME}`` entries yet to be merged.
-
-    Raises
-    ------
-    RecipeError : an unknown place, a number out of range, or no species that fits.
+    Returns whether species were chosen: they are then ``{from: NAME}`` entries yet to be merged. Raises `RecipeError`
+    for an unknown place, a number out of range, or where no species fits.
     """
     community = data.get("community")
     biome = community.get("biome") if isinstance(community, dict) else None
@@ -272,7 +255,7 @@ def _initial_plants(data: Mapping[str, Any]) -> int:
     size = site.get("size_m") if isinstance(site, dict) else None
     sides = size if isinstance(size, list) and len(size) == 2 else [100.0, 100.0]
     if not all(isinstance(side, int | float) and 0 < side <= 5000 for side in sides):
-        return 1  # validation will say what is wrong with it
+        return 1  # validation reports what is wrong with it
     return max(1, min(MOST_PLANTS, round(PLANTS_PER_M2 * sides[0] * sides[1])))
 
 

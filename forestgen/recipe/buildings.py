@@ -6,39 +6,38 @@ A kind is a part: scene/buildings.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field
 
-from forestgen.recipe.fields import Coordinate, Name, Number, PartSection, Positive, Text
+from forestgen.recipe.fields import Coordinate, GivenSection, Name, Number, PartSection, Positive, Text
 from forestgen.recipe.registries import BUILDINGS, DEFAULT_BUILDING
 from forestgen.recipe.species import Material
 
 _Side = Annotated[Positive, Field(ge=0.5, le=200)]
 
 
-class Building(PartSection):
+class Building(PartSection, GivenSection):
     """A building: plants neither grow into it nor get light through it."""
 
     registry = BUILDINGS
     selector = "kind"
 
-    kind: Annotated[Text, Field(description="What it is, also the name of its class in labels.")] = DEFAULT_BUILDING
-    position_m: Annotated[
-        tuple[Coordinate, Coordinate], Field(description="Middle of its ground plan: x, y, metres; on the site.")
-    ]
-    azimuth_deg: Annotated[
-        Number, Field(ge=-360, le=360, description="Turn of its width from east, clockwise from above, degrees.")
-    ] = 0.0
-    size_m: Annotated[
-        tuple[_Side, _Side, _Side],
-        Field(description="Width along its ridge, depth, and height to the ridge, metres."),
-    ] = (10.0, 8.0, 7.0)
-    materials: Annotated[
-        dict[Name, Material], Field(default_factory=dict, description="Materials in place of the kind's own, by part.")
-    ]
+    kind: Text = Field(DEFAULT_BUILDING, description="What it is, also the name of its class in labels.")
+    position_m: tuple[Coordinate, Coordinate] = Field(
+        description="Middle of its ground plan: x, y, metres; on the site."
+    )
+    azimuth_deg: Number = Field(
+        0.0, ge=-360, le=360, description="Turn of its width from east, clockwise from above, degrees."
+    )
+    size_m: tuple[_Side, _Side, _Side] = Field(
+        (10.0, 8.0, 7.0), description="Width along its ridge, depth, and height to the ridge, metres."
+    )
+    materials: dict[Name, Material] = Field(
+        default_factory=dict, description="Materials in place of the kind's own, by part."
+    )
 
     @property
     def turn_rad(self) -> float:
@@ -51,7 +50,3 @@ class Building(PartSection):
         cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
         plan = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
         return np.asarray(plan @ np.array([[cos, sin], [-sin, cos]]) + self.position_m)
-
-    @model_serializer(mode="wrap")
-    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in handler(self).items() if value is not None}

@@ -8,18 +8,33 @@ A camera with a rig (scene/rigs) is several images, too.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, Field, SerializeAsAny, field_validator, model_validator
+from pydantic import Field, SerializeAsAny, model_validator
 
-from forestgen.core.errors import RecipeError
-from forestgen.recipe.exposure import Exposure
-from forestgen.recipe.fields import Flag, Name, Point, Section, Text, Whole, mistake, spelled_out
+from forestgen.recipe.fields import (
+    Flag,
+    Fraction,
+    Name,
+    NonNegative,
+    Number,
+    Point,
+    Positive,
+    Section,
+    Text,
+    Whole,
+    known_part,
+    list_names,
+    mistake,
+    shorthand,
+)  # fmt: skip
 from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS, RIGS
 from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, RigKeys
 from forestgen.recipe.spectra import MOST_BYTES
 
+_METER_CONSTANT = 12.5  # K of ISO 2720 in cd s/m²/lx for reflected light, as most makers set it
 Pixels = Annotated[Whole, Field(ge=8, le=16384)]
 Look = Literal["up", "down", "north", "east", "south", "west"]
 DIRECTIONS: dict[str, Point] = {  # right, down and forward follow: see core/frames.py
@@ -35,38 +50,84 @@ DIRECTIONS: dict[str, Point] = {  # right, down and forward follow: see core/fra
 class SensorFile(Section):
     """A table of the responses of a sensor's bands by wavelength; see recipe/spectra.py."""
 
-    name: Annotated[Text, Field(min_length=1, max_length=1000, description="Such as sentinel2a, or a path.")]
-    text: Annotated[
-        Text | None,
-        Field(max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."),
-    ] = None
+    name: Text = Field(min_length=1, max_length=1000, description="Such as sentinel2a, or a path.")
+    text: Text | None = Field(
+        None, max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."
+    )
 
 
 class CameraPath(Section):
     """A camera's way from where it stands, through points, in equal times; straight lines between them."""
 
-    frames: Annotated[Whole, Field(ge=2, le=MOST_FRAMES, description="Images along the way, both ends included.")]
-    frames_per_s: Annotated[FramesPerSecond, Field(description="Images a second: of motion and wind.")] = 24.0
-    position_m: Annotated[
-        tuple[Point, ...],
-        Field(max_length=1000, description="Points it passes after position_m: x, y, z, metres."),
-    ] = ()
-    look_at_m: Annotated[
-        tuple[Point, ...], Field(max_length=1000, description="Points in the image's middle after look_at_m, metres.")
-    ] = ()
+    frames: Whole = Field(ge=2, le=MOST_FRAMES, description="Images along the way, both ends included.")
+    frames_per_s: FramesPerSecond = Field(24.0, description="Images a second: of motion and wind.")
+    position_m: tuple[Point, ...] = Field(
+        (), max_length=1000, description="Points it passes after position_m: x, y, z, metres."
+    )
+    look_at_m: tuple[Point, ...] = Field(
+        (), max_length=1000, description="Points in the image's middle after look_at_m, metres."
+    )
 
 
-def _known_projection(name: str) -> str:
-    try:
-        PROJECTIONS.check(name)
-    except RecipeError as error:
-        raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
-    return name
+class Exposure(Section):
+    """Lens and sensor that make a raw image. Without shutter_s and ev the picture is metered."""
 
+    f_number: Positive = Field(8.0, ge=0.5, le=128, description="Focal length by the pupil's diameter.")
+    shutter_s: Positive | None = Field(
+        None, ge=1e-7, le=86400, description="Exposure time, seconds. Default: by ev, or metered."
+    )
+    ev: Number | None = Field(
+        None,
+        ge=-10,
+        le=25,
+        description="Exposure value at ISO 100, log2(f_number² / shutter_s): full sun 15, overcast 12; sets the "
+        "shutter, longer for a lower iso.",
+    )
+    compensation_ev: Number = Field(0.0, ge=-10, le=10, description="Stops by which a metered exposure is brighter.")
+    iso: Positive = Field(100.0, ge=1, le=1e7, description="Sensitivity by saturation, ISO 12232.")
+    base_iso: Positive = Field(
+        100.0, ge=1, le=1e7, description="The iso at which saturation fills the well; the least one."
+    )
+    vignetting: Fraction = Field(
+        0.0, description="0: none; 1: the fourth power of the cosine off the axis; between: mixed."
+    )
+    full_well_electrons: Positive = Field(30_000.0, ge=10, le=1e8, description="That a pixel holds.")
+    read_noise_electrons: NonNegative = Field(
+        3.0, le=1e5, description="Standard deviation of what reading a pixel adds."
+    )
+    bits: Whole = Field(14, ge=8, le=16, description="Of a digital number.")
+    mosaic: Flag = Field(True, description="Whether each pixel sees one colour only, in squares of RGGB.")
 
-def _add_names(schema: dict[str, Any]) -> None:
-    """To the JSON Schema of a projection's name, those that are registered when it is made."""
-    schema["enum"] = PROJECTIONS.ids()
+    @model_validator(mode="after")
+    def _one_way_to_expose(self) -> Self:
+        metered = self.shutter_s is None and self.ev is None
+        if self.shutter_s is not None and self.ev is not None:
+            problem, got = "the exposure is given twice", f"shutter_s {self.shutter_s:g} and ev {self.ev:g}"
+            hint = "leave one out; without both the picture is metered"
+            raise mistake("shutter_s or ev, not both", problem=problem, got=got, hint=hint, at="ev")
+        if self.compensation_ev and not metered:
+            problem, got = "only a metered exposure is compensated", f"{self.compensation_ev:g}"
+            raise mistake("0, or neither shutter_s nor ev", problem=problem, got=got, at="compensation_ev")
+        if self.iso < self.base_iso:
+            problem, expected = "the well is full before such an iso saturates", f"base_iso or more: {self.base_iso:g}"
+            hint = "lower base_iso with it for a sensor of less sensitivity"
+            raise mistake(expected, problem=problem, got=f"{self.iso:g}", hint=hint, at="iso")
+        return self
+
+    def shutter_for_s(self, luminance_cd_m2: float) -> float:
+        """Time that is set, or that a meter pointed at this mean luminance sets; 1 s in the dark.
+
+        Photographic relations (ISO 2720, ISO 12232), with f-number N, time t, luminance L, speed S: at ISO 100 the
+        exposure value is 2^EV = N² / t, at another N² / t = 2^EV S / 100; a meter sets N² / t = L S / K.
+        """
+        if self.shutter_s is not None:
+            return self.shutter_s
+        if self.ev is not None:
+            return float(self.f_number**2 / (2.0**self.ev * self.iso / 100.0))
+        if not luminance_cd_m2 > 0:
+            return 1.0
+        metered_s = _METER_CONSTANT * self.f_number**2 / (luminance_cd_m2 * self.iso)
+        return float(metered_s * 2.0**self.compensation_ev)
 
 
 class CameraKeys(Section):
@@ -79,69 +140,53 @@ class CameraKeys(Section):
     default_look: ClassVar[Look | None] = None  # None: over the site, by look_at_m
     default_place: ClassVar[Point] = (0.5, 0.02, 1.7)  # shares of the site's width and depth, and metres above ground
     is_level: ClassVar[bool] = False  # whatever it looks at
-    covers_ground: ClassVar[bool] = False  # `footprint_m` tells what it shows of the ground below: for drone_grid
+    covers_ground: ClassVar[bool] = False  # whether `footprint_m` is known, as drone_grid needs
 
-    name: Annotated[Name, Field(description="Name in file names; default camera0, camera1, ...")]
-    kind: Annotated[
-        Text,
-        AfterValidator(_known_projection),
-        Field(
-            json_schema_extra=_add_names,
-            description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, "
-            "and its defaults of position_m, look and size_px.",
-        ),
-    ] = DEFAULT_PROJECTION
-    position_m: Annotated[
-        Point | None,
-        Field(
-            description="Where it stands: x, y, z, metres. Default by kind; of perspective eye level, southern edge's "
-            "middle."
-        ),
-    ] = None
-    look_at_m: Annotated[
-        Point | None, Field(description="The point in the image's middle: x, y, z, metres. Default: amid the site.")
-    ] = None
-    look: Annotated[
-        Look | None,
-        Field(
-            description="Instead of look_at_m. Up and down have north at the top: down shows east on the right, up "
-            "shows it on the left. Default by kind; of perspective look_at_m."
-        ),
-    ] = None
-    size_px: Annotated[
-        tuple[Pixels, Pixels],
-        Field(description="Width and height of the image, pixels. Default by kind; of perspective [640, 360]."),
-    ] = (640, 360)
-    height_above_ground: Annotated[
-        Flag, Field(description="Whether the z of position_m and look_at_m count from the ground below or from z = 0.")
-    ] = True
-    obstructed: Annotated[
-        Literal["error", "note"],
-        Field(
-            description="How a camera below the ground, in a house or in a trunk is treated. error: reported before it "
-            "is rendered. note: rendered with a note, for data sets with random cameras."
-        ),
-    ] = "error"
-    path: Annotated[
-        CameraPath | None, Field(description="Where it moves to; each frame is an image. None: it stands still.")
-    ] = None
-    rig: Annotated[
-        SerializeAsAny[RigKeys] | None,
-        Field(
-            description="Several images of one entry, of those that `forestgen models --kind rig` lists; its page has "
-            "its keys. None: one."
-        ),
-    ] = None
-    bands: Annotated[
-        SensorFile | None,
-        Field(
-            description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. "
-            "None: colour."
-        ),
-    ] = None
-    exposure: Annotated[Exposure | None, Field(description="For a raw image beside the linear one. None: no such.")] = (
-        None
+    name: Name = Field(description="Name in file names; default camera0, camera1, ...")
+    kind: Annotated[Text, known_part(PROJECTIONS)] = Field(
+        DEFAULT_PROJECTION,
+        json_schema_extra=partial(list_names, registry=PROJECTIONS),
+        description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, and "
+        "its defaults of position_m, look and size_px.",
     )
+    position_m: Point | None = Field(
+        None,
+        description="Where it stands: x, y, z, metres. Default by kind; of perspective eye level, southern edge's "
+        "middle.",
+    )
+    look_at_m: Point | None = Field(
+        None, description="The point in the image's middle: x, y, z, metres. Default: amid the site."
+    )
+    look: Look | None = Field(
+        None,
+        description="Instead of look_at_m. Up and down have north at the top: down shows east on the right, up shows "
+        "it on the left. Default by kind; of perspective look_at_m.",
+    )
+    size_px: tuple[Pixels, Pixels] = Field(
+        (640, 360), description="Width and height of the image, pixels. Default by kind; of perspective [640, 360]."
+    )
+    height_above_ground: Flag = Field(
+        True, description="Whether the z of position_m and look_at_m count from the ground below or from z = 0."
+    )
+    obstructed: Literal["error", "note"] = Field(
+        "error",
+        description="How a camera below the ground, in a house or in a trunk is treated. error: reported before it is "
+        "rendered. note: rendered with a note, for data sets with random cameras.",
+    )
+    path: CameraPath | None = Field(
+        None, description="Where it moves to; each frame is an image. None: it stands still."
+    )
+    rig: SerializeAsAny[RigKeys] | None = Field(
+        None,
+        description="Several images of one entry, of those that `forestgen models --kind rig` lists; its page has its "
+        "keys. None: one.",
+    )
+    bands: Annotated[SensorFile | None, shorthand("name")] = Field(
+        None,
+        description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. None: "
+        "colour.",
+    )
+    exposure: Exposure | None = Field(None, description="For a raw image beside the linear one. None: no such.")
 
     @model_validator(mode="before")
     @classmethod
@@ -155,11 +200,6 @@ class CameraKeys(Section):
         if all(filled.get(key) is None for key in ("look", "look_at_m")) and _keeps_view(data, rig):
             filled["look"] = cls.default_look
         return filled
-
-    @field_validator("bands", mode="before")
-    @classmethod
-    def _name_alone(cls, value: Any) -> Any:
-        return spelled_out(value, "name")
 
     @property
     def field_of_view_deg(self) -> float:
@@ -267,11 +307,9 @@ def _keeps_view(camera: Mapping[str, Any], rig: Any) -> bool:
 
 
 def default_view(camera: Mapping[str, Any], size_m: tuple[float, float], of_kind: type[CameraKeys]) -> dict[str, Any]:
-    """Keys that a recipe's camera has by the site's extent, where it says nothing itself; metres.
+    """Keys that a recipe's camera has by the site's extent, where it gives none; metres.
 
-    Parameters
-    ----------
-    of_kind : the class of its projection's cameras.
+    `of_kind` is the class of its projection's cameras.
     """
     (width, depth), rig = size_m, rig_of(camera)
     view: dict[str, Any] = {}

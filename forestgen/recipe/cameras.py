@@ -21,20 +21,16 @@ class Camera(CameraKeys):
     @model_validator(mode="before")
     @classmethod
     def _has_no_keys_of_others(cls, data: Any) -> Any:
-        """Keys of other projections are refused by name; one that is null says nothing."""
+        """Keys of other projections are refused by name; keys that are null are ignored."""
         strange = [key for key in data if key not in cls.model_fields] if isinstance(data, Mapping) else []
         owners = _owners_of_keys() if strange else {}
         kind = data.get("kind", DEFAULT_PROJECTION) if strange else ""
         for key in strange:
             if cls is not Camera and key in owners and data[key] is not None:
                 mine = cls.own_keys()
-                raise mistake(
-                    f"of these keys: {', '.join(mine)}" if mine else f"none of {', '.join(owners)}",
-                    problem=f"{_article(kind)} camera has no {key}",
-                    got=str(data[key]),
-                    hint=f"leave {key} out, or choose kind: {' or '.join(owners[key])}",
-                    at=(key,),
-                )
+                expected = f"of these keys: {', '.join(mine)}" if mine else f"none of {', '.join(owners)}"
+                problem, hint = f"{_article(kind)} camera has no {key}", f"choose kind: {' or '.join(owners[key])}"
+                raise mistake(expected, problem=problem, got=str(data[key]), hint=f"leave {key} out, or {hint}", at=key)
         unsaid = {key for key in strange if key in owners}
         unsaid |= {key for key in cls.own_keys() if isinstance(data, Mapping) and data.get(key, 0) is None}
         return {key: value for key, value in data.items() if key not in unsaid} if unsaid else data
@@ -85,7 +81,7 @@ def camera_section(data: Mapping[str, Any]) -> Camera:
 
 
 def _of_its_class(data: Any) -> Any:
-    return camera_section(data) if isinstance(data, Mapping) else data  # what is none is left for validation to name
+    return camera_section(data) if isinstance(data, Mapping) else data  # validation reports what is no mapping
 
 
 AnyCamera = Annotated[SerializeAsAny[Camera], BeforeValidator(_of_its_class)]
@@ -107,24 +103,16 @@ def _article(noun: str) -> str:
 def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
     """What is wrong with a rig beside the camera's other keys."""
     if camera.rig is None:
-        missing = [key for key in ("position_m", "look_at_m") if getattr(camera, key) is None]
-        if camera.look is not None:
-            missing = [key for key in missing if key != "look_at_m"]
-        if missing:
-            return mistake(
-                "x, y, z in metres", problem=f"the key {missing[0]!r} is missing", got="nothing", at=(missing[0],)
-            )
-        return None
+        needed = ("position_m", "look_at_m") if camera.look is None else ("position_m",)
+        missing = next((key for key in needed if getattr(camera, key) is None), None)
+        if missing is None:
+            return None
+        return mistake("x, y, z in metres", problem=f"the key {missing!r} is missing", got="nothing", at=missing)
     rig, part = camera.rig.kind, camera.rig_part
     for key in part.decides:
         if getattr(camera, key) is not None:
-            return mistake(
-                "no such key beside this rig",
-                problem=f"{_article(rig)} says itself where the camera {'looks' if 'look' in key else 'is'}",
-                got=key,
-                hint=f"leave {key} out",
-                at=(key,),
-            )
+            problem = f"{_article(rig)} says itself where the camera {'looks' if 'look' in key else 'is'}"
+            return mistake("no such key beside this rig", problem=problem, got=key, hint=f"leave {key} out", at=key)
     wrong: PydanticCustomError | None = part.check(camera)
     return wrong
 
@@ -136,12 +124,8 @@ def _looking(camera: CameraKeys) -> PydanticCustomError | None:
         at = ("look_at_m",) if camera.look_at_m is not None else ("path", "look_at_m")
         return mistake("look or look_at_m, not both", problem="two ways to look", got=f"look: {camera.look}", at=at)
     if camera.is_level and camera.look in ("up", "down"):
-        return mistake(
-            "north, east, south or west: what is in the image's middle",
-            problem=f"{_article(camera.kind)} is level",
-            got=camera.look,
-            at=("look",),
-        )
+        expected = "north, east, south or west: what is in the image's middle"
+        return mistake(expected, problem=f"{_article(camera.kind)} is level", got=camera.look, at="look")
     return None
 
 
@@ -152,32 +136,26 @@ def _looks_at_itself(camera: CameraKeys) -> PydanticCustomError | None:
     flat = 2 if camera.is_level else 3  # of a level one only the direction on the map counts
     for index, (position, look_at) in enumerate(zip(camera.positions_m, camera.looks_at_m, strict=True)):
         if math.dist(position[:flat], look_at[:flat]) < 1e-6:
-            start = camera.path is None or index == 0
-            at: tuple[str, ...] = ("look_at_m",) if start else ("path",)
-            if not start and camera.path is not None:
-                at += ("look_at_m",) if camera.path.look_at_m else ("position_m",)
-            return mistake(
-                "a look_at_m away from position_m" + ("" if start else " all the way"),
-                problem="the camera looks at itself" + ("" if start else f" in frame {index} of its path"),
-                got=str([round(x, 6) for x in look_at]),
-                at=at,
-            )
+            got = str([round(x, 6) for x in look_at])
+            if camera.path is None or index == 0:
+                expected, problem = "a look_at_m away from position_m", "the camera looks at itself"
+                return mistake(expected, problem=problem, got=got, at="look_at_m")
+            expected, problem = "a look_at_m away from position_m all the way", "the camera looks at itself in frame"
+            at = ("path", "look_at_m" if camera.path.look_at_m else "position_m")
+            return mistake(expected, problem=f"{problem} {index} of its path", got=got, at=at)
     return None
 
 
 def check_cameras(cameras: Sequence[Camera]) -> None:
-    """Raise a recipe's mistake if names of images collide or there are too many of them."""
+    """Raise an error of validation if names of images collide or there are too many of them."""
     frames = 0
     owner: dict[str, int] = {}
     for index, camera in enumerate(cameras):
         frames += camera.frames
         if frames > MOST_FRAMES:
-            raise mistake(
-                f"at most {MOST_FRAMES} frames of all cameras together",
-                problem="too many frames",
-                got=f"{sum(one.frames for one in cameras)}",
-                at=(index, "path", "frames") if camera.path else (index, "rig") if camera.rig else (index,),
-            )
+            at = (index, "path", "frames") if camera.path else (index, "rig") if camera.rig else (index,)
+            expected, got = f"at most {MOST_FRAMES} frames of all cameras together", sum(one.frames for one in cameras)
+            raise mistake(expected, problem="too many frames", got=str(got), at=at)
         for name in {camera.name: None, **dict.fromkeys(camera.frame_names)}:
             # Compared without case: the names become files, and some file systems ignore case.
             first = owner.setdefault(name.lower(), index)
@@ -186,7 +164,7 @@ def check_cameras(cameras: Sequence[Camera]) -> None:
 
 
 def check_motion(cameras: Sequence[Camera], *, plants_move: bool) -> None:
-    """Raise a recipe's mistake if a path makes one image over and over again."""
+    """Raise an error of validation if all images of a path would be the same."""
     for index, camera in enumerate(cameras):
         if camera.path is not None and not camera.moves and not plants_move:
             raise mistake(
@@ -199,17 +177,8 @@ def check_motion(cameras: Sequence[Camera], *, plants_move: bool) -> None:
 
 
 def _collision(cameras: Sequence[Camera], first: int, second: int, name: str) -> PydanticCustomError:
-    if cameras[first].name.lower() == cameras[second].name.lower():
-        return mistake(
-            "a different name for each camera",
-            problem="two cameras of one name",
-            got=cameras[second].name,
-            at=(second, "name"),
-        )
-    other = cameras[first].name
-    return mistake(
-        "other names than those of a path's frames, NAME-0000, NAME-0001, ...",
-        problem=f"two images of one name, {name}",
-        got=f"{cameras[second].name}, beside the camera {other}",
-        at=(second, "name"),
-    )
+    one, other, at = cameras[first].name, cameras[second].name, (second, "name")
+    if one.lower() == other.lower():
+        return mistake("a different name for each camera", problem="two cameras of one name", got=other, at=at)
+    expected = "other names than those of a path's frames, NAME-0000, NAME-0001, ..."
+    return mistake(expected, problem=f"two images of one name, {name}", got=f"{other}, beside the camera {one}", at=at)

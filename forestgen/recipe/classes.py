@@ -1,11 +1,13 @@
-"""What a recipe's `labels.classes` may say; what it means stands in `forestgen.labels.classes`."""
+"""Checks of a recipe's `labels.classes`; `forestgen.labels.classes` has their meaning."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+
+from pydantic_core import PydanticCustomError
 
 from forestgen.core.parts import Part
+from forestgen.recipe.fields import mistake
 from forestgen.recipe.suggestions import did_you_mean
 
 OTHERS = "others"  # all species that no class names
@@ -16,75 +18,49 @@ PARTS = {part.name.lower(): part for part in Part if part not in (Part.NOTHING, 
 PLANT_PARTS = ("trunk", "branch", "leaf", "flower", "fruit", "dead_wood")
 
 
-@dataclass(frozen=True)
-class ClassMistake:
-    """What is wrong with a recipe's classes."""
+def wrong_classes(classes: Mapping[str, Sequence[str]], species: Sequence[str]) -> PydanticCustomError | None:
+    """What is wrong first in the classes of a recipe with these species, or None.
 
-    at: tuple[str | int, ...]  # keys below labels.classes
-    problem: str
-    expected: str
-    got: str
-    hint: str | None = None
-
-
-def check_classes(classes: Mapping[str, Sequence[str]], species: Sequence[str]) -> ClassMistake | None:
-    """The first mistake in `classes`, or None.
-
-    Parameters
-    ----------
-    classes : class name -> names of species and parts in it.
-    species : the recipe's.
+    `classes` maps a class to the names of species and parts in it.
     """
     seen: dict[str, str] = {}
     for key, members in classes.items():
         if key.lower() in RESERVED:
-            return ClassMistake((key,), "this class is there already", "another name than nothing or ground", key)
+            return _wrong((key,), "this class is there already", "another name than nothing or ground", key)
         for index, name in enumerate(members):
-            wrong = _wrong_member(name, species)
-            if wrong is None and name in seen:
-                wrong = "in two classes", "each species and part in one class", f"{name}, also in {seen[name]}", None
-            if wrong is not None:
-                return ClassMistake((key, index), *wrong)
+            if name in species and name in PARTS:
+                got, hint = f"{name}, which is both a species and a part", "give the species another name"
+                return _wrong((key, index), "this name is ambiguous", "a species or a part", got, hint)
+            known = [*species, *PARTS, OTHERS]
+            if name not in known:
+                expected, hint_or_none = "one of " + ", ".join(known), did_you_mean(name.lower(), known)
+                problem = "neither a species of the recipe nor a part"
+                return _wrong((key, index), problem, expected, repr(name), hint_or_none)
+            if name in seen:
+                expected, got = "each species and part in one class", f"{name}, also in {seen[name]}"
+                return _wrong((key, index), "in two classes", expected, got)
             seen[name] = key
-    return _left_over(seen, species) or _same_name(classes, seen, species)
+    return None if OTHERS in seen and OTHERS not in species else _left_over(classes, seen, species)
 
 
-def _wrong_member(name: str, species: Sequence[str]) -> tuple[str, str, str, str | None] | None:
-    if name in species and name in PARTS:
-        both = f"{name}, which is both a species and a part"
-        return "this name is ambiguous", "a species or a part", both, "give the species another name"
-    known = [*species, *PARTS, OTHERS]
-    if name in known:
-        return None
-    hint = did_you_mean(name.lower(), known)
-    return "neither a species of the recipe nor a part", "one of " + ", ".join(known), repr(name), hint
+def _wrong(
+    keys: tuple[str | int, ...], problem: str, expected: str, got: str, hint: str | None = None
+) -> PydanticCustomError:
+    return mistake(expected, problem=problem, got=got, hint=hint, at=("labels", "classes", *keys))
 
 
-def _left_over(seen: Mapping[str, str], species: Sequence[str]) -> ClassMistake | None:
-    parts = [part for part in PLANT_PARTS if part not in seen]
-    if not parts or (OTHERS in seen and OTHERS not in species):
-        return None
-    for name in species:
-        if name not in seen:
-            which = "" if len(parts) == len(PLANT_PARTS) else f": its {', '.join(parts)}"
-            return ClassMistake(
-                (),
-                "a species is in no class",
-                "every species in a class",
-                f"{name}{which}",
-                f"add {name}, or `others` for all species that are not named, to a class",
-            )
-    return None
-
-
-def _same_name(
+def _left_over(
     classes: Mapping[str, Sequence[str]], seen: Mapping[str, str], species: Sequence[str]
-) -> ClassMistake | None:
-    """A class of species is a category of instances, and so is a species that only classes of parts cover."""
-    if OTHERS in seen and OTHERS not in species:
-        return None
-    for name in species:
-        if name not in seen and {*species, OTHERS} & set(classes.get(name, ())):
+) -> PydanticCustomError | None:
+    """A species without a class, or one whose category of instances would have the name of another species' class."""
+    parts = [part for part in PLANT_PARTS if part not in seen]
+    left = [name for name in species if name not in seen]
+    if parts and left:
+        which = "" if len(parts) == len(PLANT_PARTS) else f": its {', '.join(parts)}"
+        hint = f"add {left[0]}, or `others` for all species that are not named, to a class"
+        return _wrong((), "a species is in no class", "every species in a class", f"{left[0]}{which}", hint)
+    for name in left:
+        if {*species, OTHERS} & set(classes.get(name, ())):
             expected = f"another name, or {name} among its species"
-            return ClassMistake((name,), "this class has the name of a species that it lacks", expected, name)
+            return _wrong((name,), "this class has the name of a species that it lacks", expected, name)
     return None

@@ -23,6 +23,7 @@ Each has a quantile function, so that a value can follow from a point of [0, 1) 
 from __future__ import annotations
 
 import math
+import sys
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -140,7 +141,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Sequence:
-    """Not random: each image has its own value, such as a time of a story."""
+    """Not random: each image has its own value, such as a time of a timeline."""
 
     values: tuple[Scalar, ...]
 
@@ -148,7 +149,7 @@ class Sequence:
         return self.values[image % len(self.values)]
 
     def draw(self, rng: np.random.Generator) -> Scalar:
-        """For whoever knows no image: the first."""
+        """The first; for callers without an image."""
         return self.values[0]
 
     def quantile(self, u: float) -> Scalar:
@@ -211,14 +212,8 @@ def _log(value: float) -> float:
 
 
 def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(_to_float(value))
-
-
-def _to_float(value: float) -> float:
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
+    """Whether this is a number that a float can hold."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _pair(value: Any, expected: str) -> tuple[float, float]:
@@ -242,23 +237,22 @@ def _integers(value: Any) -> Integers:
 
 
 def _choice(value: Any) -> Choice:
-    if isinstance(value, Mapping) and value.keys() == {"values", "weights"}:
-        values, weights = _entries(value["values"]), value["weights"]
-        if not isinstance(weights, list | tuple) or len(weights) != len(values):
-            raise BadDistributionError(f"as many weights as values: {len(values)}")
-        if not all(_is_number(weight) and 0 <= weight <= 1e100 for weight in weights) or not any(weights):
-            raise BadDistributionError("weights of 0 and more, not all of them 0")
-        # What is never drawn stays among the values of a numbered choice, whose draws are its entries' numbers.
-        if not all(weights) and _is_structured(values):
-            raise BadDistributionError("weights above 0", "leave out the mapping or list that is never to be drawn")
-        kept = [(one, float(weight)) for one, weight in zip(values, weights, strict=True) if weight > 0]
-        return Choice(tuple(one for one, _ in kept), tuple(weight for _, weight in kept), _is_structured(values))
-    if isinstance(value, Mapping):
-        raise BadDistributionError(
-            "{choice: [x, y, ...]} or {choice: {values: [x, y, ...], weights: [3, 1, ...]}}", _weights_hint(value)
-        )
-    values = _entries(value)
-    return Choice(values, None, _is_structured(values))
+    if not isinstance(value, Mapping):
+        values = _entries(value)
+        return Choice(values, None, _is_structured(values))
+    if value.keys() != {"values", "weights"}:
+        expected = "{choice: [x, y, ...]} or {choice: {values: [x, y, ...], weights: [3, 1, ...]}}"
+        raise BadDistributionError(expected, _weights_hint(value))
+    values, weights = _entries(value["values"]), value["weights"]
+    if not isinstance(weights, list | tuple) or len(weights) != len(values):
+        raise BadDistributionError(f"as many weights as values: {len(values)}")
+    if not all(_is_number(weight) and 0 <= weight <= 1e100 for weight in weights) or not any(weights):
+        raise BadDistributionError("weights of 0 and more, not all of them 0")
+    # What is never drawn stays among the values of a numbered choice, whose draws are its entries' numbers.
+    if not all(weights) and _is_structured(values):
+        raise BadDistributionError("weights above 0", "leave out the mapping or list that is never to be drawn")
+    kept = [(one, float(weight)) for one, weight in zip(values, weights, strict=True) if weight > 0]
+    return Choice(tuple(one for one, _ in kept), tuple(weight for _, weight in kept), _is_structured(values))
 
 
 def _weights_hint(value: Mapping[str, Any]) -> str | None:
@@ -285,9 +279,8 @@ def _sequence(value: Any) -> Sequence:
     if not isinstance(value, list | tuple) or not 1 <= len(value) <= MOST_VALUES:
         raise BadDistributionError(f"{{sequence: [x, y, ...]}} with 1 to {MOST_VALUES} values")
     if not all(_is_scalar(one) for one in value):
-        raise BadDistributionError(
-            "{sequence: [x, y, ...]} of finite numbers, texts, true or false, not lists or mappings"
-        )
+        expected = "{sequence: [x, y, ...]} of finite numbers, texts, true or false, not lists or mappings"
+        raise BadDistributionError(expected)
     return Sequence(tuple(value))
 
 
@@ -300,9 +293,8 @@ def _gaussian(value: Any, kind: str, centre: str, spread: str) -> tuple[float, f
     expected = f"{{{kind}: [{centre}, {spread}]}} or {{{kind}: {{{centre}: , {spread}: , low: , high: }}}} with numbers"
     low, high = -math.inf, math.inf
     if isinstance(value, Mapping):
-        if not {centre, spread} <= value.keys() <= {centre, spread, "low", "high"}:
-            raise BadDistributionError(expected)
-        if not all(_is_number(v) for v in value.values()):
+        known = {centre, spread} <= value.keys() <= {centre, spread, "low", "high"}
+        if not known or not all(_is_number(v) for v in value.values()):
             raise BadDistributionError(expected)
         middle, width = float(value[centre]), float(value[spread])
         low, high = float(value.get("low", low)), float(value.get("high", high))
@@ -333,10 +325,6 @@ def _with_mass(normal: Normal) -> Normal:
 
 
 _PARSERS: dict[str, Callable[[Any], Distribution]] = {
-    "uniform": _uniform,
-    "normal": _normal,
-    "lognormal": _lognormal,
-    "integers": _integers,
-    "choice": _choice,
+    "uniform": _uniform, "normal": _normal, "lognormal": _lognormal, "integers": _integers, "choice": _choice,
     "sequence": _sequence,
-}
+}  # fmt: skip

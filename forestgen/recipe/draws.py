@@ -1,4 +1,4 @@
-"""All that a recipe draws: distributions and what follows from variables, found in its data, drawn and put in place.
+"""All that a recipe draws: distributions and what follows from variables, found in its data, checked and drawn.
 
 A choice may be among mappings or lists that hold distributions again; the key path of one of these goes through the
 choice, such as ``sky.clouds.choice.1.cover``. Values are put in place from the inside out, the choice's own last.
@@ -10,9 +10,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import RecipeError
+from pydantic import ValidationError
+
+from forestgen.core.errors import ErrorList, RecipeError
 from forestgen.core.randomness import child_rng
+from forestgen.recipe.dataset import DEFAULT_SPLITS
 from forestgen.recipe.distributions import (
     BadDistributionError,
     Choice,
@@ -22,11 +24,11 @@ from forestgen.recipe.distributions import (
     parse_distribution,
 )
 from forestgen.recipe.distributions import Sequence as InOrder
-from forestgen.recipe.messages import UNDRAWN, show
-from forestgen.recipe.sampler import Sampler
+from forestgen.recipe.messages import UNDRAWN, Explainer, show
+from forestgen.recipe.sampler import Sampler, Sampling, make_sampler
 from forestgen.recipe.sources import Keys, SourceMap, dotted
 from forestgen.recipe.variables import SECTION as VARIABLES
-from forestgen.recipe.variables import Variables, is_reference, needs_variables
+from forestgen.recipe.variables import Variables, is_reference, make_variables, needs_variables
 
 Values = Mapping[Keys, Scalar]
 MOST_PROBES = 1000  # a recipe is checked so many times at most
@@ -183,16 +185,13 @@ def _find(value: Any, keys: Keys, variables: Mapping[str, Any]) -> Iterator[tupl
             yield from _find(item, (*keys, i), variables)
 
 
-def parsed(written: Mapping[Keys, Any], sources: SourceMap) -> dict[Keys, Distribution]:
+def _parsed(written: Mapping[Keys, Any], sources: SourceMap) -> dict[Keys, Distribution]:
     """The distributions among what is written; raises `RecipeError` with the places of bad ones."""
-    found: dict[Keys, Distribution] = {}
     errors = ErrorList(sources.place(()).origin)
-    for keys, value in written.items():
-        one = errors.attempt(_distribution, keys, value, sources) if is_distribution(value) else None
-        if one is not None:
-            found[keys] = one
+    chosen = {keys: value for keys, value in written.items() if is_distribution(value)}
+    tried = {keys: errors.attempt(_distribution, keys, value, sources) for keys, value in chosen.items()}
     errors.raise_all()
-    return found
+    return {keys: one for keys, one in tried.items() if one is not None}
 
 
 def _distribution(keys: Keys, value: Any, sources: SourceMap) -> Distribution:
@@ -200,22 +199,63 @@ def _distribution(keys: Keys, value: Any, sources: SourceMap) -> Distribution:
     try:
         one = parse_distribution(value)
     except BadDistributionError as cause:
-        raise RecipeError(
-            "bad distribution", where=where, expected=str(cause), got=show(value), hint=cause.hint
-        ) from cause
-    if isinstance(one, Choice) and one.numbered and (keys[0] == "species" or keys[: len(VARIABLES)] == VARIABLES):
-        expected = "numbers, texts, true or false" + (
-            ": all images have the same species" if keys[0] == "species" else ""
-        )
-        hint = "choose how many there are of each: community: {plants: {choice: [...]}}"
-        raise RecipeError(
-            "no mappings or lists are chosen here",
-            where=where,
-            expected=expected,
-            got=show(value),
-            hint=hint if keys[0] == "species" else None,
-        )
+        expected, hint = str(cause), cause.hint
+        raise RecipeError("bad distribution", where=where, expected=expected, got=show(value), hint=hint) from cause
+    of_species = keys[0] == "species"
+    if isinstance(one, Choice) and one.numbered and (of_species or keys[: len(VARIABLES)] == VARIABLES):
+        expected = "numbers, texts, true or false" + (": all images have the same species" if of_species else "")
+        hint = "choose how many there are of each: community: {plants: {choice: [...]}}" if of_species else None
+        problem = "no mappings or lists are chosen here"
+        raise RecipeError(problem, where=where, expected=expected, got=show(value), hint=hint)
     return one
+
+
+def make_draws(data: Mapping[str, Any], sources: SourceMap) -> Draws:
+    """All that is drawn, checked."""
+    section = _sampling(data, sources)
+    written, seed = find_written(data), whole_number(data, "seed", 0)
+    distributions = _parsed(written, sources)
+    references = {keys: value for keys, value in written.items() if is_reference(value)}
+    given = section.variables if section is not None else {}
+    variables = make_variables(given, references, distributions, sources)
+    sampler: Sampler | None = None
+    if section is not None:
+        sampler = make_sampler(section, distributions, references, sources, seed, splits_of(data))
+    draws = Draws(seed, written, distributions, variables, sampler)
+    if draws.probe_count > MOST_PROBES:
+        problem, got = "the recipe draws too much to be checked", f"{draws.probe_count:,}"
+        expected = f"at most {MOST_PROBES:,} ends of distributions and choices in all"
+        raise RecipeError(problem, where=sources.where(()), expected=expected, got=got)
+    return draws
+
+
+def _sampling(data: Mapping[str, Any], sources: SourceMap) -> Sampling | None:
+    """The section of the name, which decides how all the others are drawn."""
+    written = data.get("sampling")
+    if written is None:
+        return None
+    try:
+        return Sampling.model_validate(written)
+    except ValidationError as failure:
+        given = written if isinstance(written, dict) else {}
+        raise Explainer(Sampling, given, sources, ("sampling",)).error(failure) from None
+
+
+def whole_number(data: Mapping[str, Any], key: str, default: int) -> int:
+    """A whole number needed before validation; a bad one counts as the default until validation rejects it."""
+    value = data.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 2**63:
+        return default
+    return int(value)
+
+
+def splits_of(data: Mapping[str, Any]) -> Mapping[str, float]:
+    """Splits are needed before validation, too; bad ones count as the default until validation rejects them."""
+    section = data.get("dataset")
+    splits = section.get("splits") if isinstance(section, Mapping) else None
+    shares = list(splits.values()) if isinstance(splits, Mapping) else []
+    good = all(isinstance(one, int | float) and not isinstance(one, bool) and 0 < one < 1e100 for one in shares)
+    return {str(name): float(share) for name, share in splits.items()} if splits and shares and good else DEFAULT_SPLITS
 
 
 def mentions(value: Any, words: frozenset[str]) -> bool:

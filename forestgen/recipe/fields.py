@@ -14,8 +14,10 @@ from pydantic import (
     Field,
     GetJsonSchemaHandler,
     ModelWrapValidatorHandler,
+    SerializerFunctionWrapHandler,
     Strict,
     ValidationError,
+    model_serializer,
     model_validator,
 )
 from pydantic.fields import FieldInfo
@@ -47,24 +49,50 @@ class OpenSection(BaseModel):
         return dict(self.model_extra or {})
 
 
-def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
-    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
+class GivenSection(Section):
+    """A section whose keys may all be left out; it is written down as it was given."""
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in handler(self).items() if value is not None}
+
+
+def known_part(registry: Registry) -> AfterValidator:
+    """Validator of a registered part's name."""
 
     def known(name: str) -> str:
         try:
             registry.check(name)
         except RecipeError as error:
-            raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
+            raise _as_mistake(error) from error
         return name
 
-    return AfterValidator(known), Field(json_schema_extra=partial(_add_names, registry=registry))
+    return AfterValidator(known)
+
+
+def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
+    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
+    return known_part(registry), Field(json_schema_extra=partial(_add_names, registry=registry))
+
+
+def list_names(schema: dict[str, Any], registry: Registry) -> None:
+    """Add to the JSON Schema of a part's name the names that are registered when it is made."""
+    schema["enum"] = registry.ids()
 
 
 def _add_names(schema: dict[str, Any], registry: Registry) -> None:
-    """To the JSON Schema of a part's name, the parts that are registered when it is made."""
-    schema["enum"] = registry.ids()
+    """The same, with the parts' descriptions."""
+    list_names(schema, registry)
     about = "; ".join(f"{name}: {registry.describe(name)}" for name in registry)
     schema["description"] = f"{schema.get('description', 'The part.')} {about}."
+
+
+def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    """A validator that refuses a name that stands twice in a list."""
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise mistake("each one once", problem="a name that stands twice", got=name, at=(index,))
+    return names
 
 
 class PartSection(Section):
@@ -93,9 +121,7 @@ class PartSection(Section):
         try:
             part = cls.registry.load(cls.named_by(data))
         except RecipeError as error:
-            raise mistake(
-                error.expected or "", problem=error.problem, got=error.got, hint=error.hint, at=(cls.selector,)
-            ) from error
+            raise _as_mistake(error, at=cls.selector) from error
         parameters: type[Self] = part.Parameters
         return parameters
 
@@ -155,14 +181,19 @@ def mistake(
     problem: str = "bad value",
     got: str | None = None,
     hint: str | None = None,
-    at: tuple[str | int, ...] = (),
+    at: str | tuple[str | int, ...] = (),
 ) -> PydanticCustomError:
     """Error for a validator to raise; `forestgen.recipe.messages` turns it into a `RecipeError`.
 
-    `at` is the path from the validated value to the one at fault.
+    `at` is the key, or the path of keys, from the validated value to the one at fault.
     """
-    context = {"problem": problem, "expected": expected, "got": got, "hint": hint, "at": at}
+    path = (at,) if isinstance(at, str) else at
+    context = {"problem": problem, "expected": expected, "got": got, "hint": hint, "at": path}
     return PydanticCustomError("mistake", "{problem}: expected {expected}", context)
+
+
+def _as_mistake(error: RecipeError, at: str = "") -> PydanticCustomError:
+    return mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint, at=at or ())
 
 
 def spelled_out(value: Any, key: str) -> Any:
@@ -170,8 +201,13 @@ def spelled_out(value: Any, key: str) -> Any:
     return {key: value} if isinstance(value, str) else value
 
 
+def shorthand(key: str) -> BeforeValidator:
+    """Validator of a field whose section may be written as the text of its `key` alone."""
+    return BeforeValidator(partial(spelled_out, key=key))
+
+
 def _no_text_for_whole_number(value: Any) -> Any:
-    # Lax integers also take "16" and true; 16.0 is welcome because YAML writes 1e3 as a float.
+    # Lax integers also take "16" and true; 16.0 is accepted because YAML writes 1e3 as a float.
     if isinstance(value, bool | str | bytes):
         raise PydanticCustomError("int_type", "a whole number")
     return value

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from forestgen.recipe.assets import list_assets
@@ -25,6 +25,12 @@ _BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "ex
 _SCALARS = {"number", "integer", "boolean", "string"}
 _SCALAR: Json = {"type": ["number", "string", "boolean", "null"]}
 _OF_SAMPLING = {"Sampling", "Correlation"}  # decide how the rest is drawn
+_OF_SPECIES = ("Ecology", "PowerLaw", "Allometry", "Plant", "PlantType", "Material")
+_SHORTHANDS = (
+    ("Site", "terrain", "Terrain", "kind"),
+    ("Site", "wet_soil", "WetSoil", "shown"),
+    ("SkySection", "clouds", "Clouds", "type"),
+)  # section, its key, that key's section, and the key of it that may stand alone
 
 
 def recipe_json_schema(
@@ -45,20 +51,20 @@ def recipe_json_schema(
         _splice(definitions, "Plant", "generator", plant_parameters)
     _tidy(schema)
     splits = copy.deepcopy(definitions["Dataset"]["properties"]["splits"])
-    for name, definition in definitions.items():
-        if name not in _OF_SAMPLING:
-            definitions[name] = _drawable(definition)
+    for name in definitions.keys() - _OF_SAMPLING:
+        definitions[name] = _drawable(definitions[name])
     undrawn = {str(keys[0]) for keys in UNDRAWN if len(keys) == 1}
     properties: Json = schema["properties"]
-    for name, definition in properties.items():
-        if name not in undrawn:
-            properties[name] = _drawable(definition)
+    for name in properties.keys() - undrawn:
+        properties[name] = _drawable(properties[name])
     _admit_shorthands(schema)
-    _admit_alternatives(schema, undrawn)
+    # Every mapping or list in a section, except species, may be chosen among several.
+    for name in definitions.keys() - _OF_SAMPLING:
+        _admit_alternatives(definitions[name].get("properties", {}))
+    _admit_alternatives(properties, without=undrawn | {"species"})
     _admit_species_files(schema)
     definitions["Dataset"]["properties"]["splits"] = splits
-    definitions["Distribution"] = _distribution()
-    definitions["Alternatives"] = _alternatives()
+    definitions["Distribution"], definitions["Alternatives"] = _distribution(), _alternatives()
     definitions["Sampling"]["properties"]["variables"]["additionalProperties"] = {"anyOf": [_SCALAR, DISTRIBUTION]}
     schema["required"] = [name for name in schema["required"] if name not in ("cameras", "species")]
     head = {
@@ -69,6 +75,12 @@ def recipe_json_schema(
     return {**head, **schema, "description": "A plant community and the images to make of it."}
 
 
+def _outer_inner(node: Json) -> tuple[Json, Json]:
+    """A node's description and default, which stay outside where editors look for them, and the rest."""
+    outer: Json = {key: node[key] for key in ("description", "default") if key in node}
+    return outer, {key: value for key, value in node.items() if key not in outer}
+
+
 def _drawable(node: Any) -> Any:
     """`node` with every scalar schema inside also admitting a distribution."""
     if isinstance(node, list):
@@ -76,25 +88,20 @@ def _drawable(node: Any) -> Any:
     if not isinstance(node, dict):
         return node
     if node.get("type") in _SCALARS or "const" in node or "enum" in node:
-        # The description stays outside, where editors look for it.
-        outer = {key: node[key] for key in ("description", "default") if key in node}
-        inner = {key: value for key, value in node.items() if key not in outer}
+        outer, inner = _outer_inner(node)
         return {**outer, "anyOf": [inner, DISTRIBUTION]}
-    result: Json = {}
-    for key, value in node.items():
-        if key in ("properties", "patternProperties"):
-            result[key] = {name: _drawable(item) for name, item in value.items()}
-        elif key in ("items", "prefixItems", "anyOf", "oneOf", "allOf", "additionalProperties"):
-            result[key] = _drawable(value)
-        else:
-            result[key] = value
+    result: Json = dict(node)
+    for key in node.keys() & {"properties", "patternProperties"}:
+        result[key] = {name: _drawable(item) for name, item in node[key].items()}
+    for key in node.keys() & {"items", "prefixItems", "anyOf", "oneOf", "allOf", "additionalProperties"}:
+        result[key] = _drawable(node[key])
     return result
 
 
 def _tidy(node: Any) -> None:
     """Remove the titles that repeat a key's name (a key called "title" stays) and give bounds their JSON Schema names.
 
-    The schema library writes a bound beyond a validator function, as in `fields.Whole`, under its own name.
+    The schema library writes a bound beyond a validator function under its own name.
     """
     if isinstance(node, list):
         for item in node:
@@ -112,23 +119,19 @@ def _tidy(node: Any) -> None:
 def _splice(definitions: Json, section: str, selector: str, parameters: Mapping[str, Json]) -> None:
     """Make `section` one of its variants by the selector's value, each with its own keys."""
     base = definitions[section]
+    description = base["properties"][selector].get("description", "")
     variants = []
-    for name, own in sorted(parameters.items()):
-        own = copy.deepcopy(own)
+    for name, given in sorted(parameters.items()):
+        own = copy.deepcopy(given)
         prefix = f"{section}_{name}_"
         for inner, definition in own.pop("$defs", {}).items():
             definitions[prefix + inner] = _renamed(definition, prefix)
         own = _renamed(own, prefix)
-        description = base["properties"][selector].get("description", "")
+        # As an object, not as a scalar to be drawn: the choice of the variant is not a distribution.
+        chosen = {selector: {"allOf": [{"const": name}], "description": description}}
+        required = [selector, *own.get("required", [])]
         variants.append(
-            {
-                "type": "object",
-                "description": own.get("description", f"{selector} {name}"),
-                # As an object, not as a scalar to be drawn: the choice of the variant is not a distribution.
-                "properties": {selector: {"allOf": [{"const": name}], "description": description}, **own["properties"]},
-                "required": [selector, *own.get("required", [])],
-                "additionalProperties": False,
-            }
+            _object({**chosen, **own["properties"]}, required, own.get("description", f"{selector} {name}"))
         )
     definitions[section] = {"description": base.get("description", ""), "oneOf": variants}
 
@@ -137,57 +140,39 @@ def _renamed(node: Any, prefix: str) -> Any:
     """`node` with its references to local definitions given a prefix."""
     if isinstance(node, list):
         return [_renamed(item, prefix) for item in node]
-    if isinstance(node, dict):
-        return {
-            key: f"#/$defs/{prefix}{value.removeprefix('#/$defs/')}"
-            if key == "$ref" and isinstance(value, str)
-            else _renamed(value, prefix)
-            for key, value in node.items()
-        }
-    return node
+    if not isinstance(node, dict):
+        return node
+    result = {key: _renamed(value, prefix) for key, value in node.items()}
+    if isinstance(node.get("$ref"), str):
+        result["$ref"] = f"#/$defs/{prefix}{node['$ref'].removeprefix('#/$defs/')}"
+    return result
 
 
 def _admit_shorthands(schema: Json) -> None:
     definitions = schema["$defs"]
-    for owner, key, section, field in (
-        ("Site", "terrain", "Terrain", "kind"),
-        ("Site", "wet_soil", "WetSoil", "shown"),
-        ("SkySection", "clouds", "Clouds", "type"),
-    ):
+    for owner, key, section, field in _SHORTHANDS:
         kinds = definitions[section]["properties"][field]["anyOf"]
-        place = definitions[owner]["properties"][key]
-        description = {k: place[k] for k in ("description", "default") if k in place}
-        arms = place.get("anyOf", [{"$ref": f"#/$defs/{section}"}])
-        definitions[owner]["properties"][key] = {**description, "anyOf": [*arms, *kinds]}
+        outer, inner = _outer_inner(definitions[owner]["properties"][key])
+        arms = inner.get("anyOf", [{"$ref": f"#/$defs/{section}"}])
+        definitions[owner]["properties"][key] = {**outer, "anyOf": [*arms, *kinds]}
     del definitions["Camera"]["required"]
     for name in ("site", "plants", "sky", "cameras", "render", "labels"):
-        place = schema["properties"][name]
-        inner = {k: v for k, v in place.items() if k not in ("description", "default")}
-        outer = {k: v for k, v in place.items() if k in ("description", "default")}
+        outer, inner = _outer_inner(schema["properties"][name])
         schema["properties"][name] = {**outer, "anyOf": [inner, {"type": "null"}]}
 
 
-def _admit_alternatives(schema: Json, undrawn: set[str]) -> None:
-    """Every mapping or list in a section, but for species, may be chosen among several."""
-    for name in schema["$defs"].keys() - _OF_SAMPLING:
-        _with_alternatives(schema["$defs"][name], schema["$defs"][name].get("properties", {}))
-    outer = {name: schema["properties"][name] for name in schema["properties"].keys() - undrawn - {"species"}}
-    _with_alternatives(schema, outer)
-
-
-def _with_alternatives(section: Json, properties: Json) -> None:
-    for name, place in properties.items():
-        arms = place.get("anyOf", [place])
+def _admit_alternatives(properties: Json, without: set[str] | frozenset[str] = frozenset()) -> None:
+    for name in properties.keys() - without:
+        outer, inner = _outer_inner(properties[name])
+        arms = inner.get("anyOf", [inner])
         if any(("$ref" in arm and arm != DISTRIBUTION) or arm.get("type") in ("object", "array") for arm in arms):
-            outer = {key: place[key] for key in ("description", "default") if key in place}
-            inner = {key: value for key, value in place.items() if key not in outer}
-            section["properties"][name] = {**outer, "anyOf": [*inner.get("anyOf", [inner]), ALTERNATIVES]}
+            properties[name] = {**outer, "anyOf": [*arms, ALTERNATIVES]}
 
 
 def _admit_species_files(schema: Json) -> None:
     definitions = schema["$defs"]
     # Under `from`, any key may be left out at any depth: the file has it.
-    for name in ("Species", "Ecology", "PowerLaw", "Allometry", "Plant", "PlantType", "Material"):
+    for name in ("Species", *_OF_SPECIES):
         definitions[f"{name}Override"] = _partial(definitions[name])
     override = definitions["SpeciesOverride"]
     source = {"type": "string", "description": "Name of a species in scenes/species, or the path of its file."}
@@ -195,10 +180,9 @@ def _admit_species_files(schema: Json) -> None:
     definitions["SpeciesFromFile"] = {**override, "required": ["from"]}
     whole = {"$ref": "#/$defs/Species"}
     arms = [{"type": "null"}, source, {"$ref": "#/$defs/SpeciesFromFile"}, whole]
-    # A shipped species' name says where the rest comes from.
+    # By a shipped species' name the rest is known.
     by_name = {"anyOf": [{"type": "null"}, source, {"$ref": "#/$defs/SpeciesOverride"}, whole]}
     place = schema["properties"]["species"]
-    place.pop("additionalProperties", None)
     shipped = "|".join(name for name in list_assets("species") if re.fullmatch(NAME_PATTERN, name))
     others = f"^(?!({shipped})$)" + NAME_PATTERN.removeprefix("^")
     place["patternProperties"] = {f"^({shipped})$": by_name, others: {"anyOf": arms}}
@@ -213,79 +197,58 @@ def _partial(node: Any) -> Any:
     # Without its selector a section may fit several variants.
     result = {"anyOf" if key == "oneOf" else key: _partial(value) for key, value in node.items() if key != "required"}
     reference = result.get("$ref", "")
-    if isinstance(reference, str) and reference.removeprefix("#/$defs/") in (
-        "Ecology",
-        "PowerLaw",
-        "Allometry",
-        "Plant",
-        "PlantType",
-        "Material",
-    ):
+    if isinstance(reference, str) and reference.removeprefix("#/$defs/") in _OF_SPECIES:
         result["$ref"] = reference + "Override"
     return result
+
+
+def _object(properties: Json, required: Sequence[str], description: str | None = None) -> Json:
+    """A mapping with these keys and no others."""
+    about = {} if description is None else {"description": description}
+    made = {"type": "object", "properties": properties, "required": list(required), "additionalProperties": False}
+    return {**made, **about}
 
 
 def _choice(item: Json, description: str) -> Json:
     """A choice among such items, with or without weights."""
     items = {"type": "array", "items": item, "minItems": 1, "maxItems": MOST_VALUES}
-    weights = {"type": "array", "items": {"type": "number", "minimum": 0}, "minItems": 1, "maxItems": MOST_VALUES}
-    weighted = {
-        "type": "object",
-        "properties": {
-            "values": {**items, "description": "What is chosen from."},
-            "weights": {**weights, "description": "How often each is chosen, in any unit."},
-        },
-        "required": ["values", "weights"],
-        "additionalProperties": False,
+    weights = {**items, "items": {"type": "number", "minimum": 0}}
+    properties = {
+        "values": {**items, "description": "What is chosen from."},
+        "weights": {**weights, "description": "How often each is chosen, in any unit."},
     }
-    return {"anyOf": [items, weighted], "description": description}
+    return {"anyOf": [items, _object(properties, ("values", "weights"))], "description": description}
 
 
 def _alternatives() -> Json:
-    return {
-        "type": "object",
-        "description": "One of several mappings or lists, in which there may be distributions.",
-        "properties": {"choice": _choice({}, "One of these, equally likely; or values and weights.")},
-        "required": ["choice"],
-        "additionalProperties": False,
-    }
+    choice = _choice({}, "One of these, equally likely; or values and weights.")
+    about = "One of several mappings or lists, in which there may be distributions."
+    return _object({"choice": choice}, ("choice",), about)
 
 
 def _distribution() -> Json:
     number = {"type": "number"}
-    scalar = _SCALAR
 
     def pair(item: Json) -> Json:
         return {"type": "array", "items": item, "minItems": 2, "maxItems": 2}
 
-    def named(centre: str, spread: str) -> Json:
-        properties = {centre: number, spread: {"type": "number", "exclusiveMinimum": 0}, "low": number, "high": number}
-        return {
-            "type": "object",
-            "properties": properties,
-            "required": [centre, spread],
-            "additionalProperties": False,
-        }
+    def gaussian(centre: str, spread: str) -> Json:
+        ends = {"low": number, "high": number}
+        named = {centre: number, spread: {"type": "number", "exclusiveMinimum": 0}, **ends}
+        arms = [pair(number), _object(named, (centre, spread))]
+        return {"anyOf": arms, "description": f"[{centre}, {spread}], or with low and high."}
 
     properties: Json = {
         "uniform": {**pair(number), "description": "[low, high]: any number between, equally likely."},
-        "normal": {"anyOf": [pair(number), named("mean", "sd")], "description": "[mean, sd], or with low and high."},
-        "lognormal": {
-            "anyOf": [pair(number), named("median", "sigma")],
-            "description": "[median, sigma], or with low and high.",
-        },
+        "normal": gaussian("mean", "sd"),
+        "lognormal": gaussian("median", "sigma"),
         "integers": {**pair({"type": "integer"}), "description": "[low, high]: any whole number, both included."},
-        "choice": _choice({"anyOf": [scalar, DISTRIBUTION]}, "One of these, equally likely; or values and weights."),
-        "sequence": {"type": "array", "items": scalar, "minItems": 1, "description": "One after another, by image."},
+        "choice": _choice({"anyOf": [_SCALAR, DISTRIBUTION]}, "One of these, equally likely; or values and weights."),
+        "sequence": {"type": "array", "items": _SCALAR, "minItems": 1, "description": "One after another, by image."},
     }
     assert tuple(properties) == KINDS
     properties["variable"] = {"type": "string", "description": "The value of one of sampling.variables."}
     properties["formula"] = {"type": "string", "description": "Arithmetic of sampling.variables: 10 + 30 * wetness."}
-    return {
-        "type": "object",
-        "description": "A value drawn anew for each image.",
-        "properties": properties,
-        "minProperties": 1,
-        "maxProperties": 1,
-        "additionalProperties": False,
-    }
+    made = _object(properties, (), "A value drawn anew for each image.")
+    del made["required"]
+    return {**made, "minProperties": 1, "maxProperties": 1}

@@ -7,43 +7,38 @@
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterator, Mapping, Sequence
+import difflib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
-from ruamel.yaml import YAML
-from ruamel.yaml.representer import SafeRepresenter
 
 from forestgen.core.arguments import plain_copy
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import AssetError, ErrorList, RecipeError
 from forestgen.core.randomness import child_root
-from forestgen.recipe.assemble import apply_override, embed_program, embed_tables, merge_species, spell_out
+from forestgen.recipe.assemble import apply_override, embed_program, embed_tables, merge_species, normalize
+from forestgen.recipe.assets import find_asset, list_assets, recipes_dir
 from forestgen.recipe.biome import forget_drawn_biome, settle_biome
+from forestgen.recipe.dataset import NUMBERS_END, split_of
 from forestgen.recipe.distributions import Distribution, Scalar
-from forestgen.recipe.draws import Draws, find_written, mentions, put
-from forestgen.recipe.hashing import recipe_hash
-from forestgen.recipe.map_files import embed_maps
+from forestgen.recipe.draws import Draws, find_written, make_draws, mentions, put, splits_of, whole_number
+from forestgen.recipe.map_files import embed_maps, recipe_hash
 from forestgen.recipe.messages import Explainer, distribution_of, show
-from forestgen.recipe.reading import check_version, make_draws, splits_of, suggest_shipped, whole_number
 from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
-from forestgen.recipe.sources import Keys, Place, SourceMap, copied
+from forestgen.recipe.sources import Keys, Place, SourceMap, copied, mapping_of, read_yaml, yaml_text
 from forestgen.recipe.species import Species
-from forestgen.recipe.splits import NUMBERS_END, split_of
-from forestgen.recipe.stand_ins import replace_sections, sections_of
-from forestgen.recipe.yaml_source import mapping_of, read_yaml
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 # Words of keys that files are found by, or checked with: see `LoadedRecipe._template`.
 _OF_FILES = frozenset({"program", "spectrum", "season", "bands", "biome"})
 _MOST_TEMPLATES = 16
+_STAND_IN = "poplar"  # a shipped species, small and complete
 _MOST_PROBES_OF_ERRORS = 50  # of a recipe with errors
 _MOST_ROUNDS = 4
-# Where the schema tells what does not go with another section: of no use where that one is a stand-in.
+# Section -> section in which the schema reports what does not fit it; such errors do not count for a stand-in.
 _ERRORS_OF_OTHERS = {"site": "site", "species": "labels", "wind": "cameras"}
 
 
@@ -81,17 +76,10 @@ class DrawnRecipe:
         return got if written is None else f"{got}, from {show(written)}"
 
     def parse(self, model: type[ModelT], data: Mapping[str, Any], keys: Keys) -> ModelT:
-        """A model's or generator's own keys, validated.
+        """A model's or generator's own keys, validated by its pydantic class.
 
-        Parameters
-        ----------
-        model : the pydantic class of the parameters.
-        data : the values, such as ``drawn.recipe.community.parameters``.
-        keys : key path of `data` in the recipe, such as ``("community",)`` or ``("species", "poplar", "plant")``.
-
-        Raises
-        ------
-        RecipeError : worded like the errors of the recipe's own keys.
+        `keys` is the path of `data` in the recipe, such as ``("community",)``. Raises `RecipeError`, worded like the
+        errors of the recipe's own keys.
         """
         try:
             return model.model_validate(dict(data), context={"folder": self.folder})  # where its files are
@@ -160,15 +148,11 @@ class LoadedRecipe:
         return whole_number(self.data, "first_image", 0)
 
     def draw(self, image_index: int) -> DrawnRecipe:
-        """The recipe of one image, 0 being the recipe's first.
+        """The recipe of one image, 0 being the first; raises `RecipeError` if the schema rejects a drawn value.
 
         Each value has its own stream of random numbers, named by its key and the image: adding, removing or changing
         one distribution leaves the others' draws as they were. What the section ``sampling`` places follows from the
         image's split and its rank there: see `forestgen.recipe.sampler`.
-
-        Raises
-        ------
-        RecipeError : a drawn value is one that the schema rejects.
         """
         image = self._first_image + image_index
         if not self._first_image <= image < NUMBERS_END:
@@ -202,7 +186,7 @@ class LoadedRecipe:
         errors = ErrorList(str(self.path))
         data = copied(self._template(values, errors))
         self.draws.put(data, values, {keys: None for keys in self.written if keys not in self._file_keys})
-        spell_out(data)
+        normalize(data)
         errors.attempt(embed_maps, data, self.sources, self.path.parent, self.file_sha256)
         recipe = errors.attempt(self._parsed, data, values)
         errors.raise_all()
@@ -223,7 +207,7 @@ class LoadedRecipe:
             return self._templates[chosen]
         data: dict[str, Any] = copied(self.data)
         self.draws.put(data, values, dict.fromkeys(self._file_keys))
-        spell_out(data)
+        normalize(data)
         if errors.attempt(settle_biome, data, self.sources):
             merge_species(data, self.sources, self.path.parent, errors)
         for part in _parts_with_files(data):
@@ -263,15 +247,8 @@ class LoadedRecipe:
 def load_recipe(path: Path | str, overrides: Sequence[str] = ()) -> LoadedRecipe:
     """Read a recipe and check all that can be checked before drawing each image.
 
-    Parameters
-    ----------
-    path : the recipe's file.
-    overrides : ``key.path=value`` each, applied in order; the value is YAML.
-
-    Raises
-    ------
-    RecipeError, AssetError : with the place, what was expected, what was found, what to do.
-    RecipeErrors : several of them, in the file's order.
+    The overrides, ``key.path=value`` each, are applied in order; the value is YAML. Raises `RecipeError`, `AssetError`,
+    or `RecipeErrors` for several of them.
     """
     return read_recipe(path, overrides).whole()
 
@@ -303,7 +280,7 @@ class Loading:
 def read_recipe(path: Path | str, overrides: Sequence[str] = ()) -> Loading:
     """Read a recipe as `load_recipe` does, and keep its errors; those of a file that is no YAML mapping are raised."""
     path = Path(path)
-    suggest_shipped(path)
+    _suggest_shipped(path)
     data, sources = read_yaml(path)
     return _loading(path, data, sources, overrides)
 
@@ -323,20 +300,20 @@ def read_recipe_text(text: str, overrides: Sequence[str] = ()) -> Loading:
 
 def _loading(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Sequence[str]) -> Loading:
     errors = ErrorList(sources.place(()).origin)
-    spell_out(data)
+    normalize(data)
     for override in overrides:
         errors.attempt(apply_override, data, sources, override)
-        spell_out(data)
+        normalize(data)
     if isinstance(version := data.get("forestgen"), int) and version > SCHEMA_VERSION:
-        check_version(data, sources)  # a newer schema's keys are not ours to judge
-    errors.attempt(check_version, data, sources)
+        _check_version(data, sources)  # a newer schema's keys are not ours to judge
+    errors.attempt(_check_version, data, sources)
     community = copied(data.get("community"))
     failed = errors.attempt(merge_species, data, sources, path.parent, errors) or []
-    stand_ins = replace_sections(data, {("species", name) for name in failed})
+    stand_ins = _replace_sections(data, {("species", name) for name in failed})
     draws = errors.attempt(make_draws, data, sources)
     if draws is None:
         wrong = [keys for keys in find_written(data) if sources.where(keys) in errors.places]
-        stand_ins |= replace_sections(data, {*wrong, ("sampling",)})
+        stand_ins |= _replace_sections(data, {*wrong, ("sampling",)})
         draws = ErrorList("").attempt(make_draws, data, sources)
     if draws is None:
         return Loading(errors, None, stand_ins, sources, community)
@@ -350,17 +327,82 @@ def _checked(loaded: LoadedRecipe, errors: ErrorList, stand_ins: frozenset[str])
         found.attempt(loaded.check)
         if not found:
             return Loading(errors, loaded, stand_ins, loaded.sources)
-        sections = {sections_of(place) for place in found.places}
+        sections = {_sections_of(place) for place in found.places}
         doubtful = {(_ERRORS_OF_OTHERS[one],) for one in stand_ins & _ERRORS_OF_OTHERS.keys()}
         if len(found.found) > 1 or not sections <= doubtful:  # such an error comes alone
-            errors.add_all(found)
+            errors.add(*found.found)
         data = copied(loaded.data)
-        stand_ins |= replace_sections(data, sections)
+        stand_ins |= _replace_sections(data, sections)
         draws = ErrorList("").attempt(make_draws, data, loaded.sources)
         if draws is None:
             break
         loaded = replace(loaded, data=data, draws=draws)
     return Loading(errors, None, stand_ins, loaded.sources)
+
+
+def _sections_of(where: str) -> Keys:
+    """Section and, of species, name that an error's place names, such as ``stand.yaml:7: species.oak.ecology``."""
+    keys = where.rpartition(": ")[2].split(".")
+    return tuple(keys[:2] if keys[0] == "species" else keys[:1])
+
+
+def _replace_sections(data: dict[str, Any], wrong: Iterable[Keys]) -> frozenset[str]:
+    """Replace in place what key paths name: by defaults, or where there are none by something that the schema takes.
+
+    Returns the sections that hold such a stand-in now, so that the other sections can be checked.
+    """
+    replaced = set()
+    for keys in wrong:
+        section = str(keys[0]) if keys else ""
+        if section not in data and section not in Recipe.model_fields:
+            continue
+        replaced.add(section)
+        if section == "species":
+            _replace_species(data, keys)
+        elif section == "community":
+            data[section] = {"model": "none"}
+        elif section == "forestgen":
+            data[section] = SCHEMA_VERSION
+        else:
+            data.pop(section, None)
+    return frozenset(replaced)
+
+
+def _replace_species(data: dict[str, Any], keys: Keys) -> None:
+    path = find_asset("species", _STAND_IN)
+    species = data.get("species")
+    if len(keys) > 1 and isinstance(species, dict) and keys[1] in species:
+        species[keys[1]] = read_yaml(path)[0]
+    else:
+        data["species"] = {_STAND_IN: read_yaml(path)[0]}
+
+
+def _suggest_shipped(path: Path) -> None:
+    """Raise `AssetError` for a missing file, with the path of the shipped recipe that has nearly its name."""
+    name = path.name.removesuffix(".yaml")
+    try:
+        if path.exists():
+            return
+    except (OSError, ValueError) as cause:
+        raise AssetError("not a file's name", where=f"{str(path)!r:.80}", expected="a recipe's path") from cause
+    names = list_assets("recipes")
+    near = difflib.get_close_matches(name, names, n=1)
+    hint = f"a recipe comes with forestgen: {recipes_dir() / near[0]}.yaml" if near else None
+    raise AssetError("no such recipe", where=str(path), expected="the path of a YAML file", got="no file", hint=hint)
+
+
+def _check_version(data: Mapping[str, Any], sources: SourceMap) -> None:
+    version = data.get("forestgen")
+    if version == SCHEMA_VERSION and not isinstance(version, bool):
+        return
+    newer = isinstance(version, int) and version > SCHEMA_VERSION
+    raise RecipeError(
+        "unknown version of the recipe's schema",
+        where=sources.where(("forestgen",)),
+        expected=f"forestgen: {SCHEMA_VERSION}",
+        got=show(version) if "forestgen" in data else "no such key",
+        hint="this recipe is for a newer forestgen" if newer else f"write 'forestgen: {SCHEMA_VERSION}' at the top",
+    )
 
 
 def _parts_with_files(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -372,34 +414,9 @@ def _parts_with_files(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
     yield {"cameras": data.get("cameras")}
 
 
-class _Representer(SafeRepresenter):
-    """Writes texts of several lines, such as programs, line by line."""
-
-
-def _represent_text(representer: SafeRepresenter, text: str) -> Any:
-    return representer.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None)
-
-
-_Representer.add_representer(str, _represent_text)
-
-
 def dump_yaml(drawn: DrawnRecipe) -> str:
     """The drawn recipe as YAML text, the same bytes for the same content; `load_recipe` reads it."""
     return yaml_text(drawn.data)
-
-
-def yaml_text(data: Mapping[str, Any]) -> str:
-    """A recipe's plain data as YAML text."""
-    yaml = YAML(typ="safe", pure=True)
-    yaml.Representer = _Representer
-    yaml.default_flow_style = None  # lists of numbers on one line
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.allow_unicode = True
-    yaml.width = 120
-    yaml.representer.ignore_aliases = lambda *_: True
-    text = io.StringIO()
-    yaml.dump(data, text)
-    return text.getvalue()
 
 
 def _image_seed(root: int, recipe: Recipe, image: int) -> int:

@@ -1,4 +1,4 @@
-"""Pictures, terrain, soundings and weather that a recipe names: found beside it, hashed by content, not by name.
+"""Pictures, terrain, soundings and weather that a recipe names: found beside it, known by content; the recipe's hash.
 
 ``map: meadow.png`` becomes ``map: {file: meadow.png, sha256: ...}`` when a recipe is loaded. With a sha256 in the
 recipe, as in one that is stored with an image, no other file is taken.
@@ -8,59 +8,53 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import AssetError
+from forestgen.recipe.assets import inside
 from forestgen.recipe.distributions import is_distribution
-from forestgen.recipe.paths import inside
 from forestgen.recipe.sources import Keys, SourceMap
 
 SECTION = "community"
 SLOTS = ("map", "keep_out")  # keys below the section whose text is a file's name
 MOST_BYTES = 2_000_000_000
+_SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy", ".csv", ".nc", ".vol")
+_Slot = tuple[Keys, Any, str | int]  # key path, parent and key of a value that may be a file
 
 
-def file_sha256(path: Path, named: str) -> str:
-    """SHA-256, hexadecimal, of a file that a recipe names `named`.
+def file_sha256(path: Path, named: str, where: str | None = None) -> str:
+    """SHA-256, hexadecimal, of a file that a recipe names `named`, at the place `where`.
 
-    Raises
-    ------
-    AssetError : there is none, or it cannot be read; it has no place, which the caller adds.
+    Raises `AssetError` where there is none, or it cannot be read.
     """
+    expected = "an existing file"
     try:
         if path.is_file():
             size = path.stat().st_size
             if size > MOST_BYTES:
-                raise AssetError(
-                    "the file is too large for a map",
-                    expected=f"at most {MOST_BYTES / 1e9:g} GB",
-                    got=f"{size / 1e9:,.1f} GB",
-                )
+                limit, got = f"at most {MOST_BYTES / 1e9:g} GB", f"{size / 1e9:,.1f} GB"
+                raise AssetError("the file is too large for a map", where=where, expected=limit, got=got)
             with path.open("rb") as stream:
                 return hashlib.file_digest(stream, "sha256").hexdigest()
         if path.exists():
             problem = "this is a folder" if path.is_dir() else "this is no plain file"
-            raise AssetError(problem, expected="an existing file", got=str(path))
-        raise AssetError("no such file", expected="an existing file", got=str(path), hint=_near(path, named))
+            raise AssetError(problem, where=where, expected=expected, got=str(path))
+        raise AssetError("no such file", where=where, expected=expected, got=str(path), hint=_near(path, named))
     except (OSError, ValueError) as cause:  # a name that no file system takes has ValueError
         reason = cause.strerror if isinstance(cause, OSError) else str(cause)
-        raise AssetError("the file cannot be read", expected="an existing file", got=reason) from cause
+        raise AssetError("the file cannot be read", where=where, expected=expected, got=reason) from cause
 
 
 def known_file(folder: Path, named: str, sha256: str | None, where: str | None = None) -> Path:
     """The path of a file that a recipe names, still the one that the recipe was loaded with.
 
-    Raises
-    ------
-    AssetError : there is none, or its SHA-256 is another one.
+    Raises `AssetError` where there is none, or its SHA-256 is another one.
     """
     path = inside(folder, named, sha256=sha256, where=where)
-    try:
-        found = file_sha256(path, named)
-    except AssetError as cause:
-        raise AssetError(cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint) from cause
+    found = file_sha256(path, named, where)
     if sha256 is not None and found != sha256:
         problem, expected = "this is not the file that the recipe was made with", f"SHA-256 {sha256[:16]}..."
         raise AssetError(problem, where=where, expected=expected, got=f"{path}: {found[:16]}...")
@@ -80,21 +74,13 @@ def _near(path: Path, named: str) -> str:
     return f"{relative}; files there: {', '.join(names) if names else 'none'}"
 
 
-_SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy", ".csv", ".nc", ".vol")
-
-
 def embed_maps(data: dict[str, Any], sources: SourceMap, folder: Path, known: dict[Path, str]) -> None:
     """Give every map of a recipe's community, and every file of its weather, in place the SHA-256 of its file.
 
     Where a file's name is chosen anew for each image, every choice becomes such a mapping: for the recipe's hash.
+    `known` is SHA-256 by path of the files that were read; it grows, and no file is read twice.
 
-    Parameters
-    ----------
-    known : SHA-256 by path of the files that were read; it grows, and no file is read twice.
-
-    Raises
-    ------
-    AssetError : no such file, or its content is not of the SHA-256 that the recipe gives.
+    Raises `AssetError` where there is no such file, or its content is not of the SHA-256 that the recipe gives.
     """
     for keys, parent, key in list(_all_slots(data)):
         value = parent[key]
@@ -121,7 +107,7 @@ def is_map_file(value: object) -> bool:
     return isinstance(value, dict) and isinstance(value.get("file"), str) and isinstance(value.get("sha256"), str)
 
 
-def _all_slots(data: dict[str, Any]) -> Iterator[tuple[Keys, Any, str | int]]:
+def _all_slots(data: dict[str, Any]) -> Iterator[_Slot]:
     """Key path, parent and key of every value that may be a file."""
     yield from _slots(data.get(SECTION), (SECTION,))
     yield from _own_slot(data, (SECTION, "soil"))
@@ -139,7 +125,7 @@ def _all_slots(data: dict[str, Any]) -> Iterator[tuple[Keys, Any, str | int]]:
         yield from _weather_slots(chapter, (*keys, "story", index))
 
 
-def _own_slot(data: dict[str, Any], keys: tuple[str, ...]) -> Iterator[tuple[Keys, Any, str | int]]:
+def _own_slot(data: dict[str, Any], keys: tuple[str, ...]) -> Iterator[_Slot]:
     """A map that has one place in a recipe."""
     parent: Any = data
     for key in keys[:-1]:
@@ -148,7 +134,7 @@ def _own_slot(data: dict[str, Any], keys: tuple[str, ...]) -> Iterator[tuple[Key
         yield keys, parent, keys[-1]
 
 
-def _weather_slots(value: Any, keys: Keys) -> Iterator[tuple[Keys, Any, str | int]]:
+def _weather_slots(value: Any, keys: Keys) -> Iterator[_Slot]:
     """The files of one kind of weather: its sounding, and the map of its emission."""
     if not isinstance(value, dict):
         return
@@ -159,7 +145,7 @@ def _weather_slots(value: Any, keys: Keys) -> Iterator[tuple[Keys, Any, str | in
         yield (*keys, "emission", "map"), emission, "map"
 
 
-def _slots(value: Any, keys: Keys) -> Iterator[tuple[Keys, Any, str | int]]:
+def _slots(value: Any, keys: Keys) -> Iterator[_Slot]:
     """Key path, parent and key of every value that may be a map."""
     if isinstance(value, dict):
         for key, item in value.items():
@@ -182,32 +168,46 @@ def _identified(
     where = sources.where(place if place in sources.places else keys)
     path = inside(folder, value["file"], sha256=written, where=where)
     if path not in known:
-        try:
-            known[path] = file_sha256(path, value["file"])
-        except AssetError as cause:
-            raise AssetError(
-                cause.problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint
-            ) from cause
+        known[path] = file_sha256(path, value["file"], where)
     if written is not None and written != known[path]:
-        raise AssetError(
-            "this is not the file that the recipe was made with",
-            where=where,
-            expected=f"a file whose SHA-256 is {written[:16]}...",
-            got=f"{path}: {known[path][:16]}...",
-            hint="bring the file back; or remove sha256, and the file is taken as it is now",
-        )
+        problem = "this is not the file that the recipe was made with"
+        expected = f"a file whose SHA-256 is {written[:16]}..."
+        hint = "bring the file back; or remove sha256, and the file is taken as it is now"
+        raise AssetError(problem, where=where, expected=expected, got=f"{path}: {known[path][:16]}...", hint=hint)
     return {**value, "sha256": known[path]}
 
 
-def _choices(
-    written: Any, sources: SourceMap, keys: Keys, folder: Path, known: dict[Path, str]
-) -> dict[str, list[Any]] | Any:
+def _choices(written: Any, sources: SourceMap, keys: Keys, folder: Path, known: dict[Path, str]) -> Any:
     """A choice of files' names, each with its SHA-256; any other distribution as it is."""
-    (kind, choices), *_ = written.items()
-    if kind != "choice" or not isinstance(choices, list):
+    choices = written.get("choice")
+    if not isinstance(choices, list):
         return written
+    files = [{"file": one} if isinstance(one, str) else one for one in choices]
     return {
-        kind: [
-            _identified({"file": one}, sources, keys, folder, known) if isinstance(one, str) else one for one in choices
+        "choice": [
+            _identified(new, sources, keys, folder, known) if new is not old else old
+            for new, old in zip(files, choices, strict=True)
         ]
     }
+
+
+def recipe_hash(data: Mapping[str, Any]) -> str:
+    """SHA-256, hexadecimal, of a recipe's complete content (`LoadedRecipe.complete` or `DrawnRecipe.data`).
+
+    Comments, layout, the order of keys and 1 against 1.0 do not matter; a species file's content does, and so does the
+    order of species, which numbers the classes. A map counts by its content, wherever its file lies.
+    """
+    content = {"recipe": _canonical(data), "species": list(data.get("species", ()))}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _canonical(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        nameless = is_map_file(value)
+        return {str(key): _canonical(item) for key, item in value.items() if not (nameless and key == "file")}
+    if isinstance(value, list | tuple):
+        return [_canonical(item) for item in value]
+    if isinstance(value, float) and value.is_integer():
+        return int(value)  # also -0.0; exact, as every float that is whole is an integer
+    return value

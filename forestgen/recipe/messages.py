@@ -1,4 +1,4 @@
-"""Turns the schema library's complaints into messages for people: where, expected, got, what to do."""
+"""Turns the schema library's errors into messages for people: where, expected, got, what to do."""
 
 from __future__ import annotations
 
@@ -19,31 +19,19 @@ from forestgen.recipe.sources import Keys, SourceMap
 from forestgen.recipe.suggestions import did_you_mean
 
 UNDRAWN: tuple[Keys, ...] = (
-    ("forestgen",),
-    ("seed",),
-    ("images",),
-    ("first_image",),
-    ("same_stand",),
-    ("sampling",),
-    ("dataset", "splits"),
-)
+    ("forestgen",), ("seed",), ("images",), ("first_image",), ("same_stand",), ("sampling",), ("dataset", "splits"),
+)  # fmt: skip
 
 _SIMPLE = {
-    "float_type": "a number",
-    "float_parsing": "a number",
-    "int_type": "a whole number",
-    "int_parsing": "a whole number",
+    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "a whole number"),
     "int_parsing_size": "a whole number of reasonable size",
-    "int_from_float": "a whole number",
     "finite_number": "a finite number",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
     "string_type": "text",
-    "list_type": "a list",
-    "tuple_type": "a list",
+    **dict.fromkeys(("list_type", "tuple_type"), "a list"),
     "dict_type": "a mapping of names to values",
-    "model_type": "a mapping of keys to values",
-    "model_attributes_type": "a mapping of keys to values",
+    **dict.fromkeys(("model_type", "model_attributes_type"), "a mapping of keys to values"),
     "none_required": "null",
 }
 _WITH_CONTEXT: dict[str, Callable[[Mapping[str, Any]], str]] = {
@@ -62,7 +50,7 @@ _WITH_CONTEXT: dict[str, Callable[[Mapping[str, Any]], str]] = {
     "assertion_error": lambda c: f"{c['error']}",
 }
 _WITH_UNIT = re.compile(r"([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*([^\s0-9].*)", re.IGNORECASE)
-#: Ends of keys -> what their unit is called: first for people, then as it is written.
+#: Ends of keys -> names of their unit: first for people, then as it is written.
 _UNITS = {
     "_m2": "square metres, m2, m²",
     "_m": "metres, m, metre, meter, meters",
@@ -78,6 +66,7 @@ _UNITS = {
     "_kg": "kilograms, kg",
 }
 _NUMBER_TYPES = {"float_type", "float_parsing", "int_type", "int_parsing", "finite_number"}
+_ABSENT = object()
 
 
 def show(value: object) -> str:
@@ -108,18 +97,6 @@ def distribution_of(keys: Keys, written: Mapping[Keys, Any]) -> Any:
 
 
 @dataclass(frozen=True)
-class _Finding:
-    where: str
-    problem: str
-    expected: str | None = None
-    got: str | None = None
-    hint: str | None = None
-
-    def error(self) -> RecipeError:
-        return RecipeError(self.problem, where=self.where, expected=self.expected, got=self.got, hint=self.hint)
-
-
-@dataclass(frozen=True)
 class Explainer:
     """Explains what a model found wrong with data.
 
@@ -139,23 +116,22 @@ class Explainer:
     written: Mapping[Keys, Any] | None = None
 
     def error(self, failure: ValidationError) -> RecipeError:
-        """One error that holds all findings."""
-        by_place: dict[tuple[str, str], _Finding] = {}
+        """One error that holds all that was found."""
+        by_place: dict[tuple[str | None, str], RecipeError] = {}
         for details in failure.errors(include_url=False):
-            finding = self._finding(details)
-            by_place.setdefault((finding.where, finding.problem), finding)
-        errors = [finding.error() for finding in by_place.values()]
+            found = self._explained(details)
+            by_place.setdefault((found.where, found.problem), found)
+        errors = list(by_place.values())
         return errors[0] if len(errors) == 1 else RecipeErrors(errors)
 
-    def _finding(self, details: Any) -> _Finding:
+    def _explained(self, details: Any) -> RecipeError:
         kind, value, context = details["type"], details["input"], details.get("ctx", {})
         keys: Keys = tuple(k for k in details["loc"] if k != "[key]")
         if kind == "extra_forbidden":
             return self._unknown_key(keys)
         if kind in ("missing", "too_long") and self._tuple_length(keys, kind):
             keys = keys[:-1] if kind == "missing" else keys
-            expected = f"a list of {self._tuple_length(keys, 'too_long')} entries"
-            return self._at(keys, "bad value", expected, show(value))
+            return self._at(keys, "bad value", f"a list of {self._tuple_length(keys, 'too_long')} entries", show(value))
         if kind == "missing":
             return self._missing(keys)
         if kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -163,70 +139,57 @@ class Explainer:
         keys = self._real(self._written_keys(keys))
         if kind == "mistake":
             got = context["got"] or show(value)
-            keys += tuple(context["at"])
-            return self._at(keys, context["problem"], context["expected"], got, context["hint"])
+            return self._at(keys + tuple(context["at"]), context["problem"], context["expected"], got, context["hint"])
         expected = expectation(kind, context, details["msg"])
         hint = self._number_hint(keys, value) if kind in _NUMBER_TYPES else None
         if kind in ("literal_error", "enum") and isinstance(value, str):
             hint = did_you_mean(value, re.findall(r"'([^']*)'", expected), cutoff=0.5)
         elif kind in ("list_type", "tuple_type"):
-            expected, hint = self._list_expected(keys, expected), None
+            length = self._tuple_length(keys, "too_long")
+            expected = expected if length is None else f"a list of {length} entries"
+            expected = "[width, height], pixels" if keys and keys[-1] == "size_px" else expected
         return self._at(keys, "bad value", expected, show(value), hint)
 
-    def _list_expected(self, keys: Keys, expected: str) -> str:
-        """What a list holds, where the key's name or the schema tells."""
-        if keys and keys[-1] == "size_px":
-            return "[width, height], pixels"
-        length = self._tuple_length(keys, "too_long")
-        return expected if length is None else f"a list of {length} entries"
-
-    def _at(self, keys: Keys, problem: str, expected: str | None, got: str | None, hint: str | None = None) -> _Finding:
+    def _at(self, keys: Keys, problem: str, expected: str, got: str, hint: str | None = None) -> RecipeError:
         full = self.prefix + keys
         written = distribution_of(full, self.written or {})
         if written is not None:
-            got, hint = f"{got}, from {show(written)}", hint or _bound_hint(written, expected or "")
-        return _Finding(self.sources.where(full), problem, expected, got, hint)
+            got, hint = f"{got}, from {show(written)}", hint or _bound_hint(written, expected)
+        return RecipeError(problem, where=self.sources.where(full), expected=expected, got=got, hint=hint)
 
-    def _missing(self, keys: Keys) -> _Finding:
-        description = None
-        owner = self._class_at(keys[:-1])
-        if owner is not None and str(keys[-1]) in owner.model_fields:
-            description = owner.model_fields[str(keys[-1])].description
-        hint = None
-        if not self.prefix and len(keys) == 3 and keys[0] == "species":
-            hint = "write the whole species, or take it from a file: from: NAME"
-        where = self.sources.where(self.prefix + self._written_keys(keys))
-        return _Finding(where, f"the key {keys[-1]!r} is missing", description, None, hint)
+    def _where(self, keys: Keys) -> str:
+        return self.sources.where(self.prefix + self._written_keys(keys))
 
-    def _which_form(self, keys: Keys, value: object, discriminator: str) -> _Finding:
+    def _missing(self, keys: Keys) -> RecipeError:
+        name, owner = str(keys[-1]), self._class_at(keys[:-1])
+        field = None if owner is None else owner.model_fields.get(name)
+        expected = None if field is None else field.description
+        whole_species = not self.prefix and len(keys) == 3 and keys[0] == "species"
+        hint = "write the whole species, or take it from a file: from: NAME" if whole_species else None
+        return RecipeError(f"the key {name!r} is missing", where=self._where(keys), expected=expected, hint=hint)
+
+    def _which_form(self, keys: Keys, value: object, discriminator: str) -> RecipeError:
         """A mapping whose key `discriminator` does not name one of the forms that it may have."""
         tags = [str(tag) for arm in _arms(self._annotation_at(keys)) for tag in _tags(arm, discriminator)]
         expected = f"one of {', '.join(tags)}"
-        keys = self._written_keys(keys)
         if not isinstance(value, Mapping) or discriminator not in value:
-            where = self.sources.where(self.prefix + keys)
-            return _Finding(where, f"the key {discriminator!r} is missing", expected)
+            return RecipeError(f"the key {discriminator!r} is missing", where=self._where(keys), expected=expected)
         tag = value[discriminator]
         hint = did_you_mean(str(tag), tags, cutoff=0.5)
-        return self._at((*keys, discriminator), "bad value", expected, show(tag), hint)
+        return self._at((*self._written_keys(keys), discriminator), "bad value", expected, show(tag), hint)
 
-    def _unknown_key(self, keys: Keys) -> _Finding:
-        owner = self._class_at(keys[:-1])
-        names = list(owner.model_fields) if owner is not None else []
+    def _unknown_key(self, keys: Keys) -> RecipeError:
+        name, owner = str(keys[-1]), self._class_at(keys[:-1])
+        names = [] if owner is None else list(owner.model_fields)
         if not self.prefix and len(keys) == 3 and keys[0] == "species":
             names.append("from")
-        return _Finding(
-            self.sources.where(self.prefix + self._written_keys(keys)),
-            f"unknown key {str(keys[-1])!r}",
-            f"one of {', '.join(names)}" if names else "no further key",
-            None,
-            did_you_mean(str(keys[-1]), names, cutoff=0.5),
-        )
+        expected = f"one of {', '.join(names)}" if names else "no further key"
+        hint = did_you_mean(name, names, cutoff=0.5)
+        return RecipeError(f"unknown key {name!r}", where=self._where(keys), expected=expected, hint=hint)
 
     def _tuple_length(self, keys: Keys, kind: str) -> int | None:
         """Length of the tuple that `keys` names, or names an entry of."""
-        arms = _arms(self._annotation_at(keys[:-1] if kind == "missing" else keys))
-        for arm in arms:
+        for arm in _arms(self._annotation_at(keys[:-1] if kind == "missing" else keys)):
             arguments = get_args(arm)
             if get_origin(arm) is tuple and Ellipsis not in arguments:
                 return len(arguments)
@@ -242,9 +205,7 @@ class Explainer:
                 named = True
                 continue
             written.append(key)
-            inside = isinstance(value, Mapping) and key in value
-            inside = inside or (isinstance(value, list | tuple) and isinstance(key, int) and key < len(value))
-            value, named = (value[key] if inside else None), False
+            value, named = _entry(value, key), False
         return tuple(written)
 
     def _annotation_at(self, keys: Keys) -> Any:
@@ -255,37 +216,29 @@ class Explainer:
             found = [step for arm in _arms(current) if (step := _inside(arm, key)) is not None]
             if not found:
                 return None
-            if isinstance(value, Mapping):
-                value = value.get(key)
-            elif isinstance(value, list | tuple) and isinstance(key, int) and key < len(value):
-                value = value[key]
-            else:
-                value = None
-            current = _of_its_part(found[0], value)
+            value = _entry(value, key)
+            current = _of_its_part(found[0], None if value is _ABSENT else value)
         return current
 
     def _class_at(self, keys: Keys) -> type[BaseModel] | None:
-        for arm in _arms(self._annotation_at(keys)):
-            if isinstance(arm, type) and issubclass(arm, BaseModel):
-                return arm
-        return None
+        arms = _arms(self._annotation_at(keys))
+        return next((arm for arm in arms if isinstance(arm, type) and issubclass(arm, BaseModel)), None)
 
     def _real(self, keys: Keys) -> Keys:
         """`keys` without the union's arms that the schema library appends."""
         value: Any = self.data
         for n, key in enumerate(keys):
-            inside = isinstance(value, Mapping) and key in value
-            if not inside and not (isinstance(value, list | tuple) and isinstance(key, int) and key < len(value)):
+            value = _entry(value, key)
+            if value is _ABSENT:
                 # A filled-in default has no data of its own, but its key is still one of the schema's.
                 return keys if self._annotation_at(keys) is not None else keys[:n]
-            value = value[key]
         return keys
 
     def _number_hint(self, keys: Keys, value: object) -> str | None:
-        if not isinstance(value, Mapping):
-            if not isinstance(value, str):
-                return None
+        if isinstance(value, str):
             return "remove the quotes" if _is_number(value) else _unit_hint(keys, value)
+        if not isinstance(value, Mapping):
+            return None
         full = self.prefix + keys
         if is_distribution(value) and any(full[:n] in UNDRAWN for n in range(1, len(full) + 1)):
             return "this key may not be a distribution"
@@ -311,11 +264,13 @@ def _bound_hint(written: Mapping[str, Any], expected: str) -> str | None:
     if kind in ("normal", "lognormal"):
         centre, spread = ("mean", "sd") if kind == "normal" else ("median", "sigma")
         return f"truncate the distribution: {{{kind}: {{{centre}: , {spread}: , low: , high: }}}}"
-    if kind == "uniform" and "whole number" in expected:
-        return "{integers: [a, b]} draws whole numbers"
-    if kind == "formula" and "whole number" in expected:
-        return "{formula: 'round(...)'} gives whole numbers"
-    return None
+    if "whole number" not in expected:
+        return None
+    hints = {
+        "uniform": "{integers: [a, b]} draws whole numbers",
+        "formula": "{formula: 'round(...)'} gives whole numbers",
+    }
+    return hints.get(kind)
 
 
 def _unit_hint(keys: Keys, text: str) -> str | None:
@@ -325,8 +280,7 @@ def _unit_hint(keys: Keys, text: str) -> str | None:
     found = _WITH_UNIT.fullmatch(text.strip())
     if unit is None or found is None:
         return None
-    own = found[2] in unit.split(", ")
-    number = found[1] if own else "the number alone"
+    number = found[1] if found[2] in unit.split(", ") else "the number alone"
     return f"{number}: the unit is in the key's name, {unit.split(', ')[0]}"
 
 
@@ -336,6 +290,14 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+def _entry(value: Any, key: str | int) -> Any:
+    """What a mapping or list has at a key; `_ABSENT`: nothing."""
+    if isinstance(value, Mapping):
+        return value.get(key, _ABSENT)
+    is_index = isinstance(value, list | tuple) and isinstance(key, int) and key < len(value)
+    return value[key] if is_index else _ABSENT
 
 
 def _arms(annotation: Any) -> list[Any]:
@@ -350,10 +312,8 @@ def _arms(annotation: Any) -> list[Any]:
 def _of_its_part(annotation: Any, value: object) -> Any:
     """The class of the keys of the part that `value` names, where the annotation is of such a section."""
     sections = [arm for arm in _arms(annotation) if isinstance(arm, type) and hasattr(arm, "class_for")]
-    if not sections:
-        return annotation
     try:
-        return sections[0].class_for(value)
+        return sections[0].class_for(value) if sections else annotation
     except PydanticCustomError:  # there is no such part, which is an error of its own
         return annotation
 
@@ -367,9 +327,7 @@ def _inside(arm: Any, key: str | int) -> Any:
         return field.annotation
     if origin is tuple and isinstance(key, int):
         return arguments[0] if Ellipsis in arguments else arguments[key] if key < len(arguments) else None
-    if origin in (list, dict) and arguments:
-        return arguments[-1]
-    return None
+    return arguments[-1] if origin in (list, dict) and arguments else None
 
 
 def _tags(arm: Any, discriminator: str) -> tuple[Any, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from forestgen.core.registry import Registry
-from forestgen.recipe.fields import mistake
 
 DEFAULT_FORMATS = ("coco",)
 DEFAULT_PROJECTION = "perspective"
@@ -41,9 +40,9 @@ LABEL_CHANNELS = Registry(
     "label channel",
     {
         "coverage": ("forestgen.labels.channels.coverage:CHANNEL", "the ids that cover most of a pixel, their shares"),
-        "surface": ("forestgen.labels.channels.surface:CHANNEL", "positions, normals, triangles at pixels' centres"),
-        "albedo": ("forestgen.labels.channels.albedo:CHANNEL", "reflectance and transmittance of surfaces"),
-        "sun": ("forestgen.labels.channels.sun:CHANNEL", "shadows: where the sun is visible"),
+        "surface": ("forestgen.labels.channels.surface:SURFACE", "positions, normals, triangles at pixels' centres"),
+        "albedo": ("forestgen.labels.channels.surface:ALBEDO", "reflectance and transmittance of surfaces"),
+        "sun": ("forestgen.labels.channels.surface:SUN", "shadows: where the sun is visible"),
         "cloud": ("forestgen.labels.channels.cloud:CHANNEL", "opacity of clouds"),
         "motion": ("forestgen.labels.channels.motion:CHANNEL", "pixels to the next frame of a sequence"),
         "boundaries": ("forestgen.labels.channels.boundaries:CHANNEL", "occlusion boundaries"),
@@ -53,24 +52,16 @@ LABEL_CHANNELS = Registry(
     contract="forestgen.labels.channels.channel:LabelChannel",
 )
 
+_WEATHER = "forestgen.atmosphere.clouds.simulated"
 CLOUD_SOURCES = Registry(
     "cloud source",
     {
-        "fog": ("forestgen.atmosphere.clouds.simulated:FOG", "simulated weather: fog of a cooled, moist layer"),
-        "stratus": ("forestgen.atmosphere.clouds.simulated:STRATUS", "simulated weather: a low grey layer"),
-        "stratocumulus": (
-            "forestgen.atmosphere.clouds.simulated:STRATOCUMULUS",
-            "simulated weather: a broken layer below an inversion",
-        ),
-        "cumulus": ("forestgen.atmosphere.clouds.simulated:CUMULUS", "simulated weather: clouds of a heated ground"),
-        "cumulonimbus": (
-            "forestgen.atmosphere.clouds.simulated:CUMULONIMBUS",
-            "simulated weather: a thundercloud up to 8 km, with its anvil",
-        ),
-        "community": (
-            "forestgen.community.own_clouds:SOURCE",
-            "the air that the community simulates over itself",
-        ),
+        "fog": (f"{_WEATHER}:FOG", "simulated weather: fog of a cooled, moist layer"),
+        "stratus": (f"{_WEATHER}:STRATUS", "simulated weather: a low grey layer"),
+        "stratocumulus": (f"{_WEATHER}:STRATOCUMULUS", "simulated weather: a broken layer below an inversion"),
+        "cumulus": (f"{_WEATHER}:CUMULUS", "simulated weather: clouds of a heated ground"),
+        "cumulonimbus": (f"{_WEATHER}:CUMULONIMBUS", "simulated weather: a thundercloud up to 8 km, with its anvil"),
+        "community": ("forestgen.community.own_clouds:SOURCE", "the air that the community simulates over itself"),
         "noise": ("forestgen.atmosphere.clouds.noise:SOURCE", "small cumulus of noise, without weather"),
         "file": ("forestgen.atmosphere.clouds.saved:SOURCE", "a saved state of the air, or a field of extinction"),
         "none": ("forestgen.atmosphere.clouds.none:SOURCE", "a sky without clouds"),
@@ -111,22 +102,11 @@ BUILDINGS = Registry(
 SKIES = Registry(
     "sky model",
     {
-        "clear": (
-            "forestgen.render.skies.clear:SKY",
-            "sun and blue sky (Hosek and Wilkie 2012)",
-        ),
+        "clear": ("forestgen.render.skies.clear:SKY", "sun and blue sky (Hosek and Wilkie 2012)"),
         "overcast": ("forestgen.render.skies.overcast:SKY", "the CIE standard overcast sky, without a sun"),
     },
     contract="forestgen.render.skies.model:SkyModel",
 )
-
-
-def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
-    """A validator that refuses a part that is named twice."""
-    for index, name in enumerate(names):
-        if name in names[:index]:
-            raise mistake("each one once", problem="a part named twice", got=name, at=(index,))
-    return names
 
 
 RIGS = Registry(

@@ -1,4 +1,4 @@
-"""Where each image's draws lie in their distributions, where the recipe's section ``sampling`` says so.
+"""The recipe's section ``sampling``: where each image's draws lie in their distributions.
 
 A drawn value is its distribution's quantile at a number u in (0, 1). Of an image, all u follow from the root seed, the
 name of its split and its rank there: a batch that grows changes none, nor does the order in which images are made. The
@@ -16,23 +16,105 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
-from forestgen.recipe.correlation import InfeasibleError, Pair, cholesky_factor, correlated
+from forestgen.recipe.curves import RESERVED
+from forestgen.recipe.dataset import place_in_splits
 from forestgen.recipe.distributions import Choice, Distribution, Integers
 from forestgen.recipe.distributions import Sequence as InOrder
-from forestgen.recipe.points import MOST_KEYS, Method, cell_of, point
-from forestgen.recipe.sampling import MOST_CELLS, Sampling
+from forestgen.recipe.fields import Number, Section, Text, Whole, mistake
+from forestgen.recipe.points import MOST_KEYS, InfeasibleError, Method, cell_of, cholesky_factor, correlated, point
 from forestgen.recipe.sources import Keys, SourceMap, dotted
-from forestgen.recipe.splits import place_in_splits
 from forestgen.recipe.variables import SECTION as VARIABLES
 
 _EDGE = 2.0**-32  # how near to a bin's edge a value comes: nearer, rounding might put it beyond
+MOST_CELLS = 10_000
+_Key = Annotated[Text, Field(min_length=1, max_length=300)]
+_Variable = Annotated[Text, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+_Level = bool | int | float | str | None
+
+
+def _is_strata(value: Any) -> Any:
+    number = isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_CELLS
+    levels = isinstance(value, list | tuple) and not any(isinstance(one, dict | list | tuple) for one in value)
+    if value == "all" or number or levels:
+        return value
+    raise mistake(f"all, a number of bins from 1 to {MOST_CELLS}, or a list of the choice's values")
+
+
+_Strata = Annotated[Literal["all"] | Whole | tuple[_Level, ...], BeforeValidator(_is_strata)]
+
+
+class Correlation(Section):
+    """Two correlated drawn values."""
+
+    keys: tuple[_Key, _Key] = Field(description="Two keys or variables that are drawn.")
+    rank: Number = Field(
+        gt=-1, lt=1, description="Spearman's rank correlation: 0 none, near 1 both are high at the same time."
+    )
+
+    @field_validator("keys")
+    @classmethod
+    def _differ(cls, value: tuple[str, str]) -> tuple[str, str]:
+        if value[0] == value[1]:
+            raise mistake("two different keys", problem="a key correlated with itself", got=value[0])
+        return value
+
+
+class Sampling(Section):
+    """How the draws of a recipe's images are spread over their ranges, correlated and shared."""
+
+    method: Method = Field(
+        "independent",
+        description="independent: each value by itself. latin_hypercube, sobol, halton: the values of all `keys` are "
+        "spread evenly over the images of each split.",
+    )
+    block: Whole = Field(
+        128, ge=2, le=65_536, description="Of latin_hypercube: images of a split that make a whole hypercube."
+    )
+    keys: tuple[_Key, ...] | None = Field(
+        None,
+        min_length=1,
+        description="Keys or variables that the method spreads, such as sky.sun.elevation_deg. Default: all that are "
+        "drawn.",
+    )
+    strata: dict[_Key, _Strata] = Field(
+        {},
+        description="Key or variable -> number of equally likely bins; or all, each value of a choice; or a list of "
+        "these values. Among as many images of a split as there are cells, each cell is met once.",
+    )
+    correlations: tuple[Correlation, ...] = Field((), description="Pairs of correlated drawn values.", max_length=1000)
+    variables: dict[_Variable, Any] = Field(
+        {},
+        max_length=100,
+        description="Name -> a distribution, a value or a formula of other variables. {variable: NAME} or {formula: "
+        "'10 + 30 * NAME'} stands for any number of the recipe.",
+    )
+
+    @field_validator("variables")
+    @classmethod
+    def _own_names(cls, value: dict[str, Any]) -> dict[str, Any]:
+        for name in value:
+            if name in RESERVED:
+                taken = ", ".join(sorted(RESERVED))
+                raise mistake(f"another name than {taken}", problem="formulas use this name", got=name, at=name)
+        return value
+
+    @model_validator(mode="after")
+    def _keys_have_their_method(self) -> Self:
+        needed = {"keys": ("latin_hypercube", "sobol", "halton"), "block": ("latin_hypercube",)}
+        for name, methods in needed.items():
+            if name in self.model_fields_set and self.method not in methods and getattr(self, name) is not None:
+                expected = f"method: {' or '.join(methods)}, where there is {name}"
+                at = "method" if "method" in self.model_fields_set else name
+                raise mistake(expected, problem=f"the method {self.method} has no {name}", got=self.method, at=at)
+        return self
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +163,8 @@ class Sampler:
     def _correlated(self, found: Mapping[Keys, float], image: int) -> dict[Keys, float]:
         given = [found[keys] if keys in found else self._independent(keys, image) for keys in self.correlated]
         values = correlated(np.array(given), self.factor).tolist()
-        return {keys: u for keys, u in zip(self.correlated, values, strict=True) if keys not in self._in_strata}
+        in_strata = {keys for keys, _ in self.strata}
+        return {keys: u for keys, u in zip(self.correlated, values, strict=True) if keys not in in_strata}
 
     def _independent(self, keys: Keys, image: int) -> float:
         return min(max(child_rng(self.seed, "sampling", image, dotted(keys)).random(), _EDGE), 1.0 - _EDGE)
@@ -90,10 +173,6 @@ class Sampler:
     def cells(self) -> int:
         """Combinations of the strata's bins."""
         return math.prod(bins for _, bins in self.strata)
-
-    @cached_property
-    def _in_strata(self) -> frozenset[Keys]:
-        return frozenset(keys for keys, _ in self.strata)
 
 
 def make_sampler(
@@ -104,16 +183,10 @@ def make_sampler(
     seed: int,
     splits: Mapping[str, float],
 ) -> Sampler:
-    """Check the section against what is drawn.
+    """Check the section against what is drawn; references are what follows from variables.
 
-    Parameters
-    ----------
-    distributions, references : by key path; references are what follows from variables.
-    seed, splits : of the recipe.
-
-    Raises
-    ------
-    RecipeError : a key that is not drawn, strata that cannot be cut or are too many, correlations that cannot be.
+    Raises `RecipeError` for a key that is not drawn, strata that cannot be cut or are too many, and correlations that
+    cannot all hold.
     """
     keys_of = _Keys(distributions, references, sources)
     strata = tuple(
@@ -199,17 +272,13 @@ def _check_levels(distribution: Choice, wanted: Sequence[Any], where: str) -> No
 
 
 def _check_cells(section: Sampling, strata: Sequence[tuple[Keys, int]], sources: SourceMap) -> None:
-    cells = math.prod(bins for _, bins in strata)
+    cells, where = math.prod(bins for _, bins in strata), sources.where(("sampling", "strata"))
     if cells > MOST_CELLS:
-        raise RecipeError(
-            "too many strata",
-            where=sources.where(("sampling", "strata")),
-            expected=f"at most {MOST_CELLS:,} combinations of bins",
-            got=f"{' x '.join(str(bins) for _, bins in strata)} = {cells:,}",
-            hint="fewer bins, or leave some of these keys to the method",
-        )
+        expected, got = f"at most {MOST_CELLS:,} combinations of bins", " x ".join(str(bins) for _, bins in strata)
+        hint = "fewer bins, or leave some of these keys to the method"
+        raise RecipeError("too many strata", where=where, expected=expected, got=f"{got} = {cells:,}", hint=hint)
     if len({keys for keys, _ in strata}) < len(section.strata):
-        raise RecipeError("a key twice", where=sources.where(("sampling", "strata")), expected="each key once")
+        raise RecipeError("a key twice", where=where, expected="each key once")
 
 
 def _spread(section: Sampling, keys_of: _Keys, in_strata: set[Keys]) -> tuple[Keys, ...]:
@@ -224,11 +293,9 @@ def _spread(section: Sampling, keys_of: _Keys, in_strata: set[Keys]) -> tuple[Ke
             raise RecipeError("a key twice", where=where, expected="each key once", got=names[n])
     spread = tuple(keys for keys in found if keys not in in_strata)
     if len(spread) > MOST_KEYS:
-        where = keys_of.sources.where(("sampling", "method"))
-        hint = "sampling.keys names those that matter"
-        raise RecipeError(
-            "too many keys for a method", where=where, expected=f"at most {MOST_KEYS}", got=f"{len(spread)}", hint=hint
-        )
+        where, expected = keys_of.sources.where(("sampling", "method")), f"at most {MOST_KEYS}"
+        problem, hint = "too many keys for a method", "sampling.keys names those that matter"
+        raise RecipeError(problem, where=where, expected=expected, got=f"{len(spread)}", hint=hint)
     return spread
 
 
@@ -238,30 +305,27 @@ def _correlations(
     """The correlated keys, those of strata first so that these stay as they are, and the factor of their matrix."""
     pairs: list[tuple[Keys, Keys]] = []
     for n, entry in enumerate(section.correlations):
-        one, other = (
-            keys_of.find(name, ("sampling", "correlations", n, "keys", k)) for k, name in enumerate(entry.keys)
-        )
-        where = sources.where(("sampling", "correlations", n))
+        path = ("sampling", "correlations", n)
+        one, other = (keys_of.find(name, (*path, "keys", k)) for k, name in enumerate(entry.keys))
+        where, got = sources.where(path), " and ".join(entry.keys)
         if (one, other) in pairs or (other, one) in pairs or one == other:
-            raise RecipeError("a pair twice", where=where, expected="each pair once", got=" and ".join(entry.keys))
+            raise RecipeError("a pair twice", where=where, expected="each pair once", got=got)
         if one in in_strata and other in in_strata:
             expected = "at most one key of a pair among sampling.strata, for all their combinations are equally often"
-            raise RecipeError(
-                "strata that are correlated", where=where, expected=expected, got=" and ".join(entry.keys)
-            )
+            raise RecipeError("strata that are correlated", where=where, expected=expected, got=got)
         pairs.append((one, other))
     found = dict.fromkeys(keys for pair in pairs for keys in pair)
     ordered = [keys for keys in found if keys in in_strata] + [keys for keys in found if keys not in in_strata]
-    numbered: list[Pair] = [
-        (ordered.index(one), ordered.index(other), entry.rank)
-        for (one, other), entry in zip(pairs, section.correlations, strict=True)
+    ranks = [entry.rank for entry in section.correlations]
+    numbered = [
+        (ordered.index(one), ordered.index(other), rank) for (one, other), rank in zip(pairs, ranks, strict=True)
     ]
     try:
         return tuple(ordered), cholesky_factor(len(ordered), numbered)
     except InfeasibleError as cause:
         entry = section.correlations[cause.pair]
         raise RecipeError(
-            "these correlations cannot be at the same time",
+            "these correlations cannot all hold",
             where=sources.where(("sampling", "correlations", cause.pair)),
             expected=f"rank: {cause.nearest:g} at the nearest, for {' and '.join(entry.keys)}, beside the other pairs",
             got=f"{entry.rank:g}",

@@ -1,6 +1,6 @@
-"""The recipe's schema: what a drawn recipe may say, in which unit, and what it need not say.
+"""The recipe's schema: the keys of a drawn recipe, their units and defaults.
 
-Distributions are drawn, shorthands spelled out and species files merged before a recipe meets this schema
+Distributions are drawn, shorthands expanded and species files merged before a recipe meets this schema
 (`forestgen.recipe.load`); here every number is a number.
 """
 
@@ -24,101 +24,107 @@ from pydantic import (
 from forestgen.recipe.buildings import Building
 from forestgen.recipe.camera_keys import default_view
 from forestgen.recipe.cameras import AnyCamera, Camera, check_cameras, check_motion
-from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, check_classes
+from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.fields import (
     Flag,
     Fraction,
+    GivenSection,
     Label,
     Name,
     NonNegative,
     Number,
     OpenSection,
+    PartSection,
     Positive,
     Section,
     Text,
     Whole,
+    each_once,
     mistake,
     part_name,
-    spelled_out,
-)
-from forestgen.recipe.plants import Plants
-from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, each_once
-from forestgen.recipe.render import Render
-from forestgen.recipe.sampling import Sampling
+    shorthand,
+)  # fmt: skip
+from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, TERRAINS
+from forestgen.recipe.sampler import Sampling
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Species
-from forestgen.recipe.terrain import Terrain
-from forestgen.recipe.wet_soil import WetSoil
+from forestgen.recipe.spectra import Season
 
 SCHEMA_VERSION = 1
 Extent = Annotated[Positive, Field(le=5000)]
+_Error = Annotated[Number, Field(gt=0, le=10)]
+_Samples = Annotated[Whole, Field(ge=1, le=65536)]
+
+
+class Terrain(PartSection, GivenSection):
+    """The ground's shape."""
+
+    registry = TERRAINS
+    selector = "kind"
+
+    kind: Text = Field("flat", description="Shape of the ground.")
+
+
+class WetSoil(Section):
+    """How the water that a community has in its soil shows in the ground's colour."""
+
+    shown: Flag = Field(True, description="Whether wet ground is darker.")
+    depth_m: Positive | None = Field(
+        None,
+        le=100,
+        description="Depth of the soil that holds the water, metres: what makes a saturation of mm. Default: 1 in "
+        "forest soil, 0.05 in a dryland's, whose rains wet little more than its crust.",
+    )
+    porosity: Fraction = Field(0.4, gt=0, description="Share of the soil that water can fill.")
+    pond_mm: Positive = Field(
+        25.0,
+        le=10_000,
+        description="Water on the ground that begins to drown it, mm; twice as much makes it wholly wet. Less is what "
+        "runs past in showers, in a month's mean.",
+    )
 
 
 class Site(Section):
     """The piece of land: x from 0 to size_m[0] (east), y from 0 to size_m[1] (north)."""
 
-    size_m: Annotated[tuple[Extent, Extent], Field(description="Extent east (x) and north (y), metres.")] = (
-        100.0,
-        100.0,
-    )
-    terrain: SerializeAsAny[Terrain] = Field(
+    size_m: tuple[Extent, Extent] = Field((100.0, 100.0), description="Extent east (x) and north (y), metres.")
+    terrain: Annotated[SerializeAsAny[Terrain], shorthand("kind")] = Field(
         default_factory=lambda: Terrain.model_validate({}), description="Shape of the ground, or just its kind."
     )
-    ground: Annotated[
-        Text,
-        *part_name(GROUND_COVERS),
-        Field(description="What covers it."),
-    ] = "litter"
-    altitude_m: Annotated[
-        Number,
-        Field(
-            ge=-430,
-            le=9000,
-            description="Height of z = 0 above sea level, metres; for species with a response to elevation_m, and for "
-            "the light that comes through the air above.",
-        ),
-    ] = 0.0
-    latitude_deg: Annotated[
-        Number,
-        Field(
-            ge=-90,
-            le=90,
-            description="Latitude, degrees, north positive: where the sun stands over the year, for species with a "
-            "response to sun, and for an image's own sun where sky.sun has a date.",
-        ),
-    ] = 50.0
-    longitude_deg: Annotated[
-        Number | None,
-        Field(ge=-180, le=180, description="Longitude, degrees, east positive; for a sun by date and time."),
-    ] = None
-    wind_from_deg: Annotated[
-        Number,
-        Field(
-            ge=-360,
-            le=360,
-            description="Where the prevailing wind comes from, degrees clockwise from north: 270 is west; for species "
-            "with a response to wind, and for the wind that plants lean and sway in.",
-        ),
-    ] = 270.0
-    buildings: Annotated[
-        tuple[SerializeAsAny[Building], ...],
-        Field(
-            max_length=1000, description="What people have built there; for community models that know of buildings."
-        ),
-    ] = ()
-    wet_soil: Annotated[
-        WetSoil | None,
-        Field(
-            description="How litter, dry soil, rock and sand darken where the community model has water in its "
-            "soil; false: they do not. Default: they do."
-        ),
-    ] = None
-
-    @field_validator("terrain", mode="before")
-    @classmethod
-    def _kind_alone(cls, value: Any) -> Any:
-        return spelled_out(value, "kind")
+    ground: Annotated[Text, *part_name(GROUND_COVERS)] = Field("litter", description="What covers it.")
+    altitude_m: Number = Field(
+        0.0,
+        ge=-430,
+        le=9000,
+        description="Height of z = 0 above sea level, metres; for species with a response to elevation_m, and for the "
+        "light that comes through the air above.",
+    )
+    latitude_deg: Number = Field(
+        50.0,
+        ge=-90,
+        le=90,
+        description="Latitude, degrees, north positive: where the sun stands over the year, for species with a "
+        "response to sun, and for an image's own sun where sky.sun has a date.",
+    )
+    longitude_deg: Number | None = Field(
+        None, ge=-180, le=180, description="Longitude, degrees, east positive; for a sun by date and time."
+    )
+    wind_from_deg: Number = Field(
+        270.0,
+        ge=-360,
+        le=360,
+        description="Where the prevailing wind comes from, degrees clockwise from north: 270 is west; for species with "
+        "a response to wind, and for the wind that plants lean and sway in.",
+    )
+    buildings: tuple[SerializeAsAny[Building], ...] = Field(
+        (), max_length=1000, description="What people have built there; for community models that know of buildings."
+    )
+    wet_soil: WetSoil | None = Field(
+        None,
+        description="How litter, dry soil, rock and sand darken where the community model has water in its soil; "
+        "false: they do not. Default: they do.",
+    )
 
     @field_validator("wet_soil", mode="before")
     @classmethod
@@ -139,47 +145,161 @@ class Site(Section):
             low, high = (", ".join(f"{value:.1f}" for value in corner) for corner in (corners.min(0), corners.max(0)))
             if (corners < 0).any() or (corners > (width, depth)).any():
                 x, y = one.position_m
-                raise mistake(
-                    f"all of its ground plan within x from 0 to {width:g} and y from 0 to {depth:g} metres",
-                    problem="this building does not lie on the site",
-                    got=f"[{x:g}, {y:g}], from [{low}] to [{high}]",
-                    at=("buildings", index, "position_m"),
-                )
+                expected = f"all of its ground plan within x from 0 to {width:g} and y from 0 to {depth:g} metres"
+                problem, got = "this building does not lie on the site", f"[{x:g}, {y:g}], from [{low}] to [{high}]"
+                raise mistake(expected, problem=problem, got=got, at=("buildings", index, "position_m"))
         return self
 
 
 class Community(OpenSection):
     """The plants of the stand: a community model, and keys that the model checks itself."""
 
-    model: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the community model.")]
+    model: Text = Field(min_length=1, max_length=100, description="Id of the community model.")
 
 
 Channel = Annotated[Text, *part_name(LABEL_CHANNELS)]
 
 
+class Plants(Section):
+    """What each plant looks like."""
+
+    geometry: Literal["plants", "silhouettes"] = Field(
+        "plants",
+        description="plants: stems, branches and leaves. silhouettes: solids of revolution of the crowns' forms, for "
+        "looking at a stand before its plants (Lane 2002, Figure 6.2).",
+    )
+    exemplars_per_species: Whole = Field(
+        10,
+        ge=1,
+        le=1000,
+        description="Sizes modelled for each species: the centres of clusters of its plants' radii. Every plant is one "
+        "of these, scaled to its exact height.",
+    )
+    variants_per_size: Whole = Field(
+        1,
+        ge=1,
+        le=100,
+        description="Plants modelled for each size, of different seeds; a plant's own number decides which it is. Time "
+        "and memory grow with it.",
+    )
+    library: Whole | None = Field(
+        None,
+        ge=1,
+        le=1000,
+        description="Plants of each size that all images of a split share, for data sets of many images: sizes are on "
+        "a fixed scale, and an image shows `variants_per_size` of them. null: every image grows its own plants. No "
+        "two splits share a plant.",
+    )
+    traits: Annotated[tuple[Text, ...], AfterValidator(each_once)] = Field(
+        (),
+        max_length=20,
+        description="What counts beside the radius when plants are grouped into sizes: age_yr, height_m, or a column "
+        "of the community model's own. One standard deviation of a trait counts half as much as one of the radius' "
+        "logarithm.",
+    )
+    unique: Literal["auto", "all", "none"] | Annotated[Whole, Field(ge=0, le=100_000)] = Field(
+        "auto",
+        description="Which plants that grew as branch modules are modelled with their own branches: auto, those that "
+        "are large in an image, as many as ten million triangles hold; all; none; or so many of the largest. The "
+        "others are one of `exemplars_per_species` of these, scaled and turned.",
+    )
+    levels: Flag = Field(
+        False,
+        description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
+        "chosen so that they stay below a pixel.",
+    )
+    season: Season = Field(
+        "summer",
+        description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their number; "
+        "shipped evergreens stay green.",
+    )
+    cache: Flag = Field(
+        True,
+        description="Whether to keep the modelled plants on disk and take them from there when the same ones are asked "
+        "for again; nothing else changes. FORESTGEN_CACHE names the folder.",
+    )
+
+    @model_validator(mode="after")
+    def _library_suits(self) -> Self:
+        if self.library is not None and self.library < self.variants_per_size:
+            expected = f"at least variants_per_size = {self.variants_per_size}"
+            problem = "the library has fewer plants of a size than an image shows"
+            raise mistake(expected, problem=problem, got=str(self.library), at="library")
+        if self.library is not None and self.traits:
+            problem = "a library's plants are grouped by their size alone"
+            hint = "leave out plants.traits, or plants.library"
+            raise mistake("no traits", problem=problem, got=", ".join(self.traits), hint=hint, at="traits")
+        return self
+
+
+class Render(Section):
+    """How the radiance is computed.
+
+    Without a target or a time budget an image has just its `samples`. With them, passes go on after the first `samples`
+    until each target is met, the time is spent, or there are `most_samples`.
+    """
+
+    mode: Literal["rgb", "spectral"] = Field(
+        "rgb",
+        description="rgb: light is computed in linear Rec. 709. spectral: at wavelengths from 360 to 830 nm, of which "
+        "the colour is made. Cameras with bands are spectral in any case.",
+    )
+    samples: _Samples = Field(
+        16,
+        description="Light paths a pixel, over all passes. A spectral image has passes of three wavelengths: 4 for "
+        "colour, 1 to 8 for most sensors of 1 to 13 bands. Each takes as many paths, at least one: samples are "
+        "rounded up to a multiple of the passes, and need twice that for the variance to be known.",
+    )
+    target_error: _Error | None = Field(
+        None,
+        description="Goes on until the image's relative error is at most this: standard error over value, both over "
+        "all channels and 3 x 3 pixels, the mean of all pixels. A pixel darker than a tenth of the image's mean is "
+        "measured against that tenth.",
+    )
+    target_error_p95: _Error | None = Field(
+        None, description="Goes on until the 95th percentile of the pixels' relative error is at most this."
+    )
+    time_budget_s: Annotated[Number, Field(gt=0, le=1e7)] | None = Field(
+        None,
+        description="Goes on for about so many seconds an image, building its scene not counted. The samples, and so "
+        "the bytes of the image, then depend on the machine and on what else it does.",
+    )
+    most_samples: _Samples = Field(4096, description="Light paths a pixel at most, with a target or a time budget.")
+    denoise: Flag = Field(True, description="Whether to remove the noise that remains.")
+    clouds: Literal["auto", "farfield", "exact"] = Field(
+        "auto",
+        description="How light goes through clouds. farfield: they are rendered once, and their light and shadow fall "
+        "on the scene from afar. exact: their volume is traced with the scene. auto: farfield where clouds are far "
+        "above the plants and cameras, otherwise exact.",
+    )
+    max_depth: Whole = Field(64, ge=1, le=4096, description="Most scatterings of a path.")
+
+    @model_validator(mode="after")
+    def _enough(self) -> Self:
+        open_ended = (self.target_error, self.target_error_p95, self.time_budget_s) != (None, None, None)
+        if open_ended and self.most_samples < self.samples:
+            expected, hint = f"at least samples, {self.samples}", "lower samples, or raise most_samples"
+            problem, got = "fewer samples than it begins with", str(self.most_samples)
+            raise mistake(expected, problem=problem, got=got, hint=hint, at="most_samples")
+        return self
+
+
 class Labels(Section):
     """Which labels are made, and how."""
 
-    samples: Annotated[
-        Whole, Field(ge=1, le=1024, description="Identity samples a pixel, a square number: 1, 4, 9, 16, ...")
-    ] = 16
-    channels: Annotated[
-        tuple[Channel, ...],
-        AfterValidator(each_once),
-        Field(
-            description="Labels besides the masks: coverage ranks, surface (position, normals), albedo, sun (shadows), "
-            "cloud opacity, motion, occlusion boundaries, amodal masks; and module, not among those made by default: "
-            "branch modules and their segments."
-        ),
-    ] = DEFAULT_CHANNELS
-    classes: Annotated[
-        dict[Label, tuple[Name, ...]] | None,
-        Field(
-            max_length=MOST_CLASSES,
-            description="Semantic classes: name -> the species and parts in it, a part before a species; `others` "
-            "are the species that no class names. A name may have blanks. Default: each species is a class.",
-        ),
-    ] = None
+    samples: Whole = Field(16, ge=1, le=1024, description="Identity samples a pixel, a square number: 1, 4, 9, 16, ...")
+    channels: Annotated[tuple[Channel, ...], AfterValidator(each_once)] = Field(
+        DEFAULT_CHANNELS,
+        description="Labels besides the masks: coverage ranks, surface (position, normals), albedo, sun (shadows), "
+        "cloud opacity, motion, occlusion boundaries, amodal masks; and module, not among those made by default: "
+        "branch modules and their segments.",
+    )
+    classes: dict[Label, tuple[Name, ...]] | None = Field(
+        None,
+        max_length=MOST_CLASSES,
+        description="Semantic classes: name -> the species and parts in it, a part before a species; `others` are the "
+        "species that no class names. A name may have blanks. Default: each species is a class.",
+    )
 
     @field_validator("samples")
     @classmethod
@@ -192,10 +312,8 @@ class Labels(Section):
 class Wind(Section):
     """Wind at each plant's top, in which it leans and sways; it blows from site.wind_from_deg, by default the west."""
 
-    speed_m_per_s: Annotated[NonNegative, Field(le=40, description="Mean speed, metres per second; 0: still air.")] = (
-        0.0
-    )
-    gustiness: Annotated[Fraction, Field(description="Amplitude of the sway by the mean lean, 0 to 1.")] = 0.5
+    speed_m_per_s: NonNegative = Field(0.0, le=40, description="Mean speed, metres per second; 0: still air.")
+    gustiness: Fraction = Field(0.5, description="Amplitude of the sway by the mean lean, 0 to 1.")
 
 
 def _is_same_stand(value: Any) -> Any:
@@ -208,36 +326,30 @@ def _is_same_stand(value: Any) -> Any:
 class Recipe(Section):
     """A drawn, complete recipe."""
 
-    forestgen: Annotated[Literal[1], Field(description="Version of the recipe's schema.")]
-    seed: Annotated[Whole, Field(ge=0, lt=2**63, description="Root of all randomness; 0 is a seed.")] = 0
-    images: Annotated[Whole, Field(ge=1, le=10**9, description="How many images, each drawn anew.")] = 1
-    first_image: Annotated[
-        Whole,
-        Field(ge=0, le=10**12, description="Index of the first image; a stored drawn recipe keeps its own here."),
-    ] = 0
-    same_stand: Annotated[
-        Flag | Literal["by_split"],
-        BeforeValidator(_is_same_stand),
-        Field(
-            description="Whether all images show image 0's stand, or by_split, all images of a split the split's own; "
-            "distributions are still drawn by image."
-        ),
-    ] = False
-    site: Site = Field(default_factory=Site, description="The piece of land.")
-    species: Annotated[dict[Name, Species], Field(min_length=1, max_length=1000, description="Species by name.")]
-    community: Annotated[Community, Field(description="The plants of the stand: a community model and its own keys.")]
-    plants: Annotated[Plants, Field(description="How plants are modelled.")] = Plants()
+    forestgen: Literal[1] = Field(description="Version of the recipe's schema.")
+    seed: Whole = Field(0, ge=0, lt=2**63, description="Root of all randomness; 0 is a seed.")
+    images: Whole = Field(1, ge=1, le=10**9, description="How many images, each drawn anew.")
+    first_image: Whole = Field(
+        0, ge=0, le=10**12, description="Index of the first image; a stored drawn recipe keeps its own here."
+    )
+    same_stand: Annotated[Flag | Literal["by_split"], BeforeValidator(_is_same_stand)] = Field(
+        False,
+        description="Whether all images show image 0's stand, or by_split, all images of a split the split's own; "
+        "distributions are still drawn by image.",
+    )
+    site: Site = Field(default_factory=lambda: Site.model_validate({}), description="The piece of land.")
+    species: dict[Name, Species] = Field(min_length=1, max_length=1000, description="Species by name.")
+    community: Community = Field(description="The plants of the stand: a community model and its own keys.")
+    plants: Plants = Field(Plants.model_validate({}), description="How plants are modelled.")
     sky: SerializeAsAny[SkySection] = Field(
         default_factory=lambda: SkySection.model_validate({}), description="Everything above: sun, sky, clouds."
     )
-    cameras: Annotated[list[AnyCamera], Field(min_length=1, max_length=1000, description="Cameras, at least one.")]
-    render: Annotated[Render, Field(description="The light's computation.")] = Render()
-    labels: Annotated[Labels, Field(description="The labels' computation.")] = Labels()
-    wind: Annotated[Wind, Field(description="How plants lean and sway.")] = Wind()
-    dataset: Annotated[Dataset, Field(description="Files for training and measuring.")] = Dataset()
-    sampling: Annotated[
-        Sampling | None, Field(description="How draws are spread over the images, correlated and shared.")
-    ] = None
+    cameras: list[AnyCamera] = Field(min_length=1, max_length=1000, description="Cameras, at least one.")
+    render: Render = Field(Render.model_validate({}), description="The light's computation.")
+    labels: Labels = Field(Labels.model_validate({}), description="The labels' computation.")
+    wind: Wind = Field(Wind.model_validate({}), description="How plants lean and sway.")
+    dataset: Dataset = Field(Dataset.model_validate({}), description="Files for training and measuring.")
+    sampling: Sampling | None = Field(None, description="How draws are spread over the images, correlated and shared.")
 
     @model_validator(mode="before")
     @classmethod
@@ -256,48 +368,10 @@ class Recipe(Section):
         ]
         return {**data, "cameras": filled}
 
-    @model_validator(mode="after")
-    def _dated_sun_has_a_place(self) -> Self:
-        given = {
-            "latitude_deg": "latitude_deg" in self.site.model_fields_set,  # its default is no place to trust
-            "longitude_deg": self.site.longitude_deg is not None,
-        }
-        missing = [key for key, known in given.items() if not known]
-        if self.sky.sun.date is not None and missing:
-            raise mistake(
-                "site.latitude_deg and site.longitude_deg, degrees",
-                problem="the sun by date needs a place on earth",
-                got="no " + " and no ".join(missing),
-                hint="site: {latitude_deg: 51.0, longitude_deg: 13.7} is Dresden",
-                at=("site", missing[0]),
-            )
-        return self
-
     @property
     def labelled_names(self) -> tuple[str, ...]:
         """Names of what has instances: the species, and the kinds of buildings."""
         return (*self.species, *dict.fromkeys(one.kind for one in self.site.buildings))
-
-    @model_validator(mode="after")
-    def _species_are_plants(self) -> Self:
-        reserved = (*NO_SPECIES, *(one.kind for one in self.site.buildings))
-        for name in self.species:
-            if name.lower() in reserved:
-                raise mistake(
-                    f"another name than {', '.join(reserved)}",
-                    problem="labels use this name for what is no plant",
-                    got=name,
-                    at=("species", name),
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _classes_hold_all(self) -> Self:
-        wrong = None if self.labels.classes is None else check_classes(self.labels.classes, self.labelled_names)
-        if wrong is not None:
-            at = ("labels", "classes", *wrong.at)
-            raise mistake(wrong.expected, problem=wrong.problem, got=wrong.got, hint=wrong.hint, at=at)
-        return self
 
     @field_validator("cameras")
     @classmethod
@@ -306,7 +380,28 @@ class Recipe(Section):
         return cameras
 
     @model_validator(mode="after")
-    def _paths_show_something(self) -> Self:
+    def _sections_fit(self) -> Self:
+        given = {
+            "latitude_deg": "latitude_deg" in self.site.model_fields_set,  # its default is not the site's place
+            "longitude_deg": self.site.longitude_deg is not None,
+        }
+        missing = [key for key, known in given.items() if not known]
+        if self.sky.sun.date is not None and missing:
+            problem, got = "the sun by date needs a place on earth", "no " + " and no ".join(missing)
+            hint = "site: {latitude_deg: 51.0, longitude_deg: 13.7} is Dresden"
+            expected = "site.latitude_deg and site.longitude_deg, degrees"
+            raise mistake(expected, problem=problem, got=got, hint=hint, at=("site", missing[0]))
+        reserved = (*NO_SPECIES, *(one.kind for one in self.site.buildings))
+        for name in self.species:
+            if name.lower() in reserved:
+                expected, problem = (
+                    f"another name than {', '.join(reserved)}",
+                    "labels use this name for what is no plant",
+                )
+                raise mistake(expected, problem=problem, got=name, at=("species", name))
+        wrong = None if self.labels.classes is None else wrong_classes(self.labels.classes, self.labelled_names)
+        if wrong is not None:
+            raise wrong
         check_motion(self.cameras, plants_move=self.wind.speed_m_per_s > 0 and self.wind.gustiness > 0)
         return self
 

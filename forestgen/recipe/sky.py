@@ -1,62 +1,81 @@
-"""The recipe's sky: sun, clear or overcast sky, clouds."""
+"""The recipe's sky: sun, sky model (a part; render/skies) and clouds, whose sources are parts (atmosphere/clouds)."""
 
 from __future__ import annotations
 
 import datetime
 import re
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import (
-    Field,
-    SerializeAsAny,
-    SerializerFunctionWrapHandler,
-    field_validator,
-    model_serializer,
-    model_validator,
-)
+from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from forestgen.recipe.clouds import Clouds
-from forestgen.recipe.fields import Number, PartSection, Section, Text, mistake, spelled_out
-from forestgen.recipe.registries import SKIES
+from forestgen.recipe.fields import GivenSection, Number, PartSection, Text, mistake, shorthand
+from forestgen.recipe.registries import CLOUD_SOURCES, SKIES
 
+FileName = Annotated[Text, Field(min_length=1, max_length=4000)]
+Sha256 = Annotated[Text, Field(pattern="^[0-9a-f]{64}$")]
 YEARS = (1700, 2200)
 _ANGLES, _DATE = ("elevation_deg", "azimuth_deg"), ("date", "time", "utc_offset_h")
 _ELEVATION_DEG, _AZIMUTH_DEG = 40.0, 140.0
 _CLOCK = re.compile(r"^(\d{1,2}):(\d{2})(?::(\d{2}))?$", re.ASCII)
 
 
-class Sun(Section):
+class NamedFile(GivenSection):
+    """A file beside the recipe, known by its content."""
+
+    file: FileName = Field(description="Its path, relative to the recipe's folder.")
+    sha256: Sha256 | None = Field(
+        None, description="SHA-256 of its content, written when the recipe is loaded; another file is refused."
+    )
+
+
+class Clouds(PartSection, GivenSection):
+    """The clouds above the site, or around it."""
+
+    registry = CLOUD_SOURCES
+    selector = "type"
+    has_clouds: ClassVar[bool] = True  # whether there are ever any
+
+    type: Text = Field("none", description="Where the clouds come from.")
+
+    @property
+    def known_cover(self) -> float | None:
+        """Share of the sky's area under cloud, where the recipe itself says it."""
+        return None
+
+    @classmethod
+    def named_by(cls, data: Mapping[str, Any]) -> Any:
+        """The type; of a story its first chapter's."""
+        story = data.get("story")
+        if data.get("type") is None and isinstance(story, list | tuple) and story and isinstance(story[0], Mapping):
+            return story[0].get("type", cls.model_fields["type"].default)
+        return super().named_by(data)
+
+
+class Sun(GivenSection):
     """Where the sun stands: by its angles, or by date, time and the site's place on earth."""
 
-    elevation_deg: Annotated[
-        Number | None,
-        Field(gt=0, le=90, description="Height above the horizon as it is seen, degrees. Default 40, without a date."),
-    ] = None
-    azimuth_deg: Annotated[
-        Number | None,
-        Field(
-            ge=-360,
-            le=360,
-            description="Direction clockwise from north, degrees: 90 is east. Default 140, without a date.",
-        ),
-    ] = None
-    date: Annotated[
-        Text | None,
-        Field(
-            max_length=40,
-            description="Day, YYYY-MM-DD, with time and utc_offset_h; or both with their offset as "
-            "2026-06-21T14:30+02:00. Needs site.latitude_deg and site.longitude_deg.",
-        ),
-    ] = None
-    time: Annotated[
-        Annotated[Number, Field(ge=0, lt=24)] | Text | None,
-        Field(description="Of the clock, 'HH:MM' or 'HH:MM:SS', or hours since midnight, such as 14.5."),
-    ] = None
-    utc_offset_h: Annotated[
-        Number | None,
-        Field(ge=-12, le=14, description="What the clock is ahead of UTC, hours: 2 in central Europe's summer."),
-    ] = None
+    elevation_deg: Number | None = Field(
+        None, gt=0, le=90, description="Height above the horizon as it is seen, degrees. Default 40, without a date."
+    )
+    azimuth_deg: Number | None = Field(
+        None,
+        ge=-360,
+        le=360,
+        description="Direction clockwise from north, degrees: 90 is east. Default 140, without a date.",
+    )
+    date: Text | None = Field(
+        None,
+        max_length=40,
+        description="Day, YYYY-MM-DD, with time and utc_offset_h; or both with their offset as 2026-06-21T14:30+02:00. "
+        "Needs site.latitude_deg and site.longitude_deg.",
+    )
+    time: Annotated[Number, Field(ge=0, lt=24)] | Text | None = Field(
+        None, description="Of the clock, 'HH:MM' or 'HH:MM:SS', or hours since midnight, such as 14.5."
+    )
+    utc_offset_h: Number | None = Field(
+        None, ge=-12, le=14, description="What the clock is ahead of UTC, hours: 2 in central Europe's summer."
+    )
 
     @property
     def moment(self) -> datetime.datetime | None:
@@ -110,30 +129,18 @@ class Sun(Section):
             return self
         angles = [key for key in _ANGLES if getattr(self, key) is not None]
         if angles:
-            raise mistake(
-                "elevation_deg and azimuth_deg; or date, time and utc_offset_h",
-                problem="the sun is given twice, by angle and by date",
-                got=", ".join(angles + given),
-                hint=f"leave out {' and '.join(angles)} or the date",
-                at=(angles[0],),
-            )
+            expected, hint = "elevation_deg and azimuth_deg; or date, time and utc_offset_h", " and ".join(angles)
+            problem, got = "the sun is given twice, by angle and by date", ", ".join(angles + given)
+            raise mistake(expected, problem=problem, got=got, hint=f"leave out {hint} or the date", at=angles[0])
         needed = ("date",) if self.date is not None and len(self.date) > 10 else _DATE
+        missing = [key for key in needed if key not in given]
+        if missing:
+            hint = "add " + " and ".join(f"{key}: {_EXAMPLES[key]}" for key in missing)
+            raise mistake(" and ".join(needed), problem="half a date", got=", ".join(given), hint=hint, at=given[0])
         if given != list(needed):
-            missing = [key for key in needed if key not in given]
-            raise mistake(
-                " and ".join(needed),
-                problem="half a date" if missing else "the time is given twice, in the date and beside it",
-                got=", ".join(given),
-                hint="add " + " and ".join(f"{key}: {_EXAMPLES[key]}" for key in missing)
-                if missing
-                else "leave out time and utc_offset_h",
-                at=(given[0] if missing else given[1],),
-            )
+            problem, hint = "the time is given twice, in the date and beside it", "leave out time and utc_offset_h"
+            raise mistake(" and ".join(needed), problem=problem, got=", ".join(given), hint=hint, at=given[1])
         return self
-
-    @model_serializer(mode="wrap")
-    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in handler(self).items() if value is not None}
 
 
 _EXAMPLES = {"date": "2026-06-21", "time": "'14:30'", "utc_offset_h": "2"}
@@ -156,36 +163,25 @@ class SkySection(PartSection):
     registry = SKIES
     selector = "kind"
 
-    kind: Annotated[Text, Field(description="Model of the sky.")] = "clear"
-    sun: Annotated[Sun, Field(description="Where the sun stands, by angles or by date.")] = Sun()
-    turbidity: Annotated[Number, Field(ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")] = (
-        3.0
+    kind: Text = Field("clear", description="Model of the sky.")
+    sun: Sun = Field(Sun.model_validate({}), description="Where the sun stands, by angles or by date.")
+    turbidity: Number = Field(3.0, ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")
+    precipitable_water_mm: Number = Field(
+        14.16,
+        ge=0,
+        le=100,
+        description="Water vapour of the whole air column, mm: 5 in winter, 14 standard, 50 in the tropics.",
     )
-    precipitable_water_mm: Annotated[
-        Number,
-        Field(
-            ge=0,
-            le=100,
-            description="Water vapour of the whole air column, mm: 5 in winter, 14 standard, 50 in the tropics.",
-        ),
-    ] = 14.16
-    ozone_du: Annotated[
-        Number, Field(ge=0, le=1000, description="Ozone of the whole air column, Dobson units; 344 is standard.")
-    ] = 344.0
-    visibility_m: Annotated[
-        Number | None,
-        Field(
-            ge=1000,
-            le=300000,
-            description="Haze between camera and scene: how far one sees, metres; 3000 is murky, 20000 usual, 100000 "
-            "very clear. None: no haze. Below 1000 it is fog: see clouds.",
-        ),
-    ] = None
-    clouds: SerializeAsAny[Clouds] = Field(
+    ozone_du: Number = Field(
+        344.0, ge=0, le=1000, description="Ozone of the whole air column, Dobson units; 344 is standard."
+    )
+    visibility_m: Number | None = Field(
+        None,
+        ge=1000,
+        le=300000,
+        description="Haze between camera and scene: how far one sees, metres; 3000 is murky, 20000 usual, 100000 very "
+        "clear. None: no haze. Below 1000 it is fog: see clouds.",
+    )
+    clouds: Annotated[SerializeAsAny[Clouds], shorthand("type")] = Field(
         default_factory=lambda: Clouds.model_validate({}), description="The cloud field, or just its type."
     )
-
-    @field_validator("clouds", mode="before")
-    @classmethod
-    def _type_alone(cls, value: Any) -> Any:
-        return spelled_out(value, "type")

@@ -10,10 +10,11 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from forestgen.recipe.fields import (
     Colour,
+    Flag,
     Fraction,
     Name,
     NonNegative,
@@ -23,9 +24,8 @@ from forestgen.recipe.fields import (
     Section,
     Text,
     mistake,
-    spelled_out,
-)
-from forestgen.recipe.plant_type import PlantType
+    shorthand,
+)  # fmt: skip
 from forestgen.recipe.spectra import MOST_BYTES, Season
 
 TALLEST_M = 200.0
@@ -34,23 +34,19 @@ TALLEST_M = 200.0
 class Ecology(Section):
     """How a species grows, competes and spreads."""
 
-    growth_m_per_yr: Annotated[NonNegative, Field(le=10, description="Growth of the radius, metres per year.")]
-    max_radius_m: Annotated[Positive, Field(le=100, description="Radius at which a plant is mature, metres.")]
-    shade_tolerance: Annotated[
-        Fraction, Field(description="Probability that a dominated plant survives a step, 0 to 1.")
-    ]
-    old_age_survival: Annotated[Fraction, Field(description="Probability that a mature plant survives a step, 0 to 1.")]
-    seedlings_per_ha_per_yr: Annotated[
-        NonNegative, Field(le=1e6, description="New plants per hectare (10,000 m²) and year.")
-    ]
-    seedling_radius_m: Annotated[Positive, Field(le=10, description="Radius of a new plant, metres.")] = 0.05
+    growth_m_per_yr: NonNegative = Field(le=10, description="Growth of the radius, metres per year.")
+    max_radius_m: Positive = Field(le=100, description="Radius at which a plant is mature, metres.")
+    shade_tolerance: Fraction = Field(description="Probability that a dominated plant survives a step, 0 to 1.")
+    old_age_survival: Fraction = Field(description="Probability that a mature plant survives a step, 0 to 1.")
+    seedlings_per_ha_per_yr: NonNegative = Field(le=1e6, description="New plants per hectare (10,000 m²) and year.")
+    seedling_radius_m: Positive = Field(default=0.05, le=10, description="Radius of a new plant, metres.")
 
 
 class PowerLaw(Section):
     """``scale * radius^exponent``, metres; the radius in metres."""
 
-    scale: Annotated[Positive, Field(description="Value at a radius of 1 m, metres.")]
-    exponent: Annotated[Number, Field(ge=0, le=5, description="Power of the radius, no unit.")]
+    scale: Positive = Field(description="Value at a radius of 1 m, metres.")
+    exponent: Number = Field(ge=0, le=5, description="Power of the radius, no unit.")
 
     def __call__(self, radius_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(self.scale * np.asarray(radius_m, dtype=np.float64) ** self.exponent, dtype=np.float64)
@@ -63,8 +59,8 @@ class PowerLaw(Section):
 class Allometry(Section):
     """Size of a plant from its radius in the community (Lane 2002, chapter 6)."""
 
-    height_m: Annotated[PowerLaw, Field(description="Height of the plant, metres, from its radius.")]
-    width_m: Annotated[PowerLaw, Field(description="Width of the crown, metres, from its radius.")]
+    height_m: PowerLaw = Field(description="Height of the plant, metres, from its radius.")
+    width_m: PowerLaw = Field(description="Width of the crown, metres, from its radius.")
 
     def height(self, radius_m: float | NDArray[np.float64]) -> NDArray[np.float64]:
         """Height in metres of plants of `radius_m`, metres, any shape."""
@@ -78,7 +74,7 @@ class Allometry(Section):
 class Plant(OpenSection):
     """What makes a species' geometry: a generator, and keys that the generator checks itself."""
 
-    generator: Annotated[Text, Field(min_length=1, max_length=100, description="Id of the plant generator.")]
+    generator: Text = Field(min_length=1, max_length=100, description="Id of the plant generator.")
 
 
 BarkPattern = Literal["furrowed", "plated", "scaly", "smooth", "papery", "ringed", "fibrous", "end_grain"]
@@ -88,46 +84,41 @@ TileSide = Annotated[Positive, Field(ge=0.01, le=10)]
 class Bark(Section):
     """Pattern and relief of a surface, whose mean colour stays the material's reflectance; see plants/bark/."""
 
-    pattern: Annotated[BarkPattern, Field(description="What the bark looks like.")]
-    tile_m: Annotated[
-        tuple[TileSide, TileSide],
-        Field(description="Width round the stem and height of the texture's one repeat, metres."),
-    ] = (0.5, 0.75)
-    scale_m: Annotated[
-        Positive | None,
-        Field(
-            ge=0.0005,
-            le=1,
-            description="Width of a ridge, plate, scale, ring or mark, metres; null: the pattern's own.",
-        ),
-    ] = None
-    depth_m: Annotated[
-        NonNegative | None, Field(le=0.1, description="Deepest crack, metres; null: the pattern's own.")
-    ] = None
-    dark: Annotated[
-        Colour | None, Field(description="Colour of cracks, linear Rec. 709, before the mean is set; null: chosen.")
-    ] = None
-    light: Annotated[
-        Colour | None, Field(description="Colour of what stands out, before the mean is set; null: chosen.")
-    ] = None
-    marks: Annotated[
-        Fraction | None,
-        Field(le=0.5, description="Share of lenticels, checks or cracks, 0 to 0.5; null: the pattern's own."),
-    ] = None
-    mark_colour: Annotated[
-        Colour | None, Field(description="Colour of the marks of smooth and papery bark; null: as dark.")
-    ] = None
-    lichen: Annotated[Fraction, Field(le=0.9, description="Share of the surface that lichen covers.")] = 0.0
-    lichen_colour: Annotated[Colour, Field(description="Colour of lichen, before the mean is set.")] = (0.3, 0.33, 0.24)
+    pattern: BarkPattern = Field(description="What the bark looks like.")
+    tile_m: tuple[TileSide, TileSide] = Field(
+        default=(0.5, 0.75), description="Width round the stem and height of the texture's one repeat, metres."
+    )
+    scale_m: Positive | None = Field(
+        default=None,
+        ge=0.0005,
+        le=1,
+        description="Width of a ridge, plate, scale, ring or mark, metres; null: the pattern's own.",
+    )
+    depth_m: NonNegative | None = Field(
+        default=None, le=0.1, description="Deepest crack, metres; null: the pattern's own."
+    )
+    dark: Colour | None = Field(
+        default=None, description="Colour of cracks, linear Rec. 709, before the mean is set; null: chosen."
+    )
+    light: Colour | None = Field(
+        default=None, description="Colour of what stands out, before the mean is set; null: chosen."
+    )
+    marks: Fraction | None = Field(
+        default=None, le=0.5, description="Share of lenticels, checks or cracks, 0 to 0.5; null: the pattern's own."
+    )
+    mark_colour: Colour | None = Field(
+        default=None, description="Colour of the marks of smooth and papery bark; null: as dark."
+    )
+    lichen: NonNegative = Field(default=0.0, le=0.9, description="Share of the surface that lichen covers.")
+    lichen_colour: Colour = Field(default=(0.3, 0.33, 0.24), description="Colour of lichen, before the mean is set.")
 
     @model_validator(mode="after")
     def _repeats(self) -> Self:
-        if self.scale_m is not None and self.scale_m > 0.5 * min(self.tile_m):
+        most = 0.5 * min(self.tile_m)
+        if self.scale_m is not None and self.scale_m > most:
+            problem = "the texture's repeat is too small for features of this size"
             raise mistake(
-                f"at most half of tile_m: {0.5 * min(self.tile_m):g} m",
-                problem="the texture's repeat is too small for features of this size",
-                got=f"{self.scale_m:g} m",
-                at=("scale_m",),
+                f"at most half of tile_m: {most:g} m", problem=problem, got=f"{self.scale_m:g} m", at="scale_m"
             )
         return self
 
@@ -135,138 +126,223 @@ class Bark(Section):
 class SpectrumFile(Section):
     """A table of reflectance and perhaps transmittance by wavelength; see recipe/spectra.py."""
 
-    name: Annotated[Text, Field(min_length=1, max_length=1000, description="Such as leaves/birch, or a path.")]
-    text: Annotated[
-        Text | None,
-        Field(max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."),
-    ] = None
+    name: Text = Field(min_length=1, max_length=1000, description="Such as leaves/birch, or a path.")
+    text: Text | None = Field(
+        default=None, max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."
+    )
 
 
 class Material(Section):
     """What an organ's surface does with light: by a spectrum, or by a colour, linear Rec. 709."""
 
-    spectrum: Annotated[
-        SpectrumFile | None,
-        Field(
-            description="Table of reflectance and transmittance by wavelength, of which the colours follow: "
-            "leaves/birch, bark/oak, ... or a path from the recipe's folder. In place of reflectance and transmittance."
-        ),
-    ] = None
-    season: Annotated[
-        Season | None, Field(description="Of the spectrum, where it has seasons; null: plants.season.")
-    ] = None
-    reflectance: Annotated[
-        Colour | None, Field(description="Reflected fraction of red, green, blue; linear Rec. 709.")
-    ] = None
-    transmittance: Annotated[
-        Colour, Field(description="Fraction let through of red, green, blue; linear Rec. 709.")
-    ] = (0.0, 0.0, 0.0)
-    roughness: Annotated[Fraction, Field(description="Roughness of the gloss, 0 to 1: 0.2 is waxy, 0.6 matt.")] = 0.5
-    gloss: Annotated[
-        Fraction,
-        Field(
-            le=0.08,
-            description="Share of light that the skin of a leaf or petal mirrors, part of its reflectance: 0 is matt, "
-            "0.04 smooth wax. Bark has none.",
-        ),
-    ] = 0.0
-    bark: Annotated[
-        Bark | None, Field(description="Pattern of an opaque surface; null: one colour. The reflectance is its mean.")
-    ] = None
-
-    @field_validator("spectrum", mode="before")
-    @classmethod
-    def _name_alone(cls, value: Any) -> Any:
-        return spelled_out(value, "name")
+    spectrum: Annotated[SpectrumFile | None, shorthand("name")] = Field(
+        default=None,
+        description="Table of reflectance and transmittance by wavelength, of which the colours follow: leaves/birch, "
+        "bark/oak, ... or a path from the recipe's folder. In place of reflectance and transmittance.",
+    )
+    season: Season | None = Field(
+        default=None, description="Of the spectrum, where it has seasons; null: plants.season."
+    )
+    reflectance: Colour | None = Field(
+        default=None, description="Reflected fraction of red, green, blue; linear Rec. 709."
+    )
+    transmittance: Colour = Field(
+        default=(0.0, 0.0, 0.0), description="Fraction let through of red, green, blue; linear Rec. 709."
+    )
+    roughness: Fraction = Field(default=0.5, description="Roughness of the gloss, 0 to 1: 0.2 is waxy, 0.6 matt.")
+    gloss: NonNegative = Field(
+        default=0.0,
+        le=0.08,
+        description="Share of light that the skin of a leaf or petal mirrors, part of its reflectance: 0 is matt, 0.04 "
+        "smooth wax. Bark has none.",
+    )
+    bark: Bark | None = Field(
+        default=None, description="Pattern of an opaque surface; null: one colour. The reflectance is its mean."
+    )
 
     @model_validator(mode="after")
     def _says_it_once(self) -> Self:
         if self.spectrum is None and self.reflectance is None:
             raise mistake("reflectance, or a spectrum", problem="a material without colour", got="neither")
         if self.spectrum is None and self.season is not None:
-            raise mistake("a season of a spectrum", problem="colours have no season", got=self.season, at=("season",))
+            raise mistake("a season of a spectrum", problem="colours have no season", got=self.season, at="season")
         if self.spectrum is not None and (self.reflectance is not None or max(self.transmittance) > 0):
-            raise mistake(
-                "a spectrum, or reflectance and transmittance",
-                problem="colours beside a spectrum, of which they follow",
-                got="both",
-                hint="leave one out; `spectrum: null` takes back a species file's",
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _bark_is_opaque(self) -> Self:
+            expected = "a spectrum, or reflectance and transmittance"
+            problem = "colours beside a spectrum, of which they follow"
+            hint = "leave one out; `spectrum: null` takes back a species file's"
+            raise mistake(expected, problem=problem, got="both", hint=hint)
         if self.bark is not None and max(self.transmittance) > 0:
             raise mistake("no transmittance, or no bark", problem="bark lets no light through", got="both")
-        return self
-
-    @model_validator(mode="after")
-    def _conserves_energy(self) -> Self:
         reflectance = self.reflectance or (0.0, 0.0, 0.0)
         for channel, r, t in zip(("red", "green", "blue"), reflectance, self.transmittance, strict=True):
             if r + t > 1.0 + 1e-9:
-                raise mistake(
-                    "reflectance + transmittance of at most 1 in every channel",
-                    problem="more light leaves than arrives",
-                    got=f"{r:g} + {t:g} in {channel}",
-                )
+                expected = "reflectance + transmittance of at most 1 in every channel"
+                got = f"{r:g} + {t:g} in {channel}"
+                raise mistake(expected, problem="more light leaves than arrives", got=got)
         return self
 
 
 class Tissue(Section):
     """What turns volume and area into mass, dry."""
 
-    wood_density_kg_per_m3: Annotated[
-        Positive, Field(le=1500, description="Dry wood over its fresh volume, kg/m³.")
-    ] = 500.0
-    leaf_mass_per_area_kg_per_m2: Annotated[
-        Positive, Field(le=2, description="Dry leaf over one side's area, kg/m².")
-    ] = 0.08
+    wood_density_kg_per_m3: Positive = Field(
+        default=500.0, le=1500, description="Dry wood over its fresh volume, kg/m³."
+    )
+    leaf_mass_per_area_kg_per_m2: Positive = Field(
+        default=0.08, le=2, description="Dry leaf over one side's area, kg/m²."
+    )
+
+
+class PlantType(Section):
+    """Parameters of one plant type; symbols of the paper in brackets."""
+
+    life_span_yr: Positive = Field(le=10_000, description="Age at which it begins to fail [p_max], years.")
+    root_vigour_max: Positive = Field(le=1e5, description="Most vigour of its root module [v_rootmax].")
+    growth_rate_per_yr: Positive = Field(
+        le=10, description="Physiological age that a module of full vigour gains a year [g_p], 1/year."
+    )
+    apical_control: Fraction = Field(
+        description="Share of main over lateral branches [lambda]: above 0.5 one stem leads."
+    )
+    determinacy: Fraction = Field(description="Place in the morphospace of prototypes [D].")
+    apical_control_mature: Fraction | None = Field(
+        default=None, description="The same once it flowers; null: as before."
+    )
+    determinacy_mature: Fraction | None = Field(default=None, description="The same once it flowers; null: as before.")
+    prototypes: tuple[Text, ...] = Field(
+        default=(),
+        max_length=64,
+        description="Module prototypes that it may have, by name; none: all. Palms have column.",
+    )
+    flowering_age_yr: NonNegative = Field(
+        default=0.0, le=10_000, description="Age at which the most vigorous plant flowers [F_age], years."
+    )
+    flowering_delay_max: Number = Field(
+        default=1.2, ge=1, le=100, description="Plants of little vigour flower at most so many times later."
+    )
+    tropism_angle_rad: Number = Field(
+        default=0.52,
+        ge=-1.57,
+        le=3.15,
+        description="Angle that branches turn to [alpha], radians from the vertical; if < 0, below the level.",
+    )
+    tropism_weight: NonNegative = Field(
+        default=0.6, le=1e3, description="Of that angle in a module's turning [omega_2]."
+    )
+    collision_weight: NonNegative = Field(default=4.0, le=1e3, description="Of free space in it [omega_1].")
+    tropism_strength: Number = Field(
+        default=0.0,
+        ge=-5,
+        le=5,
+        description="Bend of young segments: up above 0, down below [g_2; Table 1 prints it as g_1].",
+    )
+    tropism_decay: Positive = Field(
+        default=0.3, le=100, description="Physiological age at which the bend has fallen to half [g_1]."
+    )
+    thickening_cm: Positive = Field(default=2.0, le=50, description="Diameter of a grown terminal segment [phi], cm.")
+    shoots_per_terminal: Number = Field(
+        default=1.0,
+        ge=1,
+        le=1000,
+        description="Shoots of that diameter that a terminal stands for: wood is so much thicker.",
+    )
+    length_per_age_m: Positive = Field(
+        default=1.0, le=50, description="Length of a segment per physiological age [beta], metres."
+    )
+    longest_segment_m: Positive = Field(default=0.8, le=20, description="Longest segment [l_max], metres.")
+    mature_age: Positive = Field(default=1.0, le=100, description="Physiological age of a grown module [a_mature].")
+    vigour_min: Positive = Field(
+        default=0.08, le=1, description="Modules of less vigour, over their size, are shed [v_min]."
+    )
+    sprouting: Number = Field(
+        default=2.0, ge=1, le=20, description="A terminal bears a module at so many times that vigour; see the model."
+    )
+    disused_share: Fraction = Field(
+        default=0.15, description="Share of the pipes of shed modules that stays in the wood below for good."
+    )
+    upkeep: NonNegative = Field(
+        default=0.01, le=0.9, description="Share of the vigour on its way up that a metre of the way takes, 1/m."
+    )
+    reach_m: Positive = Field(
+        default=25.0, le=500, description="Way from the root at which a branch gets 1/e of what it would, metres."
+    )
+    compensation: NonNegative = Field(
+        default=0.4, le=0.9, description="Light exposure of which a module can just live, and give nothing."
+    )
+    vigour_max: Positive = Field(default=1.0, le=1e4, description="Vigour at which a module grows fastest [v_max].")
+    opacity: Fraction = Field(
+        default=0.5, description="Share of the light that a grown module's foliage takes, over its sphere's disc."
+    )
+    shade_tolerance: Fraction = Field(default=0.3, description="Light exposure in the deepest shade [s_tol].")
+    seeds_per_yr: NonNegative = Field(default=1.0, le=1000, description="Seeds of a flowering plant, 1/year.")
+    seeding_radius_m: Positive = Field(
+        default=5.0, le=1000, description="Standard deviation of a seed's way, along x and y, metres."
+    )
+    temperature_c: Number = Field(default=12.0, ge=-20, le=40, description="Optimal mean temperature [T_A], deg C.")
+    temperature_width_c: Positive = Field(default=8.0, le=100, description="Standard deviation about it, K.")
+    precipitation_mm_per_yr: Number = Field(
+        default=800.0, ge=0, le=10_000, description="Optimal precipitation [P_A], mm/year."
+    )
+    precipitation_width_mm_per_yr: Positive = Field(
+        default=500.0, le=10_000, description="Standard deviation about it, mm/year."
+    )
+
+    in_biomes: Flag = Field(
+        default=True, description="Whether a recipe's biome chooses this species, where it is a shipped one."
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in handler(self).items() if key != "in_biomes" or not value}
+
+    @model_validator(mode="after")
+    def _can_grow(self) -> Self:
+        if self.vigour_min >= self.vigour_max:
+            expected, problem = f"below vigour_max = {self.vigour_max:g}", "no vigour lets a module grow"
+            raise mistake(expected, problem=problem, got=f"{self.vigour_min:g}", at="vigour_min")
+        if self.sprouting * self.vigour_min >= 1.0:
+            most = 1.0 / self.vigour_min
+            expected = f"below {most:g}, so that sprouting x vigour_min is less than the 1 of full light"
+            raise mistake(expected, problem="no light lets a seed germinate", got=f"{self.sprouting:g}", at="sprouting")
+        return self
 
 
 class Species(Section):
     """One species of the recipe, complete: its file and the recipe's overrides merged."""
 
-    description: Annotated[Text, Field(max_length=2000, description="What the species is, for people.")] = ""
-    height_m: Annotated[
-        Positive | None,
-        Field(
-            le=TALLEST_M,
-            description="Mature height, metres: sets allometry.height_m.scale so that a plant of ecology.max_radius_m "
-            "is this tall. Null leaves the allometry as it is.",
-        ),
-    ] = None
-    map_colour: Annotated[
-        Text | None, Field(pattern="^#[0-9A-Fa-f]{6}$", description="Colour on maps, #RRGGBB; null: chosen.")
-    ] = None
-    ecology: Annotated[Ecology, Field(description="How the species grows, competes and spreads.")]
-    allometry: Annotated[Allometry, Field(description="Size of a plant from its radius.")]
-    tissue: Annotated[Tissue, Field(description="Density of wood and leaves, for mass.")] = Tissue()
-    sources: Annotated[
-        tuple[Text, ...], Field(max_length=20, description="Where the proportions come from, one reference each.")
-    ] = ()
-    plant: Annotated[Plant, Field(description="What makes its geometry.")]
-    modules: Annotated[
-        PlantType | None,
-        Field(description="How it grows as branch modules; null: it does not."),
-    ] = None
-    modules_plant: Annotated[
-        Plant | None,
-        Field(description="Plant generator of its branch modules, if `plant` serves other communities; null: `plant`."),
-    ] = None
-    materials: Annotated[
-        dict[Name, Material], Field(default_factory=dict, description="Materials of the plant's organs, by name.")
-    ]
+    description: Text = Field(default="", max_length=2000, description="What the species is, for people.")
+    height_m: Positive | None = Field(
+        default=None,
+        le=TALLEST_M,
+        description="Mature height, metres: sets allometry.height_m.scale so that a plant of ecology.max_radius_m is "
+        "this tall. Null leaves the allometry as it is.",
+    )
+    map_colour: Text | None = Field(
+        default=None, pattern="^#[0-9A-Fa-f]{6}$", description="Colour on maps, #RRGGBB; null: chosen."
+    )
+    ecology: Ecology = Field(description="How the species grows, competes and spreads.")
+    allometry: Allometry = Field(description="Size of a plant from its radius.")
+    tissue: Tissue = Field(default=Tissue(), description="Density of wood and leaves, for mass.")
+    sources: tuple[Text, ...] = Field(
+        default=(), max_length=20, description="Where the proportions come from, one reference each."
+    )
+    plant: Plant = Field(description="What makes its geometry.")
+    modules: PlantType | None = Field(default=None, description="How it grows as branch modules; null: it does not.")
+    modules_plant: Plant | None = Field(
+        default=None,
+        description="Plant generator of its branch modules, if `plant` serves other communities; null: `plant`.",
+    )
+    materials: dict[Name, Material] = Field(
+        default_factory=dict, description="Materials of the plant's organs, by name."
+    )
 
     @model_validator(mode="after")
     def _height_is_a_plants(self) -> Self:
         height_m = self.mature_height_m
         if not 0 < height_m <= TALLEST_M:
-            raise mistake(
-                f"a mature height of at most {TALLEST_M:g} m",
-                problem="the allometry gives no plant's height",
-                got=f"{height_m:g} m = allometry.height_m at ecology.max_radius_m",
-            )
+            expected, problem = f"a mature height of at most {TALLEST_M:g} m", "the allometry gives no plant's height"
+            got = f"{height_m:g} m = allometry.height_m at ecology.max_radius_m"
+            raise mistake(expected, problem=problem, got=got)
         return self
 
     @property

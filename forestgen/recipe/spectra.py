@@ -26,9 +26,9 @@ from typing import Literal, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.core.text_file import read_text
 from forestgen.recipe.assets import find_asset, list_assets
 
 Season = Literal["spring", "summer", "autumn", "dry"]
@@ -51,11 +51,8 @@ Columns = dict[str, Spectrum]
 def load_spectra(name: str, *, folder: Path | None = None, where: str | None = None) -> Columns:
     """The columns of a surface's table: reflectance, transmittance, perhaps by season; fractions of 1.
 
-    Parameters
-    ----------
-    name : of a shipped table, such as ``leaves/birch``; or a path from `folder`.
-    folder : the recipe's; the working directory if None.
-    where : place in the recipe that names the table, for messages.
+    The name is a shipped table's, such as ``leaves/birch``, or a path from `folder` (the recipe's; None: the working
+    directory). `where` names the place in the recipe for messages.
 
     Raises
     ------
@@ -66,21 +63,12 @@ def load_spectra(name: str, *, folder: Path | None = None, where: str | None = N
 
 
 def load_bands(name: str, *, folder: Path | None = None, where: str | None = None) -> tuple[Band, ...]:
-    """The bands of a sensor, in the order of its file; parameters as those of `load_spectra`.
+    """The bands of a sensor, in the order of its file; parameters and errors as those of `load_spectra`.
 
     A sensor's name does without its folder: ``sentinel2a`` is ``responses/sentinel2a``.
-
-    Raises
-    ------
-    AssetError : no such table, or one that no sensor can have.
     """
     path = sensor_file(name, folder, where)
-    return _bands(table_text(path), str(path), where)
-
-
-def bands_of(text: str, file: str, where: str | None = None) -> tuple[Band, ...]:
-    """The bands of a sensor's table from its text; `file` names it in messages."""
-    return _bands(text, file, where)
+    return bands_of(table_text(path), str(path), where)
 
 
 def sensor_file(name: str, folder: Path | None, where: str | None) -> Path:
@@ -102,14 +90,9 @@ def sensor_names() -> list[str]:
 
 
 def load_table(name: str) -> Columns:
-    """The columns of a shipped table, whatever they are: ``standards/d65`` and the like."""
+    """The columns of any shipped table, such as ``standards/d65``."""
     path = find_asset(KIND, name)
     return _Table(table_text(path), str(path), None).spectra()
-
-
-def surface_columns(text: str, file: str, where: str | None = None) -> Columns:
-    """The columns of a surface's table from its text; `file` names it in messages."""
-    return _surface(text, file, where)
 
 
 def of_season(columns: Columns, season: Season) -> tuple[Spectrum, Spectrum | None] | None:
@@ -131,22 +114,21 @@ def table_text(path: Path) -> str:
 
 
 @lru_cache(maxsize=256)
-def _surface(text: str, file: str, where: str | None) -> Columns:
+def surface_columns(text: str, file: str, where: str | None = None) -> Columns:
+    """The columns of a surface's table from its text; `file` names it in messages."""
     table = _Table(text, file, where)
     names = {f"{what}{suffix}" for what in ("reflectance", "transmittance") for suffix in _SUFFIXES}
+    line = table.header_line
     for name in table.names:
         if name not in names:
-            table.fail(
-                f"a surface has no column {name!r}",
-                line=table.header_line,
-                expected="reflectance and transmittance, or with _spring, _summer, _autumn, _dry behind them",
-            )
+            expected = "reflectance and transmittance, or with _spring, _summer, _autumn, _dry behind them"
+            table.fail(f"a surface has no column {name!r}", line=line, expected=expected)
     if not any(name.startswith("reflectance") for name in table.names):
-        table.fail("no reflectance", line=table.header_line, expected="a column reflectance")
+        table.fail("no reflectance", line=line, expected="a column reflectance")
     for name in table.names:
         partner = name.replace("transmittance", "reflectance")
         if partner not in table.names:
-            table.fail(f"{name} without {partner}", line=table.header_line, expected=f"a column {partner}")
+            table.fail(f"{name} without {partner}", line=line, expected=f"a column {partner}")
     table.check_covers_the_visible()
     table.check_fractions()
     for suffix in _SUFFIXES:
@@ -179,7 +161,8 @@ def _check_bands(table: _Table) -> None:
 
 
 @lru_cache(maxsize=64)
-def _bands(text: str, file: str, where: str | None) -> tuple[Band, ...]:
+def bands_of(text: str, file: str, where: str | None = None) -> tuple[Band, ...]:
+    """The bands of a sensor's table from its text; `file` names it in messages."""
     table = _Table(text, file, where)
     _check_bands(table)
     bands = []
@@ -196,12 +179,8 @@ def _bands(text: str, file: str, where: str | None) -> tuple[Band, ...]:
         inside = table.wavelength_nm[seen]
         if inside[0] < RENDERED_NM[0] or inside[-1] > RENDERED_NM[1]:
             row = int(seen[0] if inside[0] < RENDERED_NM[0] else seen[-1])
-            table.fail_at(
-                row,
-                f"band {name} reaches out of what is rendered",
-                expected=f"responses from {RENDERED_NM[0]:g} to {RENDERED_NM[1]:g} nm",
-                got=f"{table.wavelength_nm[row]:g} nm",
-            )
+            expected, got = f"responses from {RENDERED_NM[0]:g} to {RENDERED_NM[1]:g} nm", table.wavelength_nm[row]
+            table.fail_at(row, f"band {name} reaches out of what is rendered", expected=expected, got=f"{got:g} nm")
         if len(wavelength) < 2:
             table.fail_at(int(seen[0]), f"band {name} has one wavelength", expected="at least two")
         bands.append(Band(name, Spectrum(wavelength, response[rows])))
@@ -232,24 +211,14 @@ class _Table:
         self.values: NDArray[np.float64] = rows[:, 1:].copy()
         self._check_wavelengths()
 
-    def fail(
-        self,
-        problem: str,
-        *,
-        line: int,
-        expected: str | None = None,
-        got: str | None = None,
-        hint: str | None = None,
-    ) -> NoReturn:
-        """Raise `AssetError` for a line of the file."""
+    def fail(self, problem: str, *, line: int, **about: str | None) -> NoReturn:
+        """Raise `AssetError` for a line of the file; `about` is expected, got, and hint."""
         place = f"{self.file}:{line}" + (f" (named by {self.where})" if self.where else "")
-        raise AssetError(problem, where=place, expected=expected, got=got, hint=hint)
+        raise AssetError(problem, where=place, **about)
 
-    def fail_at(
-        self, row: int, problem: str, *, expected: str | None = None, got: str | None = None, hint: str | None = None
-    ) -> NoReturn:
+    def fail_at(self, row: int, problem: str, **about: str | None) -> NoReturn:
         """Raise `AssetError` for a row of the table."""
-        self.fail(problem, line=self._lines[row], expected=expected, got=got, hint=hint)
+        self.fail(problem, line=self._lines[row], **about)
 
     def spectra(self) -> Columns:
         """One spectrum a column."""
@@ -311,13 +280,9 @@ class _Table:
         row, column = (int(index) for index in np.argwhere(bad)[0])
         value, name = self.values[row, column], self.names[column]
         percent = value > 1 and self.values.max() <= 100 and float(np.median(self.values[:, column])) > 1
-        self.fail_at(
-            row,
-            f"{name} outside of 0 to 1",
-            expected="a fraction, 0 to 1",
-            got=f"{value:g} at {self.wavelength_nm[row]:g} nm",
-            hint="divide by 100: these look like percent" if percent else None,
-        )
+        got, hint = f"{value:g} at {self.wavelength_nm[row]:g} nm", "divide by 100: these look like percent"
+        problem, expected = f"{name} outside of 0 to 1", "a fraction, 0 to 1"
+        self.fail_at(row, problem, expected=expected, got=got, hint=hint if percent else None)
 
     def check_energy(self, reflectance: str, transmittance: str) -> None:
         """What leaves a surface is no more than what arrives, at every wavelength."""

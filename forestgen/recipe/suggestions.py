@@ -1,54 +1,29 @@
-"""What a name that nobody knows was meant for: by what people call it, then by its spelling."""
+"""The known name that is meant by an unknown one: by its synonyms, then by its spelling."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Collection
 
-#: What people call a thing, by the names that it has here. A name is suggested only where it may stand.
-_CALLED = {
+#: Name -> its synonyms. A name is suggested only where it may stand.
+_SYNONYMS = {
     # keys of a disturbance
-    "burn": "fire burning wildfire",
+    "burn": "fire burning wildfire", "plant": "planting sow sowing", "at_yr": "year years time when",
     "fell": "cut cutting harvest harvesting log logging felling clearcut thin thinning remove",
-    "plant": "planting sow sowing",
-    "at_yr": "year years time when",
     # species that come with forestgen: those of the same genus, of the same use, or in another language
-    "acacia": "vachellia umbrella_thorn thorn",
-    "baobab": "adansonia",
-    "beech": "fagus",
-    "birch": "betula",
-    "bracken": "fern pteridium",
-    "bramble": "blackberry rubus",
-    "cecropia": "trumpet_tree",
-    "cholla": "cactus",
-    "cotton_grass": "eriophorum sedge",
-    "cypress": "cupressus",
-    "eucalyptus": "eucalypt gum mountain_ash",
-    "fan_palm": "licuala",
-    "fireweed": "rosebay willowherb",
-    "grass": "tussock deschampsia",
-    "hemlock": "tsuga",
-    "juniper": "juniperus",
-    "kapok": "ceiba",
-    "larch": "larix tamarack",
-    "lily": "lilium",
-    "maple": "acer sycamore",
-    "meranti": "shorea dipterocarp",
-    "oak": "quercus",
-    "palm": "coconut cocos",
-    "pine": "pinus",
-    "poplar": "aspen cottonwood populus",
-    "redgrass": "themeda",
-    "sequoia": "redwood sequoiadendron",
-    "shrub": "hazel corylus bush",
-    "snag": "dead_tree deadwood",
+    "acacia": "vachellia umbrella_thorn thorn", "baobab": "adansonia", "beech": "fagus", "birch": "betula",
+    "bracken": "fern pteridium", "bramble": "blackberry rubus", "cecropia": "trumpet_tree", "cholla": "cactus",
+    "cotton_grass": "eriophorum sedge", "cypress": "cupressus", "eucalyptus": "eucalypt gum mountain_ash",
+    "fan_palm": "licuala", "fireweed": "rosebay willowherb", "grass": "tussock deschampsia", "hemlock": "tsuga",
+    "juniper": "juniperus", "kapok": "ceiba", "larch": "larix tamarack",
+    "lily": "lilium", "maple": "acer sycamore", "meranti": "shorea dipterocarp", "oak": "quercus",
+    "palm": "coconut cocos", "pine": "pinus", "poplar": "aspen cottonwood populus", "redgrass": "themeda",
+    "sequoia": "redwood sequoiadendron", "shrub": "hazel corylus bush", "snag": "dead_tree deadwood",
     "spruce": "fir abies picea",  # a fir is no spruce, but nothing that comes with forestgen looks more like one
-    "sweetgum": "liquidambar",
-    "tree_fern": "dicksonia",
-    "willow": "salix sallow",
-}
+    "sweetgum": "liquidambar", "tree_fern": "dicksonia", "willow": "salix sallow",
+}  # fmt: skip
 _WITHIN = {"burn": "disturbances", "fell": "disturbances"}  # where a key lies that may not stand here itself
-SYNONYMS = {word: name for name, words in _CALLED.items() for word in words.split()}
+SYNONYMS = {word: name for name, words in _SYNONYMS.items() for word in words.split()}
 
 
 def nearest(name: str, names: Collection[str], cutoff: float = 0.6) -> str | None:

@@ -25,8 +25,8 @@ from dataclasses import dataclass
 from typing import Any, TypeGuard
 
 from forestgen.core.errors import RecipeError
+from forestgen.recipe.curves import VARIABLE, check_formula_of, evaluate_number, formula_names, is_whole
 from forestgen.recipe.distributions import Scalar
-from forestgen.recipe.formula import VARIABLE, check_formula_of, evaluate_number, formula_names, is_whole
 from forestgen.recipe.sources import Keys, SourceMap
 
 SECTION: Keys = ("sampling", "variables")
@@ -72,9 +72,7 @@ class Variables:
     def values(self, drawn: Mapping[Keys, Scalar]) -> dict[Keys, Scalar]:
         """The references' values, from those of what is drawn.
 
-        Raises
-        ------
-        RecipeError : a formula of a text, or without a finite value.
+        Raises `RecipeError` for a formula of a text, or without a finite value.
         """
         known = dict(self.constants)
         known.update({str(keys[-1]): value for keys, value in drawn.items() if keys[: len(SECTION)] == SECTION})
@@ -99,10 +97,6 @@ def make_variables(
     variables : name -> distribution, value or reference, as written.
     references : by key path, as written; those among the variables too.
     drawn : key paths of all distributions.
-
-    Raises
-    ------
-    RecipeError : no such variable; a formula that is none; variables that need one another; a variable that is a list.
     """
     made = {keys: _reference(value, [*variables], sources.where(keys)) for keys, value in references.items()}
     constants: dict[str, Scalar] = {}
@@ -156,12 +150,9 @@ def _in_order(references: Mapping[Keys, Reference]) -> list[Keys]:
             return
         if name in path:
             cycle = " -> ".join([*path[path.index(name) :], name])
-            raise RecipeError(
-                "variables that need one another",
-                where=references[keys].where,
-                expected="formulas of variables that are drawn, or follow from such",
-                got=cycle,
-            )
+            problem = "variables that need one another"
+            expected = "formulas of variables that are drawn, or follow from such"
+            raise RecipeError(problem, where=references[keys].where, expected=expected, got=cycle)
         path.append(name)
         for needed in references[keys].names:
             visit(needed)
@@ -180,14 +171,12 @@ def _value(reference: Reference, known: Mapping[str, Scalar]) -> Scalar:
     for name in reference.names:
         value = known[name]
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise RecipeError(
-                "a formula of what is no number", where=reference.where, expected=f"{name}, a number", got=f"{value!r}"
-            )
+            problem, expected = "a formula of what is no number", f"{name}, a number"
+            raise RecipeError(problem, where=reference.where, expected=expected, got=f"{value!r}")
         numbers[name] = value
     result = evaluate_number(reference.text, numbers)
     if not math.isfinite(result):
         given = ", ".join(f"{name} = {value:g}" for name, value in numbers.items())
-        raise RecipeError(
-            "a formula without a finite value", where=reference.where, expected="a number", got=f"{result} at {given}"
-        )
+        problem, got = "a formula without a finite value", f"{result} at {given}"
+        raise RecipeError(problem, where=reference.where, expected="a number", got=got)
     return int(result) if is_whole(reference.text) else result

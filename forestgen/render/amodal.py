@@ -2,8 +2,7 @@
 
 Each exemplar has a scene of its own, in which it stands unmoved, and each plant's rays are brought into the
 exemplar's frame. So all plants of an exemplar are traced in one launch, whatever hides whatever, and the number of
-scenes is that of exemplars. Rays run only through the pixels that the plant's projected hull can touch
-(`render.windows`).
+scenes is that of exemplars. Rays run only through the pixels that the plant's projected hull can touch: `outlines`.
 
 A sample that hits a plant in the identity pass must hit it here. The rays of the two passes are equal to the last bit
 because the frames change as Embree changes them for an instance: the inverse is the adjoint over the determinant in
@@ -15,6 +14,7 @@ CUDA, samples within rounding error of an edge may differ.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -22,18 +22,62 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
-from forestgen.geometry.hull import Hull, hull_of
+from forestgen.geometry.mesh import Hull, hull_of
 from forestgen.plants.exemplar import Exemplar
 from forestgen.render.build import load, to_mesh
 from forestgen.render.frame import Amodal
 from forestgen.render.identity.tracer import SceneTracer, pixel_rays, sample_offsets
 from forestgen.render.variant import drjit, mitsuba, using
-from forestgen.render.windows import outlines
+from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
+BEYOND = 16  # image sizes: as far as a box may reach
+_POINTS_AT_ONCE = 1 << 19  # scratch memory stays near 30 MB
 _RAYS_AT_ONCE = 1 << 21  # of a launch: about 100 bytes each
 _PIXELS_AT_ONCE = 1 << 23  # of windows that wait to be cut to their hits: 2 bytes each
 _TRIANGLES_KEPT = 4_000_000  # in scenes that wait for the next camera: about 0.6 GB
+
+
+@dataclass(frozen=True)
+class Outlines:
+    """One row an instance."""
+
+    window_px: NDArray[np.int32]  # (N, 4) x, y, width, height: pixels of the image that it can touch; 0 where none
+    full_box_px: NDArray[np.float64]  # (N, 4) left, top, right, bottom of its projection; NaN: nothing is in front
+
+
+def outlines(hull: Hull, transform: NDArray[np.float64], camera: Camera) -> Outlines:
+    """Project the hull of one exemplar for each of its instances, by their (N, 3, 4) transforms to the world."""
+    box = np.full((len(transform), 4), np.nan)
+    anywhere = np.zeros(len(transform), dtype=np.bool_)
+    step = max(1, _POINTS_AT_ONCE // max(1, len(hull.vertices_m)))
+    for first in range(0, len(transform) if len(hull.vertices_m) else 0, step):
+        rows = slice(first, first + step)
+        seen = _in_camera(hull.vertices_m, transform[rows], camera)
+        box[rows], anywhere[rows] = projection_of(camera).hull_boxes(camera, seen, hull.edges)
+    # A leaf before the lens would reach to infinity, and leave nothing else of `truncation`.
+    limit = BEYOND * np.tile(np.asarray(camera.size_px, dtype=np.float64), 2)
+    return Outlines(_windows(box, anywhere, camera.size_px), np.clip(box, -limit, limit))
+
+
+def _in_camera(points_m: NDArray[np.float64], transform: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:
+    """(N, V, 3) points of each instance along the camera's axes, metres."""
+    axes = camera.world_from_camera
+    linear = np.einsum("ji,njk->nik", axes, transform[:, :, :3])
+    place = (transform[:, :, 3] - np.asarray(camera.position_m)) @ axes
+    return np.asarray(points_m @ linear.transpose(0, 2, 1) + place[:, None, :])
+
+
+def _windows(box: NDArray[np.float64], anywhere: NDArray[np.bool_], size_px: tuple[int, int]) -> NDArray[np.int32]:
+    """Pixels that boxes touch, one more on each side since directions are rounded to single precision."""
+    size = np.asarray(size_px, dtype=np.float64)
+    inside = np.where(np.isnan(box), 0.0, box)
+    low = np.clip(np.floor(inside[:, :2]) - 1, 0, size)
+    high = np.clip(np.ceil(inside[:, 2:]) + 1, 0, size)
+    low, high = np.where(anywhere[:, None], 0.0, low), np.where(anywhere[:, None], size, high)
+    shown = (high > low).all(axis=1) & (anywhere | ~np.isnan(box[:, 0]))
+    window = np.concatenate([low, high - low], axis=1)
+    return np.where(shown[:, None], window, 0).astype(np.int32)
 
 
 class _Alone:
@@ -86,22 +130,14 @@ def trace_amodal(
 
     Time O(pixels of all windows x samples x log triangles). Memory: 2 bytes a pixel of the windows, cut to their hits,
     twice; some 250 MB for the rays and pixels in work; and the scenes of exemplars that were asked for, of
-    4 million triangles at most.
+    4 million triangles at most. ValueError: the scene holds no such plant, or several instances of one.
 
     Parameters
     ----------
     plant_ids : (M,) uint32 in any order, those that the identity pass saw.
     samples : a pixel; a perfect square, at most 1024.
-    timer : context manager that books time under a name.
-    advance : is told of plants that are done.
-
-    Raises
-    ------
-    ValueError
-        When the scene holds no such plant, or several instances of one.
+    timer, advance : book time under a name, and count plants that are done.
     """
-    if not 0 < samples <= 1024:
-        raise ValueError(f"samples must be 1 to 1024, got {samples}")
     ids = np.unique(np.asarray(plant_ids, dtype=np.uint32))
     rows = tracer.spec.instances.rows_of(ids)
     exemplar = tracer.spec.instances.exemplar[rows]
@@ -181,8 +217,12 @@ def _trace(
     frame = mi.Float(frames_of_plants(tracer.spec.instances.transform[rows], tracer.origin_m).ravel())
     step = max(1, _RAYS_AT_ONCE // samples)
     for start in range(0, len(counts), step):
-        plant, column, row = _pixels(first, window, start, min(start + step, len(counts)))
-        ray, active = alone_rays(tracer, camera, offsets, frame, plant, column, row)
+        index = np.arange(start, min(start + step, len(counts)))
+        plant = np.searchsorted(first, index, side="right") - 1
+        left, top, width, _ = window[plant].T
+        row, column = np.divmod(index - first[plant], width)
+        pixels = (one.astype(np.uint32) for one in (plant, left + column, top + row))
+        ray, active = alone_rays(tracer, camera, offsets, frame, *pixels)
         hit = scene.ray_intersect_preliminary(ray, coherent=True, active=active)
         counts[start : start + step] = np.array(
             dr.block_sum(dr.select(hit.is_valid() & active, mi.UInt32(1), 0), samples)
@@ -201,10 +241,7 @@ def alone_rays(
 ) -> tuple[Any, Any]:
     """The identity pass' rays through S positions of pixels, each in its plant's frame; and which of them there are.
 
-    Parameters
-    ----------
-    frame : device array of `frames_of_plants`.
-    plant, column, row : (P,) row of `frame` and pixel.
+    `frame` is a device array of `frames_of_plants`, `plant` (P,) its rows.
     """
     mi, dr = mitsuba(), drjit()
     samples = len(offsets)
@@ -227,23 +264,6 @@ def alone_rays(
     along = [dr.fma(direction.x, m[k], dr.fma(direction.y, m[3 + k], direction.z * m[6 + k])) for k in range(3)]
     active = mi.Bool(True) if rays.valid is None else rays.valid
     return mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*along)), active
-
-
-@compiled
-def _pixels(first, window, start, stop):  # type: ignore[no-untyped-def]
-    """Window, column and row of the pixels `start` to `stop` of all windows, one after another."""
-    plant = np.empty(stop - start, dtype=np.uint32)
-    column = np.empty(stop - start, dtype=np.uint32)
-    row = np.empty(stop - start, dtype=np.uint32)
-    current = np.searchsorted(first, start, side="right") - 1
-    for index in range(start, stop):
-        while index >= first[current + 1]:
-            current += 1
-        within = index - first[current]
-        plant[index - start] = current
-        column[index - start] = window[current, 0] + within % window[current, 2]
-        row[index - start] = window[current, 1] + within // window[current, 2]
-    return plant, column, row
 
 
 @compiled
@@ -285,14 +305,9 @@ def _in_order(
     hits = np.zeros(first[-1], dtype=np.uint16)
     while parts:
         members, counts = parts.pop()
-        _put(hits, first, members, counts)
+        start = 0
+        for member in members.tolist():
+            size = first[member + 1] - first[member]
+            hits[first[member] : first[member + 1]] = counts[start : start + size]
+            start += size
     return first, hits
-
-
-@compiled
-def _put(hits, first, members, counts):  # type: ignore[no-untyped-def]
-    start = 0
-    for member in members:
-        size = first[member + 1] - first[member]
-        hits[first[member] : first[member + 1]] = counts[start : start + size]
-        start += size

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Mesh
-from forestgen.render.surfaces import Paints
+from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import mitsuba
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera, SceneSpec
@@ -42,26 +42,23 @@ def to_mesh(
     """A Mitsuba mesh of the current variant; without a `bsdf` it has geometry only."""
     mi = mitsuba()
     properties = mi.Properties()
+    vertices = mesh.vertices_m if offset_m is None else (mesh.vertices_m - offset_m).astype(np.float32)
+    arrays: dict[str, NDArray[Any]] = {"vertex_positions": vertices, "faces": mesh.faces}
     if bsdf is not None:
         properties["mesh_bsdf"] = bsdf
-    shaded = bsdf is not None
-    normals, uv = (mesh.normals if shaded else None), (mesh.uv if shaded else None)
+        shading = {"vertex_normals": mesh.normals, "vertex_texcoords": mesh.uv}
+        arrays |= {key: values for key, values in shading.items() if values is not None}
     result = mi.Mesh(
         name,
-        vertex_count=len(mesh.vertices_m),
+        vertex_count=len(vertices),
         face_count=len(mesh.faces),
-        has_vertex_normals=normals is not None,
-        has_vertex_texcoords=uv is not None,
+        has_vertex_normals="vertex_normals" in arrays,
+        has_vertex_texcoords="vertex_texcoords" in arrays,
         props=properties,
     )
-    vertices = mesh.vertices_m if offset_m is None else (mesh.vertices_m - offset_m).astype(np.float32)
     parameters = mi.traverse(result)
-    fill(parameters, "vertex_positions", vertices)
-    fill(parameters, "faces", mesh.faces)
-    if normals is not None:
-        fill(parameters, "vertex_normals", normals)
-    if uv is not None:
-        fill(parameters, "vertex_texcoords", uv)
+    for key, values in arrays.items():
+        fill(parameters, key, values)
     parameters.update()
     return result
 
@@ -80,16 +77,8 @@ def fill(parameters: Any, key: str, values: NDArray[Any]) -> None:
         parameters[key] = flat
 
 
-def transform_of(matrix: NDArray[np.float64], shift_m: NDArray[np.float64]) -> Any:
-    """A Mitsuba transform of a (3, 4) matrix, in the frame shifted by `shift_m`."""
-    full = np.eye(4)
-    full[:3] = matrix
-    full[:3, 3] -= shift_m
-    return mitsuba().ScalarTransform4f(full)
-
-
-def plants_dict(spec: SceneSpec, origin_m: NDArray[np.float64], paints: Paints | None) -> dict[str, Any]:
-    """Shape groups and instances; without paints they have geometry only.
+def plants_dict(spec: SceneSpec, origin_m: NDArray[np.float64], bsdfs: SpectralBsdfs | None) -> dict[str, Any]:
+    """Shape groups and instances; without BSDFs they have geometry only.
 
     Instance i has the key ``instance-i``, so tables can follow its order.
     """
@@ -100,27 +89,26 @@ def plants_dict(spec: SceneSpec, origin_m: NDArray[np.float64], paints: Paints |
         group: dict[str, Any] = {"type": "shapegroup"}
         for number, organ in enumerate(exemplar.organs):
             bsdf = None
-            if paints is not None:
+            if bsdfs is not None:
                 material = spec.materials[exemplar.species, organ.material]
-                bsdf = paints.plant(organ.part, material, has_uv=organ.mesh.uv is not None)
+                bsdf = bsdfs.plant(organ.part, material, has_uv=organ.mesh.uv is not None)
             group[f"organ-{number:02d}"] = to_mesh(organ.mesh, bsdf, name=f"{exemplar.species}-{number}")
         scene[f"exemplar-{index}"] = group
     reference = {int(index): {"type": "ref", "id": f"exemplar-{index}"} for index in used}
-    for row, (exemplar_index, transform) in enumerate(
-        zip(spec.instances.exemplar, spec.instances.transform, strict=True)
-    ):
-        scene[f"instance-{row}"] = {
-            "type": "instance",
-            "to_world": transform_of(transform, origin_m),
-            "exemplar": reference[int(exemplar_index)],
-        }
+    matrix = np.tile(np.eye(4), (len(spec.instances), 1, 1))
+    matrix[:, :3] = spec.instances.transform
+    matrix[:, :3, 3] -= origin_m
+    transform_of = mitsuba().ScalarTransform4f
+    for row, index in enumerate(spec.instances.exemplar.tolist()):
+        place = transform_of(matrix[row])
+        scene[f"instance-{row}"] = {"type": "instance", "to_world": place, "exemplar": reference[index]}
     return scene
 
 
-def scene_dict(spec: SceneSpec, origin_m: NDArray[np.float64], paints: Paints) -> dict[str, Any]:
+def scene_dict(spec: SceneSpec, origin_m: NDArray[np.float64], bsdfs: SpectralBsdfs) -> dict[str, Any]:
     """Plants on their terrain, without light."""
-    scene = plants_dict(spec, origin_m, paints)
-    terrain = to_mesh(spec.terrain.mesh, paints.ground(spec.terrain), origin_m, "terrain")
+    scene = plants_dict(spec, origin_m, bsdfs)
+    terrain = to_mesh(spec.terrain.mesh, bsdfs.ground(spec.terrain), origin_m, "terrain")
     terrain.add_attribute("vertex_far_share", 1, spec.terrain.far_share)
     if spec.terrain.wet is not None:
         terrain.add_attribute("vertex_wet_share", 1, spec.terrain.wet.share)

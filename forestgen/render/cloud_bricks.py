@@ -1,21 +1,18 @@
 """A cloud field as bricks, each a medium of its own, for the renderer's volume path tracer.
 
-The renderer steps through a medium by the largest extinction in it. One box around all clouds makes it look up
-thousands of places in clear air; small bricks with a largest value each, and none where there is no cloud, leave it
-few.
+The renderer steps through a medium by its largest extinction. In one box around all clouds it would look up thousands
+of places in clear air; small bricks with a largest value each, and none where there is no cloud, need few.
 
 Decisions
 ---------
-- Between two bricks there is one rectangle, with a medium on either side. Two boxes that touch leak: a ray that is
-  lifted off the face of one may land inside the other without having entered it. Where a brick borders on
-  nothing, the rectangle has one medium.
-- A brick holds its cells and one more on every side, so that what is interpolated between two bricks comes out the same
-  from both; at the border of the field those are the cells at the border once more, as the renderer has it for the
-  whole field.
+- Between two bricks there is one rectangle, with a medium on either side, or on one where a brick borders on nothing.
+  Two boxes that touch leak: a ray that is lifted off the face of one may land inside the other without entering it.
+- A brick holds its cells and one more on every side, so that interpolation between two bricks is the same from both; at
+  the border of the field those are the cells at the border once more, as the renderer has it for the whole field.
 - A ray that passes a face starts again behind it, by up to 9e-5 of its largest coordinate along the face's normal, and
   what lies between is not counted. Bricks are therefore large where the field has many cells.
-- The camera stands in nothing: a small sphere around it, with the medium outside. It must not cut a face. So faces are
-  laid such that the camera's brick has it near its middle.
+- The camera stands in a small sphere of nothing, with the medium outside. The sphere must not cut a face, so faces are
+  placed such that the camera is near the middle of its brick.
 """
 
 from __future__ import annotations
@@ -89,9 +86,7 @@ def brick_shapes(
 ) -> tuple[dict[str, Any], list[Any]]:
     """The faces of the bricks, as Mitsuba's dictionaries by name, and their media.
 
-    Parameters
-    ----------
-    albedo : in place of the clouds' own; with 0 they only take light away.
+    `albedo` is in place of the clouds' own; with 0 they only take light away.
     """
     media = _media(clouds, bricks, origin_m, clouds.albedo if albedo is None else albedo)
     null = mitsuba().load_dict({"type": "null"})
@@ -102,11 +97,8 @@ def brick_shapes(
     ]
     for axis in range(3):
         for (i, j, k), below, above in _faces(bricks.number, axis):
-            sides: dict[str, Any] = {}
-            if below >= 0:
-                sides["interior"] = media[below]
-            if above >= 0:
-                sides["exterior"] = media[above]
+            numbers = {"interior": below, "exterior": above}
+            sides = {side: media[number] for side, number in numbers.items() if number >= 0}
             place = _rectangle(edges, axis, (i, j, k))
             shapes[f"face-{_AXES[axis]}-{i}-{j}-{k}"] = {"type": "rectangle", "to_world": place, "bsdf": null, **sides}
     return shapes, media
@@ -118,11 +110,8 @@ def _faces(number: NDArray[np.int64], axis: int) -> list[tuple[tuple[int, int, i
     padding[axis] = (1, 1)
     padded = np.moveaxis(np.pad(number, padding, constant_values=-1), axis, 0)
     below, above = np.moveaxis(padded[:-1], 0, axis), np.moveaxis(padded[1:], 0, axis)
-    places = np.argwhere(below != above)
-    return [
-        ((int(i), int(j), int(k)), int(below[i, j, k]), int(above[i, j, k]))
-        for i, j, k in places
-    ]  # fmt: skip
+    places = np.argwhere(below != above).tolist()
+    return [((i, j, k), int(below[i, j, k]), int(above[i, j, k])) for i, j, k in places]
 
 
 def _rectangle(edges: list[Floats], axis: int, place: tuple[int, int, int]) -> Any:
@@ -147,59 +136,41 @@ def _media(clouds: CloudGrid, bricks: Bricks, origin_m: Floats, albedo: float) -
         end = np.array([cuts[i + 1] for cuts, i in zip(bricks.cuts, index, strict=True)]) + 2
         (x, y, z), (x_end, y_end, z_end) = first, end
         values = np.ascontiguousarray(padded[z:z_end, y:y_end, x:x_end, None])
-        box = (
-            mi.ScalarTransform4f()
-            .translate((low + (first - 1) * size).tolist())
-            .scale(((end - first) * size).tolist())
-        )  # fmt: skip
-        media[bricks.number[tuple(index)]] = mi.load_dict(
-            {
-                "type": "heterogeneous",
-                "albedo": albedo,
-                "sigma_t": {
-                    "type": "gridvolume",
-                    "grid": mi.VolumeGrid(values),
-                    "filter_type": "trilinear",
-                    "to_world": box,
-                },
-                "phase": phase,
-            }
-        )
+        corner = mi.ScalarTransform4f().translate((low + (first - 1) * size).tolist())
+        grid = {
+            "type": "gridvolume",
+            "grid": mi.VolumeGrid(values),
+            "filter_type": "trilinear",
+            "to_world": corner.scale(((end - first) * size).tolist()),
+        }
+        medium = {"type": "heterogeneous", "albedo": albedo, "sigma_t": grid, "phase": phase}
+        media[bricks.number[tuple(index)]] = mi.load_dict(medium)
     return media
 
 
 def camera_shell(clouds: CloudGrid, bricks: Bricks, media: list[Any], camera: Camera) -> dict[str, Any]:
     """What lets a camera stand in a cloud: nothing, if there is none around it.
 
-    Raises
-    ------
-    RenderError : the camera has parallel rays, which start all over a plane.
+    Raises `RenderError` for parallel rays, which start all over a plane.
     """
-    place = np.asarray(camera.position_m, dtype=np.float64)
-    index = _brick_at(clouds, bricks, place)
+    low_m, high_m = np.asarray(clouds.low_m), np.asarray(clouds.high_m)
     if projection_of(camera).is_parallel:
         corners = ray_corners_m(camera)
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        if np.all(high >= np.asarray(clouds.low_m)) and np.all(low <= np.asarray(clouds.high_m)):
+        if np.all(corners.max(axis=0) >= low_m) and np.all(corners.min(axis=0) <= high_m):
             raise RenderError(
                 f"the {camera.projection} camera {camera.name!r} stands in the clouds",
                 hint="move it above or below them, or use a perspective camera",
             )
-    if index is None or bricks.number[index] < 0:
+    place = np.asarray(camera.position_m, dtype=np.float64)
+    cell = (place - low_m) / np.asarray(clouds.cell_m)
+    if np.any(cell <= 0) or np.any(cell >= np.array(clouds.extinction_per_m.shape[::-1])):
+        return {}
+    index = (int(np.searchsorted(cuts, one, "right")) - 1 for cuts, one in zip(bricks.cuts, cell, strict=True))
+    number = bricks.number[tuple(index)]
+    if number < 0:
         return {}
     radius = _SHELL_M + (0.0 if camera.lens is None else camera.lens.aperture_radius_m)
-    room = np.min([place - clouds.low_m, np.asarray(clouds.high_m) - place])
-    radius = min(radius, max(room / 2, 1e-4))
+    radius = min(radius, max(float(np.min([place - low_m, high_m - place])) / 2, 1e-4))
     null = mitsuba().load_dict({"type": "null"})
-    shell = {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": float(radius), "bsdf": null}
-    return {"camera-shell": shell | {"exterior": media[bricks.number[index]]}}
-
-
-def _brick_at(clouds: CloudGrid, bricks: Bricks, place_m: Floats) -> tuple[int, int, int] | None:
-    """The brick that holds a place; None outside of the field."""
-    cell = (place_m - np.asarray(clouds.low_m)) / np.asarray(clouds.cell_m)
-    counts = np.array(clouds.extinction_per_m.shape[::-1])
-    if np.any(cell <= 0) or np.any(cell >= counts):
-        return None
-    i, j, k = (int(np.searchsorted(cuts, one, "right")) - 1 for cuts, one in zip(bricks.cuts, cell, strict=True))
-    return i, j, k
+    shell = {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": radius, "bsdf": null}
+    return {"camera-shell": shell | {"exterior": media[number]}}

@@ -6,12 +6,11 @@ draws collisions at that rate, of which the share sigma / largest is real. The f
 the one that atmosphere/optical_depth.py integrates and that the renderer reads. At a collision the light of the sun
 is gathered through the clouds by ratio tracking (Novak et al. 2014) from a random point of its disc, and the path goes
 on in a direction drawn from the phase function. Where it leaves the clouds upwards it takes the sky's radiance of that
-direction; downwards it meets a level Lambertian plain without end.
+direction; downwards it meets a level Lambertian plain without end, which stands for the land around.
 
-Clouds are grey, so one path serves all channels. Sun and sky are kept apart: of the sun a path tells its share, to be
-multiplied with the sun's light in whatever channels. And light is kept apart by how often the plain has reflected it,
-never, once, or more often, as from a white plain: radiance is a polynomial of the plain's albedo, which can so have
-any colour, afterwards.
+Clouds are grey, so one path serves all channels. Of the sun a path yields its share, to be multiplied by the sun's
+light in any channels. Light is kept apart by how often the plain has reflected it, never, once, or more often, as from
+a white plain: radiance is a polynomial of the plain's albedo, so that the plain can have any colour afterwards.
 
 Decisions
 ---------
@@ -21,7 +20,6 @@ Decisions
 - A third and later reflection has the plain's mean albedo in all channels.
 - Random numbers belong to a ray's number and the number of its path (SplitMix64 from a hash of both), so results
   do not depend on threads.
-- Rays that point below the horizon meet the plain, which stands for the land around; it is level and does not curve.
 
 References
 ----------
@@ -41,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.voxel_march import advanced, clipped, entered, inside
+from forestgen.atmosphere.optical_depth import advanced, clipped, entered, inside
 from forestgen.core.compiled import borrowed, compiled, inlined
 from forestgen.core.threads import over_ranges
 
@@ -115,17 +113,10 @@ def gather(
     seed: int,
     samples: int = 1,
     disc: bool = True,
-    same_paths: bool = False,
 ) -> Gathered:
-    """Radiance that arrives along rays.
+    """Radiance that arrives at (3,) or (N, 3) origins, world, from (N, 3) unit directions, by `samples` paths of each.
 
-    Parameters
-    ----------
-    origin_m : (3,) or (N, 3) world.
-    direction : (N, 3) unit, from the origin to where light comes from.
-    samples : paths of each ray.
-    disc : whether rays that point at the sun see its disc; without it they still see the light around it.
-    same_paths : whether all rays use the same random numbers, so that differences between them have less noise.
+    With `disc`, rays that point at the sun see its disc; without, they still see the light around it.
     """
     count, channels = len(direction), len(light.sky)
     start = np.ascontiguousarray(np.broadcast_to((np.asarray(origin_m) - field.low_m), (count, 3)), dtype=np.float64)
@@ -136,16 +127,13 @@ def gather(
     goes_on = max(light.ground_albedo, _GOES_ON)
     ground = np.array([light.ground_albedo, light.ground_m - field.low_m[2], goes_on])
     rays = max(1, _CALL_PATHS // samples)
-    flags = (bool(disc), bool(same_paths))
+    given = (field.value, field.most, field.per_m, field.scattering, sky, sun, ground, start, way, np.uint64(seed))
     for begin in range(0, count, rays):
         here = min(rays, count - begin)
 
         def work(first: int, end: int, begin: int = begin) -> None:  # in paths, so that few rays of many paths spread
             first, end = begin - (-first // samples), begin - (-end // samples)
-            _gather(
-                field.value, field.most, field.per_m, field.scattering, sky, sun, ground, start, way,
-                np.uint64(seed), samples, flags, first, end, out,
-            )  # fmt: skip
+            _gather(*given, samples, disc, first, end, out)
 
         over_ranges(here * samples, work)
     out /= samples
@@ -153,19 +141,19 @@ def gather(
 
 
 @compiled
-def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, samples, flags, first, end, out):  # type: ignore[no-untyped-def]
+def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, samples, disc, first, end, out):  # type: ignore[no-untyped-def]
     """Add the light of rays `first` to `end` to `out` (N, 3, C + 1); lengths are from the grid's low corner."""
     value, most = borrowed(value), borrowed(most)
     per_x, per_y, per_z = per_m
     albedo, forward, backward, share = scattering
     sun_x, sun_y, sun_z, sun_cos = sun
     ground_albedo, ground_m, goes_on = ground
-    disc, same_paths = flags
+
     facing_sr = np.pi * (1.0 - sun_cos * sun_cos)
     channels = sky.shape[2]
     for ray in range(first, end):
         for sample in range(samples):
-            state = _begun(seed, np.uint64(0 if same_paths else ray), np.uint64(sample))
+            state = _begun(seed, np.uint64(ray), np.uint64(sample))
             x, y, z = start[ray, 0], start[ray, 1], start[ray, 2]
             dx, dy, dz = way[ray, 0], way[ray, 1], way[ray, 2]
             weight, order, reflections = 1.0, 0, 0
@@ -340,7 +328,8 @@ def _add_sky(sky, dx, dy, dz, weight, channels, out):  # type: ignore[no-untyped
 
 
 @inlined
-def _mixed(number):  # type: ignore[no-untyped-def]
+def scrambled(number):  # type: ignore[no-untyped-def]
+    """A 64-bit number scrambled (Steele et al. 2014, SplitMix64)."""
     number = (number ^ (number >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     number = (number ^ (number >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return number ^ (number >> np.uint64(31))
@@ -350,11 +339,11 @@ def _mixed(number):  # type: ignore[no-untyped-def]
 def _begun(seed, ray, sample):  # type: ignore[no-untyped-def]
     """The random stream of one path."""
     step = np.uint64(0x9E3779B97F4A7C15)
-    return _mixed(_mixed(_mixed(seed + step) ^ (ray + step)) ^ (sample + step))
+    return scrambled(scrambled(scrambled(seed + step) ^ (ray + step)) ^ (sample + step))
 
 
 @inlined
 def _draw(state):  # type: ignore[no-untyped-def]
     """The stream's next state, and a number in (0, 1)."""
     state = state + np.uint64(0x9E3779B97F4A7C15)
-    return state, (np.float64(_mixed(state) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)
+    return state, (np.float64(scrambled(state) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)

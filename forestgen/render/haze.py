@@ -4,7 +4,7 @@ A surface at the distance d is seen as L exp(-sigma d) + A (1 - exp(-sigma d)), 
 airlight: what the haze in the ray's direction would shine with if it went on for ever.
 
 - Airlight is the light of sun, sky and ground that haze scatters once into the ray: the mean of their radiance,
-  weighted by the phase function (atmosphere/haze.py). The sky's radiance is that at the ground, so what was scattered
+  weighted by the phase function (render/haze.py). The sky's radiance is that at the ground, so what was scattered
   before is in it.
 - A long path must end in the horizon's colour, which the sky model has and which the weighted mean meets only roughly:
   from 0.9 under an overcast sky to 1.0, 1.3 and 1.4 in blue, green and red at a sun of 40 degrees. So A is multiplied
@@ -30,6 +30,23 @@ airlight serves all: that some of the haze lies in the sun and some in shadow is
 Clouds fade into the clear sky behind them, by the haze on the way to where half of what they take of the light is
 taken. On this way, which leads upwards, the haze gets thinner with height, by e in 1500 m. Where clouds shade the haze,
 its airlight stands in for the clear sky, by the share of the sun that they take.
+
+Extinction
+----------
+Koschmieder (1924): a black thing at the meteorological range V is just seen against the horizon, with a contrast of
+2%, so the extinction at 550 nm is 3.912 / V. It has two parts. At 50 km the sum falls as wavelength^-1.7 in the
+visible, where Kruse has 1.6.
+
+- Air's molecules: 1.16e-5 /m at 550 nm and sea level (V = 337 km), as wavelength^-4; Rayleigh's phase function.
+- Aerosol: the rest, as wavelength^-q. q is 1.3, as in atmosphere/daylight.py, and 0.585 V^(1/3), V in kilometres, below
+  6 km, where particles are large (Kruse, McGlauchlin and McQuistan 1962); a Henyey-Greenstein lobe of g = 0.65, as in
+  atmosphere/daylight.py.
+
+References
+----------
+Koschmieder, H. (1924): Theorie der horizontalen Sichtweite. Beitr. Phys. freien Atmos. 12, 33-53, 171-181.
+Kruse, P. W., McGlauchlin, L. D., McQuistan, R. B. (1962): Elements of Infrared Technology. Wiley.
+Bucholtz, A. (1995): Rayleigh-scattering calculations for the terrestrial atmosphere. Appl. Opt. 34, 2765-2773.
 """
 
 from __future__ import annotations
@@ -43,23 +60,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.haze import Haze, aerosol_phase, molecular_phase
 from forestgen.atmosphere.optical_depth import distance_into, optical_depth
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
-from forestgen.render.cloud_heights import base_of
-from forestgen.render.cloud_shadow import shadow_of
+from forestgen.render.cloud_shadow import base_of, shadow_of
 from forestgen.render.frame import Radiance
 from forestgen.render.identity.tracer import SceneTracer, sample_offsets
+from forestgen.render.light import along, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map_directions
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
-from forestgen.render.sky_radiance import along, sky_map, sun_irradiance
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.render.wavelengths import ColourAtOnce, Mode, Quadrature, quadrature_of
 from forestgen.scene.channels import Channels
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera, SceneSpec, Sky
 
+KOSCHMIEDER = 3.912  # -log of the contrast 0.02
+REFERENCE_NM = 550.0
+ASYMMETRY = 0.65
+_MOLECULAR_PER_M = 1.16e-5
+_ANGSTROM, _KRUSE, _MURKY_M = 1.3, 0.585, 6000.0
+Floats = NDArray[np.float64]
 SAMPLES = 64  # a pixel
 _RAYS_AT_ONCE = 1_000_000
 _VIEW_ROWS, _VIEW_COLUMNS = 33, 64  # of the airlight's map, the sun's part left out
@@ -67,7 +88,39 @@ _DRAWS = 8  # of wavelengths
 _LEVEL_SINE = 0.17  # of the elevation at which airlight has nearly left the horizon's colour
 _CLOUD_BLUR_PX = 3.0
 _SCALE_HEIGHT_M = 1500.0  # of the haze on the way to clouds
-Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Haze:
+    """Haze by its meteorological range."""
+
+    visibility_m: float
+
+    def extinction_per_m(self, wavelength_nm: Floats) -> Floats:
+        """Of molecules and aerosol, of the wavelengths' shape."""
+        return self.molecular_per_m(wavelength_nm) + self._aerosol(wavelength_nm)
+
+    def molecular_per_m(self, wavelength_nm: Floats) -> Floats:
+        """Of molecules alone: never more than the visibility leaves."""
+        reference = min(_MOLECULAR_PER_M, KOSCHMIEDER / self.visibility_m)
+        return np.asarray(reference * (wavelength_nm / REFERENCE_NM) ** -4.0)
+
+    def _aerosol(self, wavelength_nm: Floats) -> Floats:
+        murky = self.visibility_m < _MURKY_M
+        exponent = _KRUSE * (self.visibility_m / 1000.0) ** (1.0 / 3.0) if murky else _ANGSTROM
+        rest = max(KOSCHMIEDER / self.visibility_m - _MOLECULAR_PER_M, 0.0)
+        return np.asarray(rest * (wavelength_nm / REFERENCE_NM) ** -exponent)
+
+
+def molecular_phase(cosine: Floats) -> Floats:
+    """Rayleigh's phase function by the cosine of the scattering angle; its mean over the sphere is 1."""
+    return np.asarray(0.75 * (1.0 + cosine * cosine))
+
+
+def aerosol_phase(cosine: Floats) -> Floats:
+    """Henyey and Greenstein's; its mean over the sphere is 1."""
+    g = ASYMMETRY
+    return np.asarray((1.0 - g * g) / (1.0 + g * g - 2.0 * g * cosine) ** 1.5)
 
 
 @dataclass(frozen=True)
@@ -270,12 +323,7 @@ def cloud_veil(clouds: CloudGrid, camera: Camera, extinction_per_m: Floats) -> F
 
 
 def hazed(radiance: Radiance, seen: Seen, light: Airlight, camera: Camera, veil: Floats | None) -> Radiance:
-    """The image through the haze; see the module.
-
-    Parameters
-    ----------
-    veil : of `cloud_veil`; None: the sky has no clouds, and is the sky model's.
-    """
+    """The image through the haze and a `cloud_veil`; None: there are no clouds, and the sky is the sky model's."""
     direction = world_rays(camera).direction
     above = np.maximum(direction, [-1.0, -1.0, 0.0])
     clear = along(light.open_sky, above / np.maximum(np.linalg.norm(above, axis=-1, keepdims=True), 1e-9))

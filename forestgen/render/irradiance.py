@@ -1,8 +1,8 @@
-"""Light at points of a scene: what a flat sensor with a cosine response would measure there.
+"""Light at points of a scene, and colour charts in it: under each of its lights alone, wavelength by wavelength.
 
-A white Lambertian patch of 2 mm lies at the point and a camera 2 mm above looks at it: its radiance is E / pi. The
-renderer's own path tracer so measures irradiance with the light samples that it takes on plants, the sun's disc
-included.
+Light at a point is what a flat sensor with a cosine response would measure there. A white Lambertian patch of 2 mm lies
+at the point and a camera 2 mm above looks at it: its radiance is E / pi. The renderer's own path tracer so measures
+irradiance with the light samples that it takes on plants, the sun's disc included.
 
 Sun and sky shine in scenes of their own. At a wavelength each gives its transfer factor
 
@@ -12,6 +12,12 @@ which varies slowly with the wavelength, as reflectances do, where E and S have 
 So T is measured at 33 wavelengths from 300 to 2500 nm, straight lines between them, and E = T_sun S_sun + T_sky S_sky
 has the full resolution of the spectra. All wavelengths of a replicate follow the same random numbers: noise moves a
 spectrum up and down and hardly bends it. Standard errors come from the scatter of independent replicates.
+
+A colour chart is rendered at 81 wavelengths, and as images in both of the renderer's modes. Sun and sky are rendered
+apart and added. The image of the spectral mode is made of eight replicates with the nodes and weights of any image's
+(render/wavelengths.py). Their places in the strata follow each other by the golden ratio, which all but removes the
+noise of the choice of wavelengths: what remains is the mode's own error and the noise of paths. The image of the colour
+mode is one pass in linear Rec. 709.
 """
 
 from __future__ import annotations
@@ -24,20 +30,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.progress import Progress
-from forestgen.core.randomness import child_seed
+from forestgen.core.randomness import child_rng, child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.render import sky as cloudy_sky
-from forestgen.render.build import load, scene_dict
-from forestgen.render.cloud_shadow import sun_sheet
+from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.capture import capture, film
+from forestgen.render.cloud_shadow import shadow_rectangle
 from forestgen.render.light import has_sun, sky_light, sun_disc
-from forestgen.render.settings import ROULETTE_DEPTH, SAMPLER
 from forestgen.render.skies.model import daylight_of
-from forestgen.render.surfaces import Paints, repaint
-from forestgen.render.tracing import interruptible
-from forestgen.render.variant import SCALAR, mitsuba, using
+from forestgen.render.surfaces import SpectralBsdfs
+from forestgen.render.variant import (
+    BLOCK_PX,
+    ROULETTE_DEPTH,
+    SAMPLER,
+    SCALAR,
+    interruptible,
+    mitsuba,
+    path_tracer,
+    using,
+)
+from forestgen.render.wavelengths import ColourBySpectrum
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.colour_checker import axes_of
-from forestgen.scene.spec import SceneSpec
+from forestgen.scene.spec import Camera, SceneSpec
 
 REPLICATES = 8
 NODES_NM = np.concatenate(
@@ -47,6 +62,8 @@ _PATCH_M = 1e-3  # half its side
 _PIXELS, _BLOCK_PX = 8, 2  # along the side of the picture of the patch; blocks are shared out to threads
 Floats = NDArray[np.float64]
 Emitter = Callable[[Channels], dict[str, Any]]
+WAVELENGTHS_NM = np.arange(380.0, 781.0, 5.0)  # the colour matching functions' own table has steps of 5 nm (CIE 15)
+_REPLICATES = 8  # of the spectral mode
 
 
 @dataclass(frozen=True)
@@ -56,7 +73,7 @@ class Source:
     name: Literal["sun", "sky"]
     spectrum: Spectrum  # W/m²/nm, of the light in the open
     emitter: Emitter  # a dictionary of Mitsuba's
-    beside: Mapping[str, Any] = field(default_factory=dict)  # what only this light meets: the sheet under clouds
+    beside: Mapping[str, Any] = field(default_factory=dict)  # what only this light meets: the shadow under clouds
     roulette_from: int = ROULETTE_DEPTH  # scattering from which on weak paths may be dropped
 
 
@@ -68,26 +85,13 @@ def sources_of(spec: SceneSpec, origin_m: Floats) -> list[Source]:
     spectrum = light.sky
     if spec.clouds is not None:
         sky = cloudy_sky.baked_sky(cloudy_sky.traced_clouds_of(spec), origin_m).light
-        sheet = sun_sheet(spec, origin_m)
-        beside = {} if sheet is None else {"sheet": sheet}
+        shadow = shadow_rectangle(spec, origin_m)
+        beside = {} if shadow is None else {"shadow": shadow}
         spectrum = light.on_level  # clouds pass on the sun's light
     sources = [Source("sky", spectrum, sky)]
     if has_sun(spec.sky):
         sources.append(Source("sun", light.sun, lambda channels: sun_disc(spec.sky, channels), beside))
     return sources
-
-
-def uniform(irradiance: Spectrum) -> Source:
-    """A sky that is equally bright in all directions, by its light on a level plane in W/m²/nm."""
-
-    def emitter(channels: Channels) -> dict[str, Any]:
-        radiance = [float(value) for value in channels.of_light(irradiance) / np.pi]
-        return {"type": "constant", "radiance": {"type": "rgb", "value": radiance}, "sampling_weight": 0.0}
-
-    # All light samples go to a lamp without light: paths find the sky by themselves. All directions of a flat surface
-    # then see the same, and its image has no noise. (A scene of weight 0 in all is refused.)
-    lamp = {"type": "point", "position": [0.0, 0.0, 0.0], "intensity": {"type": "rgb", "value": 0.0}}
-    return Source("sky", irradiance, emitter, {"lamp": lamp}, roulette_from=64)
 
 
 class Lit:
@@ -96,30 +100,20 @@ class Lit:
     def __init__(
         self, spec: SceneSpec, origin_m: Floats, sources: Sequence[Source], more: Mapping[str, Any] | None = None
     ) -> None:
-        mi = mitsuba()
         self.sources = tuple(sources)
-        self._paints = Paints()
-        self._emitters = [mi.load_dict(source.emitter(RGB)) for source in sources]
-        plants = scene_dict(spec, origin_m, self._paints)  # meshes are shared, instances belong to one scene each
+        bsdfs = SpectralBsdfs()
+        self.show = bsdfs.repaint
+        plants = scene_dict(spec, origin_m, bsdfs)  # meshes are shared, instances belong to one scene each
         self.scenes = [
-            load({**plants, "light": emitter, **source.beside, **(more or {})})
-            for source, emitter in zip(sources, self._emitters, strict=True)
+            load({**plants, "light": bsdfs.add(source.emitter), **source.beside, **(more or {})}) for source in sources
         ]
-
-    def show(self, channels: Channels) -> None:
-        """Give lights and surfaces other channels."""
-        self._paints.repaint(channels)
-        for source, emitter in zip(self.sources, self._emitters, strict=True):
-            repaint(emitter, mitsuba().load_dict(source.emitter(channels)))
 
     def integrator(self, row: int, *, max_depth: int, block_px: int) -> Any:
         """For the scene under `sources[row]`."""
-        # `path` takes a partly transparent sheet for opaque when it looks for the sun; `volpath` sees through it.
+        # `path` takes a partly transparent shadow for opaque when it looks for the sun; `volpath` sees through it.
         source = self.sources[row]
-        kind = "volpath" if "sheet" in source.beside else "path"
-        return mitsuba().load_dict(
-            {"type": kind, "max_depth": max_depth, "rr_depth": source.roulette_from, "block_size": block_px}
-        )
+        kind = "volpath" if "shadow" in source.beside else "path"
+        return path_tracer(kind, max_depth, rr_depth=source.roulette_from, block_size=block_px)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,21 +138,19 @@ def measure(
     progress: Progress,
     sources: Callable[[Floats], Sequence[Source]] | None = None,
 ) -> PointLight:
-    """Light at one point.
+    """Light at one point (3,) of the world, on a surface with a normal (3,).
 
     Parameters
     ----------
-    point_m : (3,) world.
-    normal : (3,) of the surface that the light falls on.
     samples : light paths of each light at each wavelength, all replicates together.
     sources : lights in place of the scene's own, by the origin of the renderer's frame.
     """
-    mi, origin = mitsuba(), np.asarray(point_m, dtype=np.float64)
+    origin = np.asarray(point_m, dtype=np.float64)
     spp = max(1, round(samples / REPLICATES / _PIXELS**2))
     with using(SCALAR):
         sensor = _sensor(normal, spp)
         lights = sources(origin) if sources is not None else sources_of(spec, origin)
-        lit = Lit(spec, origin, lights, {"meter": _patch(mi, normal)})
+        lit = Lit(spec, origin, lights, {"meter": _patch(normal)})
 
         def shoot(row: int, depth: int) -> Floats:
             """(K, 3) irradiance."""
@@ -190,13 +182,11 @@ def measure(
 
 def passes_at(wavelength_nm: Floats) -> list[tuple[NDArray[np.intp], Channels]]:
     """Rows of (3 N,) wavelengths, three by three, and the channels of these: short, middle and long ones in each."""
-    third = len(wavelength_nm) // 3
-    result = []
-    for k in range(third):
-        rows = np.array([k, k + third, k + 2 * third])
-        one, two, three = (float(value) for value in wavelength_nm[rows])
-        result.append((rows, Channels((one, two, three))))
-    return result
+    passes = []
+    for rows in np.arange(len(wavelength_nm)).reshape(3, -1).T:
+        short, middle, long = wavelength_nm[rows].tolist()
+        passes.append((rows, Channels((short, middle, long))))
+    return passes
 
 
 def _grid(lights: Sequence[Source]) -> Floats:
@@ -208,22 +198,19 @@ def _grid(lights: Sequence[Source]) -> Floats:
 
 
 def _between(factor: Floats, wavelength_nm: Floats) -> Floats:
-    """(K, W) straight lines between the nodes; those where the light in the open is dark tell nothing."""
+    """(K, W) straight lines between the nodes where the light in the open is not dark."""
     known = np.isfinite(factor).all(axis=0)
     if not known.any():
         return np.zeros((len(factor), len(wavelength_nm)))
     return np.stack([np.interp(wavelength_nm, NODES_NM[known], row[known]) for row in factor])
 
 
-def _patch(mi: Any, normal: Floats) -> dict[str, Any]:
+def _patch(normal: Floats) -> dict[str, Any]:
     """White above and black below."""
     matrix = np.eye(4)
     matrix[:3, :3] = axes_of(normal) * _PATCH_M
-    return {
-        "type": "rectangle",
-        "to_world": mi.ScalarTransform4f(matrix),
-        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}},
-    }
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
+    return {"type": "rectangle", "to_world": mitsuba().ScalarTransform4f(matrix), "bsdf": white}
 
 
 def _sensor(normal: Floats, spp: int) -> Any:
@@ -231,15 +218,7 @@ def _sensor(normal: Floats, spp: int) -> Any:
     mi = mitsuba()
     right, up, towards = axes_of(normal).T
     matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = -right, up, -towards, 2 * _PATCH_M * towards
-    film = {
-        "type": "hdrfilm",
-        "width": _PIXELS,
-        "height": _PIXELS,
-        "rfilter": {"type": "box"},
-        "pixel_format": "rgb",
-        "component_format": "float32",
-    }
+    matrix[:3] = np.stack([-right, up, -towards, 2 * _PATCH_M * towards], axis=1)
     return mi.load_dict(
         {
             "type": "perspective",
@@ -247,7 +226,61 @@ def _sensor(normal: Floats, spp: int) -> Any:
             "near_clip": 1e-4,
             "far_clip": 1.0,
             "to_world": mi.ScalarTransform4f(matrix),
-            "film": film,
+            "film": film((_PIXELS, _PIXELS), pixel_format="rgb"),
             "sampler": {"type": SAMPLER, "sample_count": spp},
         }
     )
+
+
+@dataclass(frozen=True, eq=False)
+class ChartImages:
+    """What a camera sees."""
+
+    wavelengths: NDArray[np.float32]  # (H, W, 81) W/m²/sr/nm
+    spectral: NDArray[np.float32]  # (H, W, 3) of the spectral mode, linear Rec. 709 in cd/m²
+    rgb: NDArray[np.float32]  # (H, W, 3) of the colour mode, likewise
+
+
+def render_chart(
+    spec: SceneSpec,
+    camera: Camera,
+    *,
+    samples: int,
+    max_depth: int,
+    seed: int,
+    progress: Progress,
+    sources: Callable[[Floats], Sequence[Source]] | None = None,
+) -> ChartImages:
+    """Render `camera`'s view, under `sources` as for `measure`.
+
+    `samples` are those of each pixel by each light in each mode's image; a quarter of them at each of 81 wavelengths.
+    """
+    origin = origin_of(camera)
+    with using(SCALAR):
+        lights = sources(origin) if sources is not None else sources_of(spec, origin)
+        lit = Lit(spec, origin, lights)
+        integrators = [lit.integrator(row, max_depth=max_depth, block_px=BLOCK_PX) for row in range(len(lights))]
+        threes, passes = passes_at(WAVELENGTHS_NM), ColourBySpectrum().passes
+        fewer = max(1, samples // 4)
+
+        def view(channels: Channels, count: int, name: str, *number: int) -> Floats:
+            lit.show(channels)
+            images = [
+                capture(integrator, scene, camera, samples=count, seed=child_seed(seed, name, source.name, *number))
+                for integrator, scene, source in zip(integrators, lit.scenes, lights, strict=True)
+            ]
+            advance(1)
+            return np.asarray(np.sum(images, axis=0)[..., :3])
+
+        with progress.stage("chart", 1 + _REPLICATES * passes + len(threes)) as advance:
+            rgb = view(RGB, samples, "rgb")
+            spectral = np.zeros_like(rgb)
+            for replicate in range(_REPLICATES):
+                for index, one in enumerate(ColourBySpectrum().draw(child_rng(seed, "wavelengths"), replicate)):
+                    few = max(1, round(samples / _REPLICATES / passes))
+                    spectral += view(one.channels, few, "spectral", replicate, index) @ one.weight.T / _REPLICATES
+            wavelengths = np.empty((*rgb.shape[:2], len(WAVELENGTHS_NM)), dtype=np.float32)
+            for rows, channels in threes:
+                # All wavelengths follow the same random numbers: noise does not bend spectra.
+                wavelengths[..., rows] = view(channels, fewer, "wavelengths")
+    return ChartImages(wavelengths, spectral.astype(np.float32), rgb.astype(np.float32))

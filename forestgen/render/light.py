@@ -1,6 +1,11 @@
-"""Emitters: sky and sun.
+"""Radiance of the sky by direction, and of the sun's disc, and their emitters; sky models are parts (render/skies).
 
-The sun is a disc of its own, far away, so that penumbrae are right, and shadow rays go to it alone.
+Decisions
+---------
+- The sun is a disc of its own, far away, so that penumbrae are right, and shadow rays go to it alone. It has one
+  radiance, the mean; in truth its middle is up to a quarter brighter than that and its limb half as bright, which only
+  penumbrae could show. Its size is that of the mean distance.
+- A colour outside of Rec. 709, as of a sun at the horizon, is cut off at its edge, its luminance kept.
 """
 
 from __future__ import annotations
@@ -12,13 +17,62 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.settings import SKY_BESIDE_SUN_WEIGHT
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_radiance
-from forestgen.render.variant import mitsuba
+from forestgen.core.spectrum import LUMINANCE
+from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, sky_model_of
+from forestgen.render.variant import SKY_BESIDE_SUN_WEIGHT, mitsuba
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Sky
 
+SUN_RADIUS_DEG = 0.2665  # at the earth's mean distance
+_SUN_SOLID_ANGLE_SR = float(np.pi * np.sin(np.radians(SUN_RADIUS_DEG)) ** 2)  # projected on a plane that faces it
+Floats = NDArray[np.float64]
 _SUN_DISTANCE_M = 1e6
+
+
+def along(values: NDArray[np.floating], direction: Floats) -> Floats:
+    """(..., C) values of a map (R, Q, C) along (..., 3) unit directions, bilinear as the renderer has its sky.
+
+    The map's directions are those of `map_directions`; one of a single row is the same at all heights.
+    """
+    rows, columns = values.shape[:2]
+    x, y, z = np.moveaxis(direction, -1, 0)
+    row = np.arctan2(np.hypot(x, y), z) / np.pi * (rows - 1)
+    column = np.arctan2(y, x) / (2.0 * np.pi) * columns - 0.5
+    top, left = np.clip(np.floor(row).astype(np.int64), 0, max(rows - 2, 0)), np.floor(column).astype(np.int64)
+    down, right = (row - top)[..., None], (column - left)[..., None]
+    below, first, second = np.minimum(top + 1, rows - 1), left % columns, (left + 1) % columns
+    upper = values[top, first] * (1.0 - right) + values[top, second] * right
+    lower = values[below, first] * (1.0 - right) + values[below, second] * right
+    return np.asarray(upper * (1.0 - down) + lower * down)
+
+
+def sky_map(sky: Sky, channels: Channels) -> NDArray[np.float32]:
+    """(MAP_ROWS, MAP_COLUMNS, 3) radiance of the sky without its sun, black below the horizon; see `map_directions`.
+
+    W/m²/sr/nm at the wavelengths; or linear Rec. 709 in cd/m².
+    """
+    result = np.zeros((MAP_ROWS, MAP_COLUMNS, 3), dtype=np.float32)
+    result[: MAP_ROWS // 2 + 1] = sky_model_of(sky).radiance(sky, daylight_of(sky).sky, channels)
+    return _within_gamut(result) if channels.wavelength_nm is None else result
+
+
+def sun_radiance(sky: Sky, channels: Channels) -> Floats:
+    """(3,) mean radiance of the sun's disc, in the same units; zero under an overcast sky."""
+    radiance = channels.of_light(daylight_of(sky).sun) / _SUN_SOLID_ANGLE_SR
+    return np.asarray(_within_gamut(radiance) if channels.wavelength_nm is None else radiance)
+
+
+def sun_irradiance(sky: Sky, channels: Channels) -> Floats:
+    """(3,) light of the disc on a plane that faces it: the radiance times its solid angle."""
+    return sun_radiance(sky, channels) * _SUN_SOLID_ANGLE_SR
+
+
+def _within_gamut(colour: NDArray[Any]) -> NDArray[Any]:
+    """(..., 3) colours without negative parts, of the same luminance and type."""
+    cut = np.maximum(colour, 0)
+    weight = np.array(LUMINANCE, dtype=colour.dtype)
+    scale = (colour @ weight) / np.maximum(cut @ weight, np.finfo(colour.dtype).tiny)
+    return np.asarray(cut * scale[..., None])
 
 
 def has_sun(sky: Sky) -> bool:
@@ -30,22 +84,13 @@ def emitters_of(sky: Sky) -> dict[str, Callable[[Channels], dict[str, Any]]]:
     """All lights of a cloudless scene by name, as functions of the channels."""
     if not has_sun(sky):
         return {"sky": partial(sky_light, sky)}
-    return {"sky": partial(sky_beside_sun, sky), "sun": partial(sun_disc, sky)}
-
-
-def lights(sky: Sky, channels: Channels) -> dict[str, dict[str, Any]]:
-    """All lights of a cloudless scene by name."""
-    return {name: emitter(channels) for name, emitter in emitters_of(sky).items()}
+    weight = {"sampling_weight": SKY_BESIDE_SUN_WEIGHT}  # light samples are better spent on the sun
+    return {"sky": lambda channels: sky_light(sky, channels) | weight, "sun": partial(sun_disc, sky)}
 
 
 def sky_light(sky: Sky, channels: Channels) -> dict[str, Any]:
     """The sky without its sun."""
     return envmap(sky_map(sky, channels))
-
-
-def sky_beside_sun(sky: Sky, channels: Channels) -> dict[str, Any]:
-    """The same for a scene that the sun lights too, where light samples are better spent on the sun."""
-    return sky_light(sky, channels) | {"sampling_weight": SKY_BESIDE_SUN_WEIGHT}
 
 
 def sun_disc(sky: Sky, channels: Channels) -> dict[str, Any]:
@@ -65,7 +110,7 @@ def sun_disc(sky: Sky, channels: Channels) -> dict[str, Any]:
 
 
 def envmap(image: NDArray[np.float32]) -> dict[str, Any]:
-    """An `envmap` dictionary of an equirectangular image; see `sky_radiance.map_directions`."""
+    """An `envmap` dictionary of an equirectangular image; see `skies.model.map_directions`."""
     mi = mitsuba()
     # Mitsuba's map is y-up: its direction for (u, v) is (sin(2 pi u) sin(pi v), cos(pi v), -cos(2 pi u) sin(pi v)).
     # Rotating y to z by 90 degrees about x turns that into azimuth 90 degrees - 2 pi u, measured from x over y.

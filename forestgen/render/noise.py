@@ -1,4 +1,4 @@
-"""How noisy an image is, and how many samples it still needs.
+"""Independent replicates of an image, how noisy their mean is, and how many samples it still needs.
 
 The relative error of a pixel is its standard error over its value, both over all channels:
 
@@ -13,18 +13,23 @@ see nothing, outside of a fisheye's circle, do not count.
 e falls as 1 / sqrt(n). So an image with error e after n samples needs n (e / target)²; slices are at most a sixteenth
 of that, and the need is judged anew after each, by all slices so far. The last slice is what is left: an image is not
 carried far beyond its target.
+
+No samples need be independent inside a slice (a stratified sampler's are not): the scatter of slices gives the variance
+of the mean.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.settings import MOST_SLICE_SAMPLES
-from forestgen.render.slices import Estimate, SliceSum, slice_sizes
+from forestgen.render.job import StoppingCriterion
+from forestgen.render.variant import MOST_SLICE_SAMPLES, SLICES
 
 _FLOOR = 0.1
 _WINDOW = 3
@@ -33,26 +38,56 @@ _FINEST = 64  # a slice is at least this share of the samples so far
 
 
 @dataclass(frozen=True)
-class Noise:
-    """Relative error of an image; NaN if a single slice tells nothing of it."""
+class Estimate:
+    """Mean of slices and the variance of that mean; the variance is NaN for a single slice."""
 
-    relative_error: float
-    relative_error_p95: float
+    mean: NDArray[np.float64]
+    variance: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class SliceSum:
+    """Weighted running mean and variance of slices of different length (West 1979); the same after an interruption."""
+
+    samples: int = 0
+    slices: int = 0
+    mean: Any = 0.0  # (H, W, C)
+    scatter: Any = 0.0  # (H, W, C) sum of samples x squared distance from the mean
+
+    def added(self, image: NDArray[np.float64], samples: int) -> SliceSum:
+        """The sum with one more slice."""
+        weight = self.samples + samples
+        difference = image - self.mean
+        mean = self.mean + difference * (samples / weight)
+        return SliceSum(weight, self.slices + 1, mean, self.scatter + samples * difference * (image - mean))
+
+    def estimate(self) -> Estimate:
+        if self.slices < 2:
+            return Estimate(self.mean, np.full_like(self.mean, np.nan))
+        return Estimate(self.mean, self.scatter / (self.samples * (self.slices - 1)))
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Arrays from which `restored` makes the same sum, to the last bit."""
+        return {"counts": np.array([self.samples, self.slices]), "mean": self.mean, "scatter": self.scatter}
+
+    @classmethod
+    def restored(cls, state: Mapping[str, NDArray[Any]]) -> SliceSum:
+        samples, slices = (int(value) for value in state["counts"])
+        return cls(samples, slices, state["mean"], state["scatter"])
+
+
+def slice_sizes(samples: int) -> list[int]:
+    """Samples of each slice: nearly equal ones, at least two if there are two samples."""
+    count = min(samples, max(SLICES, -(-samples // MOST_SLICE_SAMPLES)))
+    return [samples // count + (1 if k < samples % count else 0) for k in range(count)]
 
 
 @dataclass(frozen=True)
-class Until:
-    """When an image is done. Samples are light paths a pixel, over all passes."""
+class Noise:
+    """Relative error of an image; NaN for a single slice."""
 
-    samples: int  # exactly; with a target or a time budget the first ones, from which the noise is judged
-    target_error: float | None = None  # relative error
-    target_error_p95: float | None = None  # its 95th percentile
-    time_budget_s: float | None = None
-    most_samples: int = 65536  # with a target or a time budget
-
-    @property
-    def open_ended(self) -> bool:
-        return not (self.target_error is None and self.target_error_p95 is None and self.time_budget_s is None)
+    relative_error: float
+    relative_error_p95: float
 
 
 def noise_of(estimate: Estimate, seen: NDArray[np.bool_]) -> Noise:
@@ -79,23 +114,21 @@ def noise_of(estimate: Estimate, seen: NDArray[np.bool_]) -> Noise:
 class Schedule:
     """Which slice comes next. A function of what has been done alone: interrupted work goes on the same."""
 
-    def __init__(self, until: Until, passes: int, least: int = 1) -> None:
-        """`least` is the number of samples below which a camera takes no pass."""
+    def __init__(self, until: StoppingCriterion, passes: int, least: int = 1) -> None:
+        """`least` is the number of samples below which a camera takes no pass.
+
+        `first` are sizes of the slices that are always rendered (but for a time budget).
+        """
         self._until, self._least = until, least
-        self._first = [max(size, least) for size in slice_sizes(-(-until.samples // passes))]
-        self._most = max(-(-until.most_samples // passes), sum(self._first))
+        self.first = [max(size, least) for size in slice_sizes(-(-until.samples // passes))]
+        self._most = max(-(-until.most_samples // passes), sum(self.first))
         self.stopped_by = ""
 
-    @property
-    def first(self) -> list[int]:
-        """Sizes of the slices that are always rendered (but for a time budget)."""
-        return self._first
-
     def next_size(self, total: SliceSum, noise: Noise, elapsed_s: float) -> int:
-        """Samples of the next slice in each pass, 0 when the image is done: `stopped_by` then tells the key why."""
+        """Samples of the next slice in each pass, 0 when the image is done, for the reason in `stopped_by`."""
         size = self._wanted(total, noise)
         budget_s = self._until.time_budget_s
-        if size and budget_s is not None and total.slices >= min(2, len(self._first)):
+        if size and budget_s is not None and total.slices >= min(2, len(self.first)):
             fits = int((budget_s - elapsed_s) / (elapsed_s / total.samples)) if elapsed_s > 0 else size
             if fits < 1:
                 self.stopped_by = "time_budget_s"
@@ -105,45 +138,39 @@ class Schedule:
     def asks_for_noise(self, total: SliceSum) -> bool:
         """Whether the next slice depends on the noise so far."""
         targets = (self._until.target_error, self._until.target_error_p95)
-        return targets != (None, None) and total.slices >= len(self._first)
+        return targets != (None, None) and total.slices >= len(self.first)
 
     def progress(self, total: SliceSum, noise: Noise, elapsed_s: float) -> float:
         """Share of the work that is done, at a guess."""
         if not total.samples:
             return 0.0
-        need = min(self._need(total, noise), float(self._most)) if self._until.open_ended else float(sum(self._first))
+        need = min(self._need(total, noise), float(self._most)) if self._until.open_ended else float(sum(self.first))
         if self._until.time_budget_s is not None and elapsed_s > 0:
             need = min(need, total.samples * self._until.time_budget_s / elapsed_s)
-        return min(total.samples / max(need, sum(self._first), 1.0), 1.0)
+        return min(total.samples / max(need, sum(self.first), 1.0), 1.0)
 
     def _wanted(self, total: SliceSum, noise: Noise) -> int:
-        if total.slices < len(self._first):
-            return self._first[total.slices]
+        if total.slices < len(self.first):
+            return self.first[total.slices]
+        need = self._need(total, noise)
         if not self._until.open_ended:
             self.stopped_by = "samples"
-            return 0
-        need = self._need(total, noise)
-        if need <= total.samples:
+        elif need <= total.samples:
             self.stopped_by = "target_error"
-            return 0
-        if total.samples >= self._most:
+        elif total.samples >= self._most:
             self.stopped_by = "most_samples"
+        if self.stopped_by:
             return 0
         need = min(need, float(self._most))
-        size = max(self._first[0], min(int(need / _SHARE_OF_NEED), MOST_SLICE_SAMPLES))
+        size = max(self.first[0], min(int(need / _SHARE_OF_NEED), MOST_SLICE_SAMPLES))
         size = max(min(size, math.ceil(need - total.samples)), total.samples // _FINEST)
         return max(min(size, self._most - total.samples), self._least)
 
     def _need(self, total: SliceSum, noise: Noise) -> float:
         """Samples in each pass that the targets ask for."""
-        ratios = [
-            error / target
-            for error, target in (
-                (noise.relative_error, self._until.target_error),
-                (noise.relative_error_p95, self._until.target_error_p95),
-            )
-            if target is not None
-        ]
+        errors = (noise.relative_error, noise.relative_error_p95)
+        targets = (self._until.target_error, self._until.target_error_p95)
+        ratios = [error / target for error, target in zip(errors, targets, strict=True) if target is not None]
         if not ratios or math.isnan(max(ratios)):
             return math.inf
         return total.samples * max(ratios) ** 2

@@ -7,20 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from forestgen.atmosphere.haze import KOSCHMIEDER
-from forestgen.core.progress import Progress
+from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
-from forestgen.core.timing import Timings
 from forestgen.recipe.schema import Recipe
-from forestgen.render.denoise import denoise, denoise_bands
+from forestgen.render.cloud_shadow import cloud_transport_of
+from forestgen.render.denoise import denoise, denoise_bands, trace_guides
 from forestgen.render.frame import Frame, Identity, Radiance, Surface
-from forestgen.render.haze import through_haze
-from forestgen.render.identity import SceneTracer, trace_guides, trace_identity
-from forestgen.render.noise import Until
-from forestgen.render.radiance import render_radiance
-from forestgen.render.shot import Shot
-from forestgen.render.transport import cloud_transport_of
-from forestgen.render.unfinished import unfinished
+from forestgen.render.haze import KOSCHMIEDER, through_haze
+from forestgen.render.identity import SceneTracer, trace_identity
+from forestgen.render.job import RenderJob, StoppingCriterion
+from forestgen.render.radiance import render_radiance, unfinished
 from forestgen.scene.spec import Camera, SceneSpec
 
 _THICK_HAZE = 1.0  # optical depth to the far plants
@@ -68,10 +64,10 @@ def _radiance(
 ) -> Radiance:
     """With its denoised copy where that is asked for."""
     settings = recipe.render
-    shot = Shot(
+    shot = RenderJob(
         spec=tracer.spec,
         camera=camera,
-        until=Until(
+        until=StoppingCriterion(
             samples=settings.samples,
             target_error=settings.target_error,
             target_error_p95=settings.target_error_p95,

@@ -1,31 +1,30 @@
 """Light of a cloudy sky on a scene far below it.
 
-Clouds are traced on their own (render/cloud_paths.py), over a plain of the region's albedo, and only once for a sky:
-into a map of the radiance by direction at one place of the site, at the height of the canopy. The map lights the scene
-from infinitely far away. It holds the sky and what clouds scatter of it and of the sun; the sun's disc shines through
-the sheet of render/cloud_shadow.py.
+Clouds are traced alone (render/cloud_paths.py), over a plain of the region's albedo, once for each sky: into a map of
+the radiance by direction at one place of the site, at the height of the canopy. The map lights the scene from
+infinitely far away. It holds the sky and what clouds scatter of it and of the sun; the sun's disc shines through the
+shadow plane of render/cloud_shadow.py.
 
 Decisions
 ---------
-- A light that is infinitely far away is the same everywhere: the land a kilometre off, which an aerial view shows, is
-  in truth under other clouds. So the light of the map on what a pixel shows is multiplied with the ratio of the level
-  irradiances there and at the map's place (`Overland`). Measured against `exact` on the forest under cumulus
+- A light that is infinitely far away is the same everywhere, but land a kilometre off, which an aerial view shows, is
+  under other clouds. So the light of the map on what a pixel shows is multiplied by the ratio of the level irradiances
+  there and at the map's place (`Overland`). Measured against `exact` on the forest under cumulus
   (benchmarks/cloud_views.py): 0.0 +- 0.7% over views from the ground, over the crowns and from 180 m up, each within
   2.3% with noise of 0.9 to 2.1%. Without the ratio the irradiance is 13 to 20% off in the mean over the whole field,
-  with it 1 to 2%, and 5% RMS from place to place. An emissive plane at the clouds' base would do without the ratio; but
-  it knows no directions and ends with the field.
-- The map has 1.4 degrees a row and column; its noise is left in it. What it lights averages over hundreds of its
-  pixels, and a denoiser would bring a bias in place of noise that nobody sees.
+  with it 1 to 2%, and 5% RMS from place to place. An emissive plane at the clouds' base would need no ratio; but it has
+  no directions and ends with the field.
+- The map has 1.4 degrees a row and column. It is not denoised: what it lights averages over hundreds of its pixels, and
+  a denoiser would add a bias.
 - Clouds are grey. So the sun's light comes through alike at all wavelengths, and the sky's differs only by how it
-  spreads over the sky: the share by direction is baked at six wavelengths and goes in straight lines between. The plain
-  has the colour of the terrain, most of it that of the distance; a baked sky holds the light by how often the plain
-  reflected it.
+  spreads over the sky: the share by direction is baked at six wavelengths, with straight lines between. The plain has
+  the colour of the terrain, mostly that of the distance; a baked sky holds the light by the number of its reflections.
 - The nodes are noisy, by 4% in the two bakes that were looked at, and near the map's place that noise lies on every
-  pixel alike. There the ratio is known to be 1. So what the middle node misses is added to the nodes around as well, by
-  as much as smoothing made their noise one with its own. The measurements above are from before that.
-- Baked skies are kept in memory by their content. All cameras of a scene, and later images under the same sky, share
-  one. The random numbers are the same for all skies: a content is told by floats, whose last digits differ from machine
-  to machine and with the threads of linear algebra.
+  pixel alike. There the ratio is known to be 1. So what the middle node misses is added to the nodes around it too, in
+  proportion to the correlation of their noise after smoothing. The measurements above are from before that.
+- Baked skies are kept in memory by a hash of their content. All cameras of a scene, and later images under the same
+  sky, share one. The random numbers are the same for all skies: the hash is of floats, whose last digits differ from
+  machine to machine and with the threads of linear algebra.
 """
 
 from __future__ import annotations
@@ -39,14 +38,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.clouds.source import LEAST_GAP_M
-from forestgen.atmosphere.grid import Phase
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.atmosphere.grid import PhaseFunction
+from forestgen.core.cache import BoundedCache
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render.cloud_paths import ORDERS, CloudField, CloudLight, Gathered, field_of, gather
 from forestgen.render.cloud_shadow import content_key
-from forestgen.render.light import envmap
+from forestgen.render.light import SUN_RADIUS_DEG, envmap, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_irradiance
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import SceneSpec, Sky, Terrain
@@ -62,7 +60,7 @@ _HATS = np.eye(len(_BAKED_NM))
 _KEPT_BYTES = 100_000_000
 
 
-def phase_function(phase: Phase) -> dict[str, Any]:
+def phase_function(phase: PhaseFunction) -> dict[str, Any]:
     """Of a medium."""
     forward = {"type": "hg", "g": phase.forward}
     if phase.forward_share >= 1.0:
@@ -205,7 +203,10 @@ class Overland:
         total = self.baked.of(self.here.clouds, channels)
         middle = level_irradiance(self.here.radiance(channels))
         half = _NODES // 2
-        total = total + _noise_in_common()[..., None] * (middle - total[half, half])
+        # Correlation of a smoothed node's noise with that of the one in the middle.
+        from_middle = (np.arange(_NODES) - half) / (2.0 * _BLUR_NODES)
+        in_common = np.exp(-(from_middle[:, None] ** 2) - from_middle**2)
+        total = total + in_common[..., None] * (middle - total[half, half])
         known = np.isfinite(position_m).all(axis=-1)
         result = np.ones((*known.shape, 3))
         i, u = _between(self.east_m, position_m[known][:, 0].astype(np.float64))
@@ -289,12 +290,6 @@ def _bake_land(clouds: TracedClouds, place_m: Floats, offset_m: Floats) -> Baked
     parts = np.moveaxis((np.pi / _NODE_PATHS * total).reshape(_NODES, _NODES, ORDERS, 10), (0, 1), (2, 3))
     smooth = gaussian_filter(parts, (0, 0, _BLUR_NODES, _BLUR_NODES), mode="nearest")
     return Baked(smooth.astype(np.float32))
-
-
-def _noise_in_common() -> Floats:
-    """(_NODES, _NODES) correlation of a smoothed node's noise with that of the one in the middle."""
-    from_middle = (np.arange(_NODES) - _NODES // 2) / (2.0 * _BLUR_NODES)
-    return np.exp(-(from_middle[:, None] ** 2) - from_middle**2)
 
 
 def _joined(found: Gathered) -> Floats:

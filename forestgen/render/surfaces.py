@@ -1,35 +1,119 @@
 """What surfaces do with light, and their BSDFs for Mitsuba, which change when a pass is for other wavelengths.
 
 `surface_of` describes the surface of an organ. `surface_bsdf` turns it into a BSDF for Mitsuba's integrators, and
-`paths/surface_tables.py` into tables for the light paths; tests/system/test_paths.py compares the two.
+`paths/scattering.py` into tables for the light paths; tests/system/test_paths.py compares the two.
+
+The gloss of a leaf's skin
+--------------------------
+A tabled reflectance is one number: what an integrating sphere measured under light from 8 degrees. So that a leaf with
+a gloss has that reflectance under any light, the gloss must take the same share of it everywhere. A rough mirror of
+index n has two tendencies: Fresnel's reflectance rises toward grazing light, and the facets' shadows take it away
+again. For each roughness there is an index at which they cancel: light from 8 degrees, and light from the whole
+hemisphere, lose the same share to it. In between the share varies by 2% of itself up to 60 degrees, and by 6%
+up to 75. That index is above that of wax (1.45), so the highlight of grazing light is weaker than a wet leaf's.
+
+References
+----------
+Walter et al. 2007, "Microfacet models for refraction through rough surfaces": GGX, eqs. 33 and 34.
+Heitz 2018, "Sampling the GGX distribution of visible normals".
+Burley 2012, "Physically based shading at Disney": alpha = roughness².
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.render.gloss import Gloss, gloss_of
 from forestgen.render.variant import mitsuba
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import Material, Terrain
 
+Floats = NDArray[np.float64]
+SPHERE_DEG = 8.0  # from which an integrating sphere is lit
+LEAST_ROUGHNESS, MOST_ROUGHNESS = 0.2, 0.7  # below, highlights are specks of noise; above, no index fits
+_GRID = 64  # points along each side of the square that is mapped to visible facets
+_RINGS = 12  # of the hemisphere
 LEAFLIKE = (Part.LEAF, Part.FLOWER)
 Recipe = Callable[[Channels], dict[str, Any]]
 
 
+@dataclass(frozen=True)
+class Gloss:
+    """A rough mirror whose albedo hardly depends on the angle."""
+
+    alpha: float  # width of the GGX distribution of facets
+    index: float  # of refraction
+    albedo: float  # directional, of light from 8 degrees; of light from the whole hemisphere the same
+    highest: float  # largest directional albedo, which grazing light meets, over `albedo`
+
+
+@lru_cache(maxsize=256)
+def gloss_of(roughness: float) -> Gloss:
+    """The lobe of a perceptual roughness, as mesh files have it: the facets' width is its square."""
+    from scipy.optimize import brentq
+
+    alpha = float(np.clip(roughness, LEAST_ROUGHNESS, MOST_ROUGHNESS)) ** 2
+    node, weight = np.polynomial.legendre.leggauss(_RINGS)
+    rings = [_reflected(cosine, alpha) for cosine in np.sqrt((node + 1) / 2)]  # 2 cos dcos = d(cos²)
+    sphere = _reflected(np.cos(np.radians(SPHERE_DEG)), alpha)
+
+    def excess(index: float) -> float:
+        hemisphere = float(sum(w / 2 * _albedo(ring, index) for w, ring in zip(weight, rings, strict=True)))
+        return hemisphere - _albedo(sphere, index)
+
+    index = float(brentq(excess, 1.2, 50.0, xtol=1e-5))
+    albedo = _albedo(sphere, index)
+    grazing = [_albedo(_reflected(np.cos(np.radians(angle)), alpha), index) for angle in np.arange(70.0, 90.0, 0.5)]
+    return Gloss(alpha, index, albedo, max(1.0, *(value / albedo for value in grazing)))
+
+
+def _reflected(cosine: float, alpha: float) -> tuple[Floats, Floats]:
+    """Cosine between light and facet, and weight times share that leaves unshadowed: (N,), visible facets."""
+    rest, second = np.meshgrid(*[(np.arange(_GRID) + 0.5) / _GRID] * 2)
+    first, weight = 1.0 - rest**3, 3.0 * rest**2  # denser where facets are steep: there the shadows begin
+    light = np.array([np.sqrt(1 - cosine**2), 0.0, cosine])
+    view = light * [alpha, 1.0, 1.0]
+    view /= np.linalg.norm(view)
+    across = np.array([0.0, 1.0, 0.0])
+    along = np.cross(view, across)
+    radius, angle = np.sqrt(first), 2 * np.pi * second
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    share = 0.5 * (1.0 + view[2])
+    # Heitz: `across` spans the disc's half that is never foreshortened.
+    y = (1.0 - share) * np.sqrt(1.0 - x**2) + share * y
+    z = np.sqrt(np.maximum(0.0, 1.0 - x**2 - y**2))
+    facet = x[..., None] * across + y[..., None] * along + z[..., None] * view
+    facet *= [alpha, alpha, 1.0]
+    facet /= np.linalg.norm(facet, axis=-1, keepdims=True)
+    to_facet = facet @ light
+    up = 2 * to_facet * facet[..., 2] - light[2]
+    safe = np.clip(up, 1e-9, 1.0)
+    lit = 2.0 / (1.0 + np.sqrt(1.0 + alpha**2 * (1.0 / safe**2 - 1.0)))
+    return to_facet.ravel(), (weight * np.where(up > 0, lit, 0.0)).ravel()
+
+
+def _albedo(reflected: tuple[Floats, Floats], index: float) -> float:
+    """Mean of Fresnel's reflectance for unpolarised light over the visible facets."""
+    cosine, lit = reflected
+    inner = np.sqrt(1.0 - (1.0 - cosine**2) / index**2)
+    across = (cosine - index * inner) / (cosine + index * inner)
+    along = (index * cosine - inner) / (index * cosine + inner)
+    return float(np.mean(0.5 * (across**2 + along**2) * lit))
+
+
 @dataclass
-class Paints:
-    """The BSDFs of a scene: built once, shared by its meshes, and given other colours between passes."""
+class SpectralBsdfs:
+    """The BSDFs of a scene, and its emitters: built once, and given the values of other channels between passes."""
 
     channels: Channels = RGB
-    _painted: list[tuple[Any, Recipe]] = field(default_factory=list)
+    _made: list[tuple[Any, Recipe]] = field(default_factory=list)
     _plants: dict[tuple[int, bool, bool], Any] = field(default_factory=dict)
 
     def plant(self, part: Part, material: Material, *, has_uv: bool) -> Any:
@@ -44,17 +128,19 @@ class Paints:
         return self.add(lambda channels: ground_bsdf(terrain, channels))
 
     def add(self, recipe: Recipe) -> Any:
-        """A BSDF that is made, and later repainted, by a function of the channels to a dictionary."""
+        """A BSDF or emitter that is made, and later repainted, by a function of the channels to a dictionary."""
         # Unoptimised: lobes that happen to be equal in one pass must not become one object for all.
-        bsdf = mitsuba().load_dict(recipe(self.channels), optimize=False)
-        self._painted.append((bsdf, recipe))
-        return bsdf
+        made = mitsuba().load_dict(recipe(self.channels), optimize=False)
+        self._made.append((made, recipe))
+        return made
 
     def repaint(self, channels: Channels) -> None:
-        """Give all BSDFs the values of other channels, in place: scenes that hold them need no new building."""
+        """Give all objects the values of other channels, in place: scenes that hold them need no new building."""
+        if channels == self.channels:
+            return
         mi = mitsuba()
-        for bsdf, recipe in self._painted:
-            repaint(bsdf, mi.load_dict(recipe(channels), optimize=False))
+        for made, recipe in self._made:
+            repaint(made, mi.load_dict(recipe(channels), optimize=False))
         self.channels = channels
 
 
@@ -122,12 +208,6 @@ def gloss_share(material: Material) -> float:
     return float(max(min(material.gloss, darkest, room), 0.0))
 
 
-def has_transmittance(material: Material) -> bool:
-    """Whether light passes a leaf of the material, in any channels."""
-    spectrum = material.transmittance_spectrum
-    return max(material.transmittance) > 0 or (spectrum is not None and float(spectrum.value.max()) > 0)
-
-
 def _unbounded(colour: NDArray[np.float64], share: float) -> dict[str, Any]:
     """A lobe's colour over its share of the paths: a reflectance that may pass 1."""
     return {"type": "srgb", "color": (colour / max(share, 1e-9)).tolist(), "unbounded": True}
@@ -154,7 +234,9 @@ def surface_of(part: Part, material: Material, channels: Channels, *, has_uv: bo
     if part not in LEAFLIKE:
         material = replace(material, transmittance=(0.0, 0.0, 0.0), transmittance_spectrum=None)
     lobe = gloss_of(material.roughness) if not textured and gloss_share(material) > 0 else None
-    return Surface(sides_of(material, channels), lobe, has_transmittance(material), textured)
+    spectrum = material.transmittance_spectrum
+    transmits = max(material.transmittance) > 0 or (spectrum is not None and float(spectrum.value.max()) > 0)
+    return Surface(sides_of(material, channels), lobe, transmits, textured)
 
 
 def surface_bsdf(part: Part, material: Material, channels: Channels = RGB, *, has_uv: bool = False) -> dict[str, Any]:
@@ -187,27 +269,16 @@ def _reflector(surface: Surface, share: float) -> dict[str, Any]:
     if lobe is None:
         return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _unbounded(sides.matt, share)}}
     glossy = sides.shares[1]
-    return {
-        "type": "twosided",
-        "bsdf": {
-            "type": "blendbsdf",
-            "weight": glossy,
-            "d": {"type": "diffuse", "reflectance": _unbounded(sides.matt, share * (1.0 - glossy))},
-            "g": {
-                "type": "roughconductor",
-                "distribution": "ggx",
-                "alpha": lobe.alpha,
-                "eta": lobe.index,
-                "k": 0.0,
-                "specular_reflectance": _unbounded(np.full(3, sides.gloss / lobe.albedo), share * glossy),
-            },
-        },
+    matt = {"type": "diffuse", "reflectance": _unbounded(sides.matt, share * (1.0 - glossy))}
+    mirror = {
+        "type": "roughconductor",
+        "distribution": "ggx",
+        "alpha": lobe.alpha,
+        "eta": lobe.index,
+        "k": 0.0,
+        "specular_reflectance": _unbounded(np.full(3, sides.gloss / lobe.albedo), share * glossy),
     }
-
-
-def diffuse(reflectance: NDArray[np.float64]) -> dict[str, Any]:
-    """A Lambertian surface of one colour, (3,)."""
-    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": [float(x) for x in reflectance]}}
+    return {"type": "twosided", "bsdf": {"type": "blendbsdf", "weight": glossy, "d": matt, "g": mirror}}
 
 
 def relief_colour(material: Material, channels: Channels) -> NDArray[np.floating]:
@@ -225,19 +296,15 @@ def relief_colour(material: Material, channels: Channels) -> NDArray[np.floating
 
 
 def _textured(material: Material, channels: Channels) -> dict[str, Any]:
-    """Diffuse surface with a colour and a normal map. The renderer's shading of the terminator stays off: the colours
-    of the facets already contain it.
-    """
+    """Diffuse surface with a colour and a normal map."""
     assert material.texture is not None
-    return {
-        "type": "twosided",
-        "bsdf": {
-            "type": "normalmap",
-            "use_shadowing_function": False,
-            "normalmap": _bitmap(0.5 + 0.5 * material.texture.normals()),
-            "bsdf": {"type": "diffuse", "reflectance": _bitmap(relief_colour(material, channels))},
-        },
+    relief = {
+        "type": "normalmap",
+        "use_shadowing_function": False,  # the facets' colours already contain the terminator's shading
+        "normalmap": _bitmap(0.5 + 0.5 * material.texture.normals()),
+        "bsdf": {"type": "diffuse", "reflectance": _bitmap(relief_colour(material, channels))},
     }
+    return {"type": "twosided", "bsdf": relief}
 
 
 def _bitmap(image: NDArray[Any]) -> dict[str, Any]:
@@ -257,20 +324,12 @@ def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
             "dry": near,
             "wet": _painted_ground(colour * film_factor(terrain, channels).astype(np.float32)),
         }
-    return {
-        "type": "twosided",
-        "bsdf": {
-            "type": "blendbsdf",
-            "weight": {"type": "mesh_attribute", "name": "vertex_far_share"},
-            "near": near,
-            "far": diffuse(channels.of_surface(terrain.far_reflectance, terrain.far_spectrum)),
-        },
-    }
+    far_share = {"type": "mesh_attribute", "name": "vertex_far_share"}
+    far_colour = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
+    far = {"type": "diffuse", "reflectance": {"type": "rgb", "value": far_colour}}
+    return {"type": "twosided", "bsdf": {"type": "blendbsdf", "weight": far_share, "near": near, "far": far}}
 
 
 def _painted_ground(colour: NDArray[np.float32]) -> dict[str, Any]:
     bitmap = mitsuba().Bitmap(np.ascontiguousarray(colour))
-    return {
-        "type": "diffuse",
-        "reflectance": {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "repeat"},
-    }
+    return {"type": "diffuse", "reflectance": {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "repeat"}}

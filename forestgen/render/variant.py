@@ -1,27 +1,41 @@
-"""Mitsuba's variants, made ready once. Nothing else in forestgen imports Mitsuba at module level.
+"""Mitsuba and its variants, made ready once; no other module imports Mitsuba at its top.
 
-The LLVM variant, or where it is asked for the CUDA one, traces identity and light paths (no code per instance or
-material); the scalar variant traces what needs Mitsuba's own integrators: exact clouds, light meters, charts. All need
-Dr.Jit, whose LLVM back end needs libLLVM >= 19: the wheel `karellen-llvm-core` ships one in the environment's lib/, and
+The LLVM variant, or the CUDA one on request, traces identity and light paths without code for each instance or
+material. The scalar variant runs Mitsuba's own integrators: exact clouds, light meters, charts. All need Dr.Jit, whose
+LLVM back end needs libLLVM >= 19: the wheel `karellen-llvm-core` ships one in the environment's lib/, and
 DRJIT_LIBLLVM_PATH must name it before Dr.Jit is first imported.
+
+The constants at the top set how light paths are spent: they change the noise or the time of an image, not its mean. A
+benchmark of efficiency, 1 / (variance x CPU seconds), can tune them together.
 """
 
 from __future__ import annotations
 
+import ctypes
+import ctypes.util
 import importlib
 import os
 import sys
 import sysconfig
 import warnings
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import ResourceError
-from forestgen.core.interrupts import uninterrupted
-from forestgen.render.cuda import cuda_devices
+import numpy as np
+from numpy.typing import NDArray
 
+from forestgen.core.errors import RenderError, ResourceError
+from forestgen.core.processes import uninterrupted
+
+SAMPLER = "multijitter"  # of Mitsuba's sensors: stratified over a pixel and a path's first choices
+ROULETTE_DEPTH = 2  # scatterings before a path may end by chance
+SKY_BESIDE_SUN_WEIGHT = 0.0  # share of light samples that go to a clear sky, against the sun's 1: it is found by chance
+CLOUD_ROULETTE_DEPTH = 4096  # earlier, a few long paths carry the light: of a cloud 100 deep, from 64 on, a third of it
+SLICES = 2  # replicates of an image, at least: the larger a stratified slice, the less noise
+MOST_SLICE_SAMPLES = 32  # of a replicate's pass, a pixel: how far apart are the places where work can stop
 SCALAR = "scalar_rgb"
 LLVM = "llvm_ad_rgb"
 CUDA = "cuda_ad_rgb"
@@ -30,6 +44,24 @@ TRACING_ENVIRONMENT = "FORESTGEN_TRACING"  # llvm (the default) or cuda
 # told a size Mitsuba halves it until every thread has a block: the image would depend on the number of cores.
 BLOCK_PX = 16
 _ready: dict[str, Any] = {}
+
+
+def cuda_devices() -> str:
+    """Names of the devices by the driver: Dr.Jit would log an error without one. RuntimeError: no driver or device."""
+    path = ctypes.util.find_library("cuda")
+    if path is None:
+        raise RuntimeError("no CUDA driver")
+    driver = ctypes.CDLL(path)
+    count = ctypes.c_int(0)
+    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0 or count.value == 0:
+        raise RuntimeError("a CUDA driver, but no device")
+    names = []
+    for number in range(count.value):
+        device, name = ctypes.c_int(0), ctypes.create_string_buffer(256)
+        known = driver.cuDeviceGet(ctypes.byref(device), number) == 0
+        known = known and driver.cuDeviceGetName(name, len(name), device) == 0
+        names.append(name.value.decode(errors="replace") if known else "unknown")
+    return ", ".join(names)
 
 
 def find_llvm() -> Path | None:
@@ -45,9 +77,7 @@ def find_llvm() -> Path | None:
 def mitsuba(threads: int | None = None) -> Any:
     """The `mitsuba` module, prepared; enter `using` before building anything with it.
 
-    Parameters
-    ----------
-    threads : size of the renderer's thread pool; None keeps the current one (at first: all cores).
+    `threads` is the size of the renderer's thread pool; None keeps the current one (at first: all cores).
     """
     if "mitsuba" not in _ready:
         library = find_llvm()
@@ -79,8 +109,7 @@ def using(variant: str) -> Iterator[Any]:
 
 def drjit() -> Any:
     """The `drjit` module, after LLVM's place is known."""
-    if "mitsuba" not in _ready:
-        mitsuba()
+    mitsuba()
     return importlib.import_module("drjit")
 
 
@@ -104,26 +133,28 @@ def tracing_variant() -> str:
 @contextmanager
 def tracing_on(device: str | None) -> Iterator[None]:
     """In the block, and in worker processes that it starts, trace rays on ``llvm`` or ``cuda``; None: no change."""
-    if device is None:
-        yield
-        return
     before = os.environ.get(TRACING_ENVIRONMENT)
-    os.environ[TRACING_ENVIRONMENT] = device
+    if device is not None:
+        os.environ[TRACING_ENVIRONMENT] = device
     try:
         yield
     finally:
-        if before is None:
-            os.environ.pop(TRACING_ENVIRONMENT, None)
-        else:
-            os.environ[TRACING_ENVIRONMENT] = before
+        if device is not None:
+            os.environ.pop(TRACING_ENVIRONMENT)
+            if before is not None:
+                os.environ[TRACING_ENVIRONMENT] = before
 
 
 def require(variant: str) -> None:
     """Raise `ResourceError` if a tracing variant cannot run here."""
     if variant == LLVM:
-        require_llvm()
+        if find_llvm() is None:
+            raise ResourceError(
+                "no LLVM library was found, and tracing rays needs one",
+                expected=f"libLLVM 19 or newer in {Path(sys.prefix) / 'lib'} or at DRJIT_LIBLLVM_PATH",
+                hint="pip install karellen-llvm-core; `forestgen doctor` shows what is found",
+            )
         return
-
     try:
         cuda_devices()
     except RuntimeError as error:
@@ -134,11 +165,69 @@ def require(variant: str) -> None:
         ) from error
 
 
-def require_llvm() -> None:
-    """Raise `ResourceError` if the LLVM variant cannot run here."""
-    if find_llvm() is None:
-        raise ResourceError(
-            "no LLVM library was found, and tracing rays needs one",
-            expected=f"libLLVM 19 or newer in {Path(sys.prefix) / 'lib'} or at DRJIT_LIBLLVM_PATH",
-            hint="pip install karellen-llvm-core; `forestgen doctor` shows what is found",
-        )
+@contextmanager
+def renderer_errors() -> Iterator[None]:
+    """The renderer's and Dr.Jit's own errors as `RenderError`, and as `MemoryError` where they ran out of memory."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "out of memory" in str(error).lower():
+            raise MemoryError(str(error)) from error
+        raise RenderError(f"Mitsuba stopped: {error}") from error
+
+
+def interruptible(integrator: Any, scene: Any, sensor: Any, seed: int, samples: int) -> NDArray[np.float32]:
+    """(H, W, C) image of the scalar variant; Ctrl-C stops it within a fraction of a second.
+
+    Raises `RenderError` if the renderer failed, `MemoryError` if it ran out of memory.
+    """
+
+    def work() -> NDArray[np.float32]:
+        mitsuba().set_variant(SCALAR)
+        return np.array(integrator.render(scene, sensor=sensor, seed=seed, spp=samples))
+
+    with ThreadPoolExecutor(1, "forestgen-render") as pool:
+        image = pool.submit(work)
+        try:
+            while not wait([image], timeout=0.05).done:
+                pass
+        except BaseException:
+            integrator.cancel()
+            raise
+    try:
+        return image.result()
+    except MemoryError:
+        raise
+    except Exception as error:
+        raise RenderError(f"Mitsuba stopped: {error}") from error
+
+
+def check_scalar() -> str:
+    """Trace one ray in the scalar variant; what was used."""
+    mi = mitsuba()
+    with mi.variant_context(SCALAR):
+        scene = mi.load_dict({"type": "scene", "shape": {"type": "sphere"}})
+        hit = scene.ray_intersect_preliminary(mi.Ray3f([0, 0, -5], [0, 0, 1]))
+        if abs(hit.t - 4.0) > 1e-4:
+            raise RuntimeError(f"a ray that should travel 4 m travels {hit.t} m")
+        return f"works, {drjit().thread_count()} threads"
+
+
+def check_llvm() -> str:
+    """Compile and run a kernel in the LLVM variant."""
+    mi = mitsuba()
+    library = find_llvm()
+    if library is None:
+        raise RuntimeError("no libLLVM found")
+    with mi.variant_context(LLVM):
+        dr = drjit()
+        total = dr.sum(dr.arange(mi.Float, 100))[0]
+        if total != 4950:
+            raise RuntimeError(f"the sum of 0 to 99 came out as {total}")
+    return f"works, {library}"
+
+
+def path_tracer(kind: str, max_depth: int, **more: Any) -> Any:
+    """A path tracer of Mitsuba's, with the settings of all images."""
+    settings = {"type": kind, "max_depth": max_depth, "rr_depth": ROULETTE_DEPTH, "block_size": BLOCK_PX}
+    return mitsuba().load_dict(settings | more)

@@ -1,71 +1,207 @@
 """A view of a scene that is built once and captured pass after pass, in other channels and with other seeds.
 
-clear_view.py has scenes without clouds. Under clouds, farfield.py lights the scene by a sky that was rendered once.
-Both follow their paths by paths/. exact_view.py has Mitsuba trace the clouds' volume together with the scene.
+`ClearView` has scenes without clouds. Under clouds that are far above the scene, `FarfieldView` lights it by a sky that
+was rendered once. Both follow their paths by paths/. exact_view.py has Mitsuba trace the clouds' volume together with
+the scene.
+
+Under far clouds three parts add up: light of the sky on the scene, from a map that all cameras share (render/sky.py)
+and corrected for what lies elsewhere; light of the sun on the scene, through the clouds' shadow
+(render/cloud_shadow.py), found by the same paths; and the sky itself in the share of each pixel that the scene leaves
+open (`sky_pixels`). Clouds never enter the scene that paths meet, so a view costs about what it costs under a clear
+sky. When that holds: render/cloud_shadow.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.progress import Progress
-from forestgen.render.shot import Shot, Timer, View, is_exact
+from forestgen.core.randomness import child_rng, child_seed
+from forestgen.render import sky
+from forestgen.render.build import origin_of
+from forestgen.render.cloud_paths import gather
+from forestgen.render.cloud_shadow import ShadowPlane, base_of, shadow_plane_of
+from forestgen.render.identity import SceneTracer
+from forestgen.render.job import RenderJob, Timer, View
+from forestgen.render.light import has_sun, sky_map, sun_irradiance, sun_radiance
+from forestgen.render.paths.scattering import Surfaces
+from forestgen.render.paths.tracer import Image, PathTracer, Sky, Sun
 from forestgen.render.variant import SCALAR, using
-from forestgen.scene.projection import image_circle, rays
+from forestgen.scene.channels import Channels
+from forestgen.scene.projection import rays
 from forestgen.scene.spec import Camera
 
-if TYPE_CHECKING:
-    from forestgen.render.identity import SceneTracer
+_CALL_RAYS = 1 << 18
+# Of two R2 sequences (Roberts 2018), powers of 0.7549 and of 0.8192: they fill a pixel, and the lens, evenly.
+_STEPS = np.array([[0.7548776662466927], [0.5698402909980532], [0.8191725133961645], [0.6710436067037893]])
+_LEVEL = 1e-6  # sine of the lowest elevation
+Floats = NDArray[np.float64]
 
 
-def build_view(shot: Shot, progress: Progress, timer: Timer, tracer: SceneTracer | None = None) -> View:
-    """Build the scene of a shot.
-
-    Parameters
-    ----------
-    tracer : of the shot's scene, if there is one already.
-    """
-    if is_exact(shot):
+def build_view(job: RenderJob, progress: Progress, timer: Timer, tracer: SceneTracer | None = None) -> View:
+    """Build the scene of a job; `tracer` is that of its scene, if there is one already."""
+    if job.is_exact:
         from forestgen.render.exact_view import ExactView
 
         with using(SCALAR):
-            return ExactView(shot, timer)
+            return ExactView(job, timer)
     if tracer is None:
-        from forestgen.render.identity import SceneTracer
-
         with timer("radiance: build"):
-            tracer = SceneTracer(replace(shot.spec, cameras=(shot.camera,)), lambda name: nullcontext())
-    if shot.spec.clouds is None:
-        from forestgen.render.clear_view import ClearView
-
-        return ClearView(shot, tracer, timer)
-    from forestgen.render.farfield import FarfieldView
-
-    return FarfieldView(shot, tracer, progress, timer)
+            tracer = SceneTracer(replace(job.spec, cameras=(job.camera,)), lambda name: nullcontext())
+    if job.spec.clouds is None:
+        return ClearView(job, tracer, timer)
+    return FarfieldView(job, tracer, progress, timer)
 
 
-class PixelKinds(NamedTuple):
-    """(H, W) pixels of a camera by what they can see."""
+class LitScene:
+    """A scene under a sky that is infinitely far away, ready to be seen by one camera in any channels.
 
-    seen: NDArray[np.bool_]  # the centre sees anything: it lies in a fisheye's circle
-    whole: NDArray[np.bool_]  # all of the pixel does
-    above: NDArray[np.bool_]  # all of it does, above a flat earth's horizon
+    `radiance` is the sky in channels, as `light.sky_map` has it; `shadow` is what clouds let through of the sun's
+    light, None: all.
+    """
+
+    def __init__(
+        self,
+        tracer: SceneTracer,
+        camera: Camera,
+        max_depth: int,
+        radiance: Callable[[Channels], NDArray[np.float32]],
+        shadow: ShadowPlane | None = None,
+    ) -> None:
+        self._tracer, self._radiance, self._shadow = tracer, radiance, shadow
+        self._shown: Channels | None = None
+        with using(tracer.variant):
+            self._surfaces = Surfaces(tracer)
+            self._paths = PathTracer(tracer, camera, self._surfaces, max_depth)
+
+    def show(self, channels: Channels) -> None:
+        """Have the surfaces and lights of these channels."""
+        if channels == self._shown:
+            return
+        spec = self._tracer.spec
+        with using(self._tracer.variant):
+            self._surfaces.show(channels)
+            self._sky = Sky(self._radiance(channels), sampled=spec.clouds is not None)
+            self._sun = None
+            if has_sun(spec.sky):
+                light, disc = sun_irradiance(spec.sky, channels), sun_radiance(spec.sky, channels)
+                self._sun = Sun(spec.sky.to_sun, light, disc, self._shadow, self._tracer.origin_m)
+        self._shown = channels
+
+    def take(self, samples: int, seed: int) -> Image:
+        """An image in the channels that are shown, by independent paths for each seed."""
+        with using(self._tracer.variant):
+            return self._paths.take(self._sky, self._sun, samples, seed)
 
 
-def pixels_of(camera: Camera) -> PixelKinds:
-    """What a camera's pixels can see."""
-    width, height = camera.size_px
-    seen = image_circle(camera)
-    x, y = np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0))
-    corners = rays(camera, x, y)
-    whole = seen & _all_corners(corners.valid)
-    return PixelKinds(seen, whole, whole & _all_corners(corners.direction @ camera.world_from_camera[2] > -1e-9))
+class ClearView:
+    """A scene under a clear or overcast sky."""
+
+    def __init__(self, job: RenderJob, tracer: SceneTracer, timer: Timer) -> None:
+        self._seed, self._timer = job.seed, timer
+        with timer("radiance: build"):
+            self._lit = LitScene(tracer, job.camera, job.max_depth, partial(sky_map, job.spec.sky))
+
+    def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
+        with self._timer("radiance: repaint"):
+            self._lit.show(channels)
+        with self._timer("light paths"):
+            image = self._lit.take(samples, child_seed(self._seed, "clear", *number))
+        return np.asarray(image.by_sky + image.by_sun + image.beyond, dtype=np.float64)
 
 
-def _all_corners(corners: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return np.asarray(corners[:-1, :-1] & corners[:-1, 1:] & corners[1:, :-1] & corners[1:, 1:])
+class FarfieldView:
+    """A scene under clouds that are far above it."""
+
+    def __init__(self, job: RenderJob, tracer: SceneTracer, progress: Progress, timer: Timer) -> None:
+        self._job, self._timer = job, timer
+        spec = job.spec
+        assert spec.clouds is not None
+        self._clouds, self._land = sky.traced_clouds_of(spec), None
+        with progress.stage("light of the sky", 1) as advance, timer("clouds: bake"):
+            place, base_m = sky.site_middle(spec), base_of(spec.clouds)
+            baked = sky.baked_sky(self._clouds, place)
+            if base_m is not None and job.position_m is not None:
+                self._land = sky.overland(baked, place, base_m)
+            shadow = shadow_plane_of(spec, origin_of(job.camera)) if has_sun(spec.sky) else None
+            advance(1)
+        with timer("radiance: build"):
+            self._lit = LitScene(tracer, job.camera, job.max_depth, baked.radiance, shadow)
+
+    def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
+        job = self._job
+        with self._timer("radiance: repaint"):
+            self._lit.show(channels)
+        with self._timer("light paths"):
+            found = self._lit.take(samples, child_seed(job.seed, "farfield", *number))
+        image: Floats = found.by_sky.astype(np.float64)
+        if self._land is not None and job.position_m is not None:
+            image = image * self._land.ratio(channels, job.position_m)
+        with self._timer("clouds: sky pixels"):
+            # Clouds are smooth: where the denoiser works least, and a path costs most.
+            fewer, seed = max((samples + 1) // 2, min(samples, 4)), child_seed(job.seed, "clouds", *number)
+            beyond = sky_pixels(self._clouds, job.camera, found.open > 0, channels, fewer, seed)
+        return np.asarray(image + found.by_sun + found.open[..., None] * beyond)
+
+
+def sky_pixels(
+    clouds: sky.TracedClouds, camera: Camera, wanted: NDArray[np.bool_], channels: Channels, samples: int, seed: int
+) -> Floats:
+    """(H, W, 3) mean radiance of the cloudy sky over what each pixel sees; 0 in pixels that are not wanted.
+
+    Each ray is followed by one path through the clouds. Rays that point below the horizon see the sky as high above it
+    as they point below: there the terrain is, and what it leaves open of a pixel on the horizon is sky. The plain that
+    lights the clouds from below is never seen.
+    """
+    light, sun = clouds.under(sky_map(clouds.sky, channels)), sun_irradiance(clouds.sky, channels)
+    albedo = clouds.albedo(channels)
+
+    def found(
+        row: NDArray[np.intp], column: NDArray[np.intp], places: Floats, own: int
+    ) -> tuple[Floats, NDArray[np.bool_]]:
+        """(N, 3) radiance, and (N, 1) which rays see anything."""
+        origin, direction, seen = lens_rays(camera, row, column, places)
+        direction[:, 2] = np.maximum(np.abs(direction[:, 2]), _LEVEL)
+        return gather(clouds.field, light, origin, direction, seed=own).radiance(albedo, sun), seen[:, None]
+
+    image = np.zeros((*wanted.shape, 3))
+    rows, columns = np.nonzero(wanted)
+    for first in range(0, len(rows), _CALL_RAYS):
+        row, column = rows[first : first + _CALL_RAYS], columns[first : first + _CALL_RAYS]
+        shift = child_rng(seed, "rays", first).random((4, len(row)))
+        total, count = np.zeros((len(row), 3)), np.zeros((len(row), 1))
+        for number in range(samples):
+            places = (shift + number * _STEPS) % 1.0
+            radiance, seen = found(row, column, places, child_seed(seed, "paths", first, number))
+            total += radiance * seen
+            count += seen
+        image[row, column] = total / np.maximum(count, 1.0)
+        missed = count[:, 0] == 0  # on the edge of a fisheye's circle, which holds the pixel's centre
+        if missed.any():
+            row, column = row[missed], column[missed]
+            image[row, column], _ = found(row, column, np.full((4, len(row)), 0.5), child_seed(seed, "centres", first))
+    return image
+
+
+def lens_rays(
+    camera: Camera, row: NDArray[np.intp], column: NDArray[np.intp], places: Floats
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """(N, 3) origins and directions, world, of one ray through each pixel; (N,) whether it sees anything.
+
+    `places` (4, N) in [0, 1) are where a ray goes through its pixel, right and down, and two numbers for the lens.
+    """
+    own = rays(camera, column + places[0], row + places[1])
+    origin, direction = own.origin_m, own.direction
+    if camera.lens is not None:
+        radius, turn = camera.lens.aperture_radius_m * np.sqrt(places[2]), 2 * np.pi * places[3]
+        origin = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.zeros_like(turn)], axis=-1)
+        direction = direction * (camera.lens.focus_m / direction[:, 2:]) - origin
+        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    axes = np.asarray(camera.world_from_camera, dtype=np.float64)
+    return origin @ axes.T + np.asarray(camera.position_m), direction @ axes.T, own.valid

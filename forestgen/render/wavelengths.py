@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,52 +51,33 @@ class Pass:
     weight: Floats  # (C, 3): an image's channels from the pass' own
 
 
-class Quadrature(Protocol):
+class Quadrature:
     """How an image's channels are made of passes."""
 
-    @property
-    def names(self) -> tuple[str, ...]: ...
-
-    @property
-    def bands(self) -> tuple[Band, ...]:
-        """Of the channels; none: linear Rec. 709."""
-
-    @property
-    def passes(self) -> int:
-        """Of a replicate."""
+    names: tuple[str, ...] = ("R", "G", "B")
+    bands: tuple[Band, ...] = ()  # of the channels; none: linear Rec. 709
+    passes: int = 1  # of a replicate
 
     def of_light(self, spectrum: Spectrum) -> list[float]:
         """Of a spectrum per nm, what the channels hold of it."""
+        return [float(value) for value in colour_of_radiance(spectrum)]
 
     def draw(self, rng: np.random.Generator, number: int) -> tuple[Pass, ...]:
         """The passes of a replicate; `rng` is the image's, at its beginning."""
+        raise NotImplementedError
 
 
-@dataclass(frozen=True)
-class ColourAtOnce:
+class ColourAtOnce(Quadrature):
     """One pass in linear Rec. 709."""
-
-    names: tuple[str, ...] = ("R", "G", "B")
-    bands: tuple[Band, ...] = ()
-    passes: int = 1
-
-    def of_light(self, spectrum: Spectrum) -> list[float]:
-        return [float(value) for value in colour_of_radiance(spectrum)]
 
     def draw(self, rng: np.random.Generator, number: int) -> tuple[Pass, ...]:
         return (Pass(RGB, np.eye(3)),)
 
 
-@dataclass(frozen=True)
-class ColourBySpectrum:
+class ColourBySpectrum(Quadrature):
     """Linear Rec. 709 from wavelengths."""
 
-    names: tuple[str, ...] = ("R", "G", "B")
-    bands: tuple[Band, ...] = ()
-    passes: int = COLOUR_NODES // 3
-
-    def of_light(self, spectrum: Spectrum) -> list[float]:
-        return [float(value) for value in colour_of_radiance(spectrum)]
+    passes = COLOUR_NODES // 3
 
     def draw(self, rng: np.random.Generator, number: int) -> tuple[Pass, ...]:
         strata, response = _colour_strata()
@@ -106,20 +87,13 @@ class ColourBySpectrum:
         return _passes(node_nm, value / (COLOUR_NODES * per_nm))
 
 
-@dataclass(frozen=True)
-class BandsBySpectrum:
-    """A sensor's bands from wavelengths."""
+class BandsBySpectrum(Quadrature):
+    """A sensor's bands from wavelengths, under the scene's light, of any scale; None: equal at all of them."""
 
-    bands: tuple[Band, ...]
-    light: Spectrum | None = None  # that falls on the scene, of any scale; None: equal at all wavelengths
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(band.name for band in self.bands)
-
-    @property
-    def passes(self) -> int:
-        return sum(self.nodes()) // 3
+    def __init__(self, bands: tuple[Band, ...], light: Spectrum | None = None) -> None:
+        self.bands, self._light = bands, light
+        self.names = tuple(band.name for band in bands)
+        self.passes = sum(self.nodes()) // 3
 
     def nodes(self) -> list[int]:
         """Of each band; their sum is a multiple of three."""
@@ -146,8 +120,8 @@ class BandsBySpectrum:
     def _density(self, edges_nm: Floats, response: Floats) -> Floats:
         """(B,) of a band's nodes, by bin: the light that the band answers to there."""
         weight = response
-        if self.light is not None:
-            light = self.light.at(edges_nm)
+        if self._light is not None:
+            light = self._light.at(edges_nm)
             weight = response * (light + _LEAST_LIGHT * light.mean()) if light.any() else response
         return weight[:-1] + weight[1:]
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.disk_cache import ENVIRONMENT
+from forestgen.core.cache import ENVIRONMENT
 from forestgen.core.progress import Progress
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.plants.growing import forget_shared

@@ -37,7 +37,7 @@ from forestgen.recipe.load import LoadedRecipe
 
 HIDDEN = ".forestgen"  # folder of records, lock and staging
 RUN = "run"  # folder of what belongs to a run, not to the data set
-RUN_DEPENDENT = (RUN, HIDDEN, "report.html")  # names in the data set's folder that no promise of equal bytes covers
+RUN_DEPENDENT = (RUN, HIDDEN, "report.html")  # names in the data set's folder whose bytes may differ between runs
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ FailureKind = Literal["recipe", "memory", "output", "renderer", "worker", "time"
 # A failure of these kinds may pass: the job is tried again. The others would fail again.
 TRANSIENT: tuple[FailureKind, ...] = ("memory", "output", "worker", "time")
 
-Notice = Callable[[str, Mapping[str, str]], None]  # told an event of the log and its fields: worker, message
+Notice = Callable[[str, Mapping[str, str]], None]  # called with an event of the log and its fields: worker, message
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class StorageBackend(Protocol):
     def put_folder(self, source: Path, target: str) -> None:
         """Give a staged folder its final name, replacing what has it. A failure raises `OutputError`.
 
-        It appears whole. In an object store each file does, and the record, which comes last, vouches for all.
+        It appears whole. In an object store each file does; the record, written last, says that all are there.
         """
 
     def put_file(self, source: Path, target: str) -> None:
@@ -163,7 +163,7 @@ class StorageBackend(Protocol):
         """Path, size in bytes and inode, or 0, of each file below a folder."""
 
     def clear_staging(self) -> None:
-        """Remove what jobs have left that nobody does any more."""
+        """Remove what abandoned jobs have left."""
 
     def remove(self, path: str) -> None:
         """Remove a file, or a folder with all in it, if it is there."""

@@ -22,7 +22,7 @@ from forestgen.recipe.dataset import SplitName
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.record_index import FileSum, RecordIndex
 
-MOST_IMAGES = 10_000_000  # of a recipe; a number from a stranger's file is counted up to
+MOST_IMAGES = 10_000_000  # of a recipe; a number in an untrusted file is counted up to
 DATASET_NAME = "dataset.json"
 SCHEMA = "forestgen-dataset/1"
 

@@ -16,7 +16,7 @@ from statistics import fmean, stdev
 from forestgen.core.errors import OutputError, ResourceError
 from forestgen.core.figures import count as counted
 from forestgen.core.figures import show_bytes, three_digits
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 from forestgen.core.progress import Progress
 from forestgen.core.threads import cores
 from forestgen.dataset.settings import DatasetSettings
@@ -207,7 +207,7 @@ def _guess(upper: float) -> Range:
 
 
 def _range(values: Sequence[float], of_one: float = _UNKNOWN_SPREAD) -> Range:
-    """Of what several images take; a single one tells no spread, which is `of_one` then."""
+    """Interval of several images; of a single one with the spread `of_one`."""
     mean = fmean(values)
     logarithms = [math.log(max(value, 1e-9)) for value in values]
     more = math.sqrt(1 + 1 / len(values))

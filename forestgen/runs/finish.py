@@ -22,15 +22,14 @@ from forestgen.dataset.files import disk_errors
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats.format import known_formats, load_formats
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
-from forestgen.dataset.maps import write_map
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
-from forestgen.recipe.hashing import recipe_hash
-from forestgen.recipe.load import LoadedRecipe, yaml_text
-from forestgen.recipe.map_files import is_map_file
-from forestgen.recipe.paths import MAPS
-from forestgen.recipe.sources import dotted
+from forestgen.dataset.writer import write_map
+from forestgen.recipe.assets import MAPS
+from forestgen.recipe.load import LoadedRecipe
+from forestgen.recipe.map_files import is_map_file, recipe_hash
+from forestgen.recipe.sources import dotted, yaml_text
 from forestgen.runs.contract import Job, JobRecord, StorageBackend
 from forestgen.runs.description import (
     DATASET_NAME,
@@ -106,7 +105,7 @@ def write_data_set(
     ----------
     record_index : with the records of the images.
     parts, made_with : see `describe`.
-    splits : whose folders may hold what no record vouches for.
+    splits : whose folders may hold files that no record lists.
     """
     folders = sorted({*splits, *record_index.splits, *_splits_before(storage), THUMBNAILS, MAPS})
     for folder in folders:
@@ -177,7 +176,7 @@ def _splits_before(storage: StorageBackend) -> set[str]:
 
 
 def _remove_unlisted(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
-    """Remove what no record vouches for: records of other jobs, then files; a whole folder where all of it goes.
+    """Remove what no record lists: records of other jobs, then files; a whole folder where all of it goes.
 
     Files that other tools have added stay in folders that stay.
     """

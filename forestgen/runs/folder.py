@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.safe_path import SafePath, is_frame, is_inside, is_split, load_json
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.contract import HIDDEN, RUN, JobRecord, StorageBackend
 from forestgen.runs.records import JOBS, read_record, record_path, records_of
 from forestgen.runs.storage import STAGING, LocalStorage
@@ -80,7 +80,7 @@ def check_ours(storage: StorageBackend) -> None:
 
 
 def check_resume(storage: StorageBackend, *, resume: bool) -> None:
-    """Refuse to go on in a data set unasked. Raises `OutputError`."""
+    """Refuse to go on in a data set without `resume`. Raises `OutputError`."""
     if not resume and _is_batch(storage):
         raise OutputError(
             "the folder already holds a forestgen data set",
@@ -117,7 +117,7 @@ def open_batch(
     images : numbers of the images that are wanted.
     splits : that some of these images are in.
     mark : the `fingerprint`.
-    note : told of damaged records.
+    note : called with damaged records.
     stale : finished images that would be made otherwise now; they stay until their turn comes.
     damaged : finished images that have lost a file or its content: what is left of them is removed.
     """
@@ -126,20 +126,20 @@ def open_batch(
     for name in _WHOLE:  # before the first frame goes
         storage.remove(name)
     keys: dict[int, str] = {}
-    vouched: set[str] = set()
+    recorded: set[str] = set()
     for record in records_of(storage, note):
         frames = _frames(record)
         is_wanted = record.image in images and record.split in splits
         is_wanted = is_wanted and record.image not in keys and record.image not in damaged
         if is_wanted and listed[record.split].issuperset(frames):
             keys[record.image] = record.key
-            vouched.update(f"{record.split}/{frame}" for frame in frames)
-            vouched.update(f"{THUMBNAILS}/{frame}.jpg" for frame in frames)
+            recorded.update(f"{record.split}/{frame}" for frame in frames)
+            recorded.update(f"{THUMBNAILS}/{frame}.jpg" for frame in frames)
         else:
             forget(storage, record)
             if record.image in keys:  # two records of one image: the frames were those of either, and are gone
                 storage.remove(record_path(keys.pop(record.image)))
-    _remove_unvouched(storage, listed, vouched)
+    _remove_unlisted(storage, listed, recorded)
     for split in set(before) - set(splits):
         storage.remove(split)
     settle_batch(storage, splits, "" if stale & keys.keys() else mark)
@@ -158,11 +158,11 @@ def forget_key(storage: StorageBackend, key: str) -> None:
     try:
         forget(storage, read_record(storage.read(path) or b"", path))
     except DatasetError:
-        storage.remove(path)  # its frames are found at the end: nothing vouches for them
+        storage.remove(path)  # its frames are removed at the end: no record lists them
 
 
 def forget(storage: StorageBackend, record: JobRecord) -> None:
-    """Remove a record, then what it vouched for: never a record without its files."""
+    """Remove a record, then its files, so that no record is left without files."""
     storage.remove(record_path(record.key))
     for frame in _frames(record):
         storage.remove(f"{record.split}/{frame}")
@@ -175,11 +175,11 @@ def _frames(record: JobRecord) -> list[str]:
     return sorted({parts[1] for parts in inside if len(parts) > 2 and parts[1] != MAPS})
 
 
-def _remove_unvouched(storage: StorageBackend, listed: dict[str, set[str]], vouched: set[str]) -> None:
+def _remove_unlisted(storage: StorageBackend, listed: dict[str, set[str]], recorded: set[str]) -> None:
     """Frames and thumbnails of jobs that never came to their records."""
     for folder, names in {**listed, THUMBNAILS: set(storage.names(THUMBNAILS))}.items():
         for name in sorted(names):
-            if is_frame(name.removesuffix(".jpg")) and f"{folder}/{name}" not in vouched:
+            if is_frame(name.removesuffix(".jpg")) and f"{folder}/{name}" not in recorded:
                 storage.remove(f"{folder}/{name}")
 
 

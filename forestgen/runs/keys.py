@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import hashlib
 
-from forestgen.core.code_hash import code_hash
+from forestgen.core.cache import code_hash
 from forestgen.recipe.assets import scenes_dir
-from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.map_files import recipe_hash
 
 # Everything that shapes a frame's files; the layers above only call it.
 _SOURCES = (
@@ -17,9 +17,8 @@ _SOURCES = (
 # Of these, what only reads frames, writes the files over all of them, or checks and shows what people give and see.
 _WITHOUT = (
     "community/fitting/report.py", "community/point_statistics.py", "core/streams.py",
-    "dataset/balance.py", "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
-    "dataset/frame.py", "dataset/index.py", "dataset/index_values.py", "dataset/pack", "dataset/report",
-    "community/summary.py",
+    "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
+    "dataset/frame.py", "dataset/index.py", "dataset/pack", "dataset/report",
 )  # fmt: skip
 _COMPUTE_WITH = (
     "numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "trimesh",

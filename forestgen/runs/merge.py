@@ -26,7 +26,7 @@ from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.assets import MAPS
 from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.runs.contract import HIDDEN, JobRecord
 from forestgen.runs.description import DATASET_NAME, MOST_IMAGES, RecipePart, settings_of, union_of

@@ -165,7 +165,7 @@ class RecordIndex:
         return self._base.execute(query).fetchall()
 
     def reports(self, split: str) -> Iterator[dict[str, Any]]:
-        """What the manifest tells of each image."""
+        """The manifest's report of each image."""
         yield from map(json.loads, self._each("SELECT report FROM images WHERE split = ? ORDER BY image", split))
 
     def notes(self, split: str) -> Iterator[str]:

@@ -132,7 +132,7 @@ def done_keys(storage: StorageBackend) -> set[str]:
 def records_of(storage: StorageBackend, note: Callable[[str], None] | None = None) -> Iterator[JobRecord]:
     """All records, by image; one at a time in memory, or nearly.
 
-    `note`: told of each damaged record, which is left out.
+    `note`: called with a message for each damaged record, which is left out.
     """
     keys = sorted(_keys(storage), key=lambda key: (image_of_key(key), key))
 
@@ -147,7 +147,7 @@ def records_of(storage: StorageBackend, note: Callable[[str], None] | None = Non
                 if note is not None:
                     note(f"{path}: {error.problem}; it does not count")
                 continue
-            if record_path(record.key) == path:  # a copy under another name vouches for nothing
+            if record_path(record.key) == path:  # a copy under another name is no record
                 yield record
 
 

@@ -145,7 +145,7 @@ def storage_error(error: BaseException, where: str) -> OutputError:
 
 
 def _as_os_error(error: Exception) -> OSError:
-    """A failure as one of input and output, so that whoever asks for its cause learns that storage failed."""
+    """A failure as an `OSError`: its cause tells callers that storage failed."""
     failure = OSError(errno.EIO, str(error))
     failure.__cause__ = error
     return failure

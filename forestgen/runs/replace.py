@@ -28,7 +28,7 @@ from forestgen.dataset.files import output_error
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.assets import MAPS
 from forestgen.runs.contract import HIDDEN, RUN, StorageBackend
 from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS, splits_before, written_paths
 from forestgen.runs.record_index import RecordIndex
@@ -83,7 +83,7 @@ def replacing(
     Parameters
     ----------
     splits : names of the new data set's.
-    say : told of users' files that were kept, and of what could not be removed.
+    say : called with users' files that were kept, and with what could not be removed.
     overwrite : replace the data set that is there; if the block fails before an image is finished, it is put back.
     keep_begun : without `overwrite`, leave what a block has begun that fails before an image is finished: its log.
 
@@ -113,7 +113,7 @@ def _settle(storage: LocalStorage, say: Callable[[str], None], *, drop_begun: bo
 
     Parameters
     ----------
-    say : told of users' files that were kept, and of what could not be removed.
+    say : called with users' files that were kept, and with what could not be removed.
     drop_begun : remove a data set without a finished image also where there was no previous one.
     """
     root = storage.root
@@ -201,8 +201,8 @@ def _moving(root: Path) -> Iterator[None]:
 def foreign_files(root: Path) -> list[str]:
     """Paths of what forestgen has not written, sorted; of a folder in which all is, only the folder.
 
-    Of a finished data set SHA256SUMS tells; of one that is not, the images' records, the names that forestgen gives in
-    any data set, and the list of the files over all images that it keeps (`folder.note_written`).
+    The sources are SHA256SUMS for a finished data set; else the images' records, the names that forestgen uses in any
+    data set, and its list of the files over all images (`folder.note_written`).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A batch from start to end, whoever does the work."""
+"""A batch from start to end, with any engine."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
-from forestgen.dataset.data_set import check_one_data_set, check_splits, check_stands, data_set_of
-from forestgen.dataset.settings import DatasetSettings
+from forestgen.dataset.settings import DatasetSettings, check_one_data_set, check_splits, check_stands, data_set_of
+from forestgen.recipe.dataset import split_of, used_splits
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.splits import split_of, used_splits
 from forestgen.runs.contract import (
     TRANSIENT,
     Done,
@@ -39,9 +38,10 @@ from forestgen.runs.folder import (
 )
 from forestgen.runs.keys import job_key, versions_hash
 from forestgen.runs.records import done_keys, records_of
+from forestgen.runs.remote_storage import storage_of
 from forestgen.runs.replace import check_replaceable, recover, replacing
 from forestgen.runs.stale_outputs import ResumeDiff, check_stale_outputs, damaged_images, resume_diff
-from forestgen.runs.storage import LocalStorage, storage_of
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.summary import Log, RunSummary, done_fields, failed_fields, write_jobs_table, write_summary
 from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
 from forestgen.scene.planning import check_plan
@@ -76,7 +76,7 @@ class _Run:
         self.tracker = ProgressTracker(len(self.queue.images), already=self.queue.done)
 
     def notice(self, event: str, fields: Mapping[str, str]) -> None:
-        """What an engine tells of its workers."""
+        """Log and show an engine's event."""
         self.log.event(event, **fields)
         self.display.say(fields["message"])
 
@@ -136,7 +136,7 @@ def run_batch(
             used = used_splits(splits, images)
             damaged = damaged_images(storage, loaded, images, before.stale, display.say)
             with Log(storage) as log:
-                storage.discard(storage.staging())  # what cannot be written is told before anything is removed
+                storage.discard(storage.staging())  # raises if nothing can be written, before anything is removed
                 known = open_batch(storage, images, used, mark, display.say, before.stale, damaged)
                 run = _Run(work, lock, log, JobQueue(work, images, splits, known), display, retries, strict)
                 _log_start(run, target, damaged)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +15,10 @@ from forestgen.core.arguments import number_of, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
-from forestgen.core.randomness import child_rng
 from forestgen.dataset.file_set import FileSet, check_writable
 from forestgen.dataset.tonemap import tone_map
-from forestgen.geometry.export import exporter_of, mesh_suffixes, model_files
+from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of, mesh_suffixes, model_files, png
 from forestgen.geometry.mesh import surface_area_m2
-from forestgen.geometry.model import Model, Piece, Surface, Value, png
 from forestgen.plants.bark.texture import texture_images
 from forestgen.plants.build import size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
@@ -97,13 +94,11 @@ def grow_plants(order: Order, progress: Progress) -> list[SinglePlant]:
     OutputError : a file exists and may not be replaced, or cannot be written.
     """
     _check(order)
-    name = order.name
     plan = plan_of(order.species, order.seed, order.detail)
     if order.frames is not None:
-        check_sways(name, plan.generators[name])
-    radius_m = radius_of_m(plan.drawn.species[name], order.height_m)
-    made: list[SinglePlant] = []
-    camera = None
+        check_sways(order.name, plan.generators[order.name])
+    species = plan.drawn.species[order.name]
+    radius_m, made, camera = radius_of_m(species, order.height_m), [], None
     with FileSet(overwrite=order.overwrite) as files:
         for number, (seed, exemplar) in enumerate(_grown(order, plan, radius_m, progress), start=1):
             if camera is None or order.frames is None:  # frames are all seen from one place
@@ -112,7 +107,7 @@ def grow_plants(order: Order, progress: Progress) -> list[SinglePlant]:
             for path, content in _contents(order, number, plan, seed, exemplar, camera, progress):
                 files.write(path, content)
                 sizes[path] = len(content)
-            made.append(described(exemplar, plan.drawn.species[name], seed, sizes))
+            made.append(described(exemplar, species, seed, sizes))
     return made
 
 
@@ -198,18 +193,15 @@ def grow(plan: PlantPlan, name: str, radius_m: float, seed: int) -> Exemplar:
 
 def _grown(order: Order, plan: PlantPlan, radius_m: float, progress: Progress) -> Iterator[tuple[int, Exemplar]]:
     """Seed and plant."""
-    name = order.name
     if order.frames is not None:
-        species, parameters = plan.drawn.species[name], plan.generators[name]
-        anew = partial(child_rng, order.seed, "exemplar", name)
         with progress.stage("frames", order.frames) as advance:
-            for exemplar in sway(name, species, parameters, radius_m, anew, order.frames, order.frames_per_s):
+            for exemplar in sway(plan, order.name, radius_m, order.seed, order.frames, order.frames_per_s):
                 yield order.seed, exemplar
                 advance(1)
         return
     with progress.stage("plants", order.count) as advance:
         for seed in range(order.seed, order.seed + order.count):
-            yield seed, grow(plan, name, radius_m, seed)
+            yield seed, grow(plan, order.name, radius_m, seed)
             advance(1)
 
 
@@ -268,8 +260,12 @@ def picture_of(
 def mesh_model(plan: PlantPlan, exemplar: Exemplar, seed: int, wood_triangles: int | None = None) -> Model:
     """A plant for mesh files, its wood of about `wood_triangles` with one baked texture, or as grown."""
     materials = materials_of(plan.drawn.species, plan.drawn.recipe.plants.season)
-    model = model_of(exemplar, plan.drawn.species[exemplar.species], materials, seed)
-    return model if wood_triangles is None else _light(model, exemplar.species, materials, wood_triangles)
+    name = exemplar.species
+    model = model_of(exemplar, plan.drawn.species[name], materials, seed)
+    if wood_triangles is None:
+        return model
+    textures = {key: one.texture for (owner, key), one in materials.items() if owner == name and one.texture}
+    return replace(model, pieces=with_light_wood(model.pieces, textures, wood_triangles))
 
 
 def model_of(exemplar: Exemplar, species: Species, materials: Mapping[tuple[str, str], Material], seed: int) -> Model:
@@ -279,25 +275,10 @@ def model_of(exemplar: Exemplar, species: Species, materials: Mapping[tuple[str,
         surface = _surface(organ, materials[exemplar.species, organ.material])
         area: dict[str, Value] = {"area_m2": surface_area_m2(organ.mesh)}
         pieces.append(Piece(f"{organ.part.name.lower()}-{organ.material}", organ.part, organ.mesh, surface, area))
-    one = described(exemplar, species, seed, {})
-    properties: dict[str, Value] = {
-        "species": one.species,
-        "description": species.description,
-        "seed": seed,
-        "height_m": one.height_m,
-        "crown_width_m": one.crown_width_m,
-        "leaf_area_m2": one.leaf_area_m2,
-        "leaf_area_index": one.leaf_area_index,
-        "wood_kg": one.wood_kg,
-        "leaf_kg": one.leaf_kg,
-    }
+    measures = asdict(described(exemplar, species, seed, {}))
+    del measures["triangles"], measures["files"]
+    properties = {"species": exemplar.species, "description": species.description, **measures}
     return Model(exemplar.species, pieces, properties)
-
-
-def _light(model: Model, species: str, materials: Mapping[tuple[str, str], Material], triangles: int) -> Model:
-    """The model with few triangles in its wood and one texture for all of it."""
-    textures = {name: one.texture for (owner, name), one in materials.items() if owner == species and one.texture}
-    return replace(model, pieces=with_light_wood(model.pieces, textures, triangles))
 
 
 def _surface(organ: OrganMesh, material: Material) -> Surface:

@@ -2,7 +2,7 @@
 
 Those that are too many, or that the recipe would make otherwise now, are removed only after confirmation. Those whose
 files are not as they were written are made again. In a folder every file is read and compared with the SHA-256 of its
-image's record; in an object store, which keeps sums of its own, one listing tells which objects are missing or have
+image's record; in an object store, which keeps sums of its own, one listing shows which objects are missing or have
 another size. A thumbnail, or a map that the recipe names, is written again without rendering.
 """
 
@@ -28,8 +28,8 @@ from forestgen.dataset.checksums import file_sum
 from forestgen.dataset.safe_path import RefusedFileError, SafePath
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.dataset.thumbnails import write_thumbnail
+from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.recipe.paths import MAPS
 from forestgen.runs.contract import JobRecord, StorageBackend
 from forestgen.runs.finish import recipe_part
 from forestgen.runs.folder import images_in_frames, is_made_from
@@ -81,7 +81,7 @@ def resume_diff(
     ----------
     images : numbers of the images that are wanted.
     mark, versions : see `folder.fingerprint`.
-    say : told if it takes a while: of a recipe that has changed, each finished image is drawn again.
+    say : called if it takes a while: of a recipe that has changed, each finished image is drawn again.
     """
     keys = done_keys(storage)
     mine = {image: key for key in keys if (image := image_of_key(key)) in images}
@@ -98,9 +98,9 @@ def resume_diff(
 
 
 def check_stale_outputs(found: ResumeDiff, where: str, *, agreed: bool) -> None:
-    """Refuse to throw finished images away unasked.
+    """Refuse to remove finished images without confirmation.
 
-    Raises `RecipeError`: images would be lost, and nobody has agreed.
+    Raises `RecipeError` if images would be removed and `agreed` is False.
     """
     if found.discarded and not agreed:
         raise RecipeError(

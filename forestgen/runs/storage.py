@@ -25,23 +25,11 @@ from typing import Any
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.files import make_folder, output_error, write_bytes
 from forestgen.dataset.safe_path import RefusedFileError, SafePath, is_inside, unreadable
-from forestgen.runs.contract import HIDDEN, StorageBackend
+from forestgen.runs.contract import HIDDEN
 
 LOCK_FILES = _LOCK, _HOLDER = "lock", "holder.json"  # the latter says who holds the lock
 STAGING = f"{HIDDEN}/staging"
 _SYNCED_AT_ONCE = 16
-
-
-def storage_of(target: str) -> StorageBackend:
-    """The storage of a data set: a folder's path, or a URL such as ``s3://bucket/forests``."""
-    scheme, separator, rest = target.partition("://")
-    if not separator:
-        return LocalStorage(Path(target).absolute(), target)
-    if scheme == "file":
-        return LocalStorage(Path(rest).absolute(), target)
-    from forestgen.runs.remote_storage import RemoteStorage  # loads fsspec
-
-    return RemoteStorage(target)
 
 
 @dataclass(frozen=True)
@@ -130,7 +118,7 @@ class LocalStorage:
         shutil.rmtree(self._path(STAGING), ignore_errors=True)
 
     def _path(self, relative: str) -> Path:
-        """A path below the root, in folders that are no links: data sets and recipes may come from strangers."""
+        """A path below the root, in folders that are no links: data sets and recipes may be untrusted."""
         above = SafePath(self.root, relative.rpartition("/")[0])
         try:
             if relative and not is_inside(relative):
@@ -244,11 +232,11 @@ class LocalLock:
                 folder.rmdir()
 
     def check(self) -> None:
-        """Nobody takes a lock of the operating system's away."""
+        """Nothing to do: a lock of the operating system cannot be lost."""
 
 
 def _refuse_link(path: Path) -> None:
-    """What would be written through a link, or wait in a pipe, is refused: the data set may be a stranger's."""
+    """Refuse to write through a link or into a pipe: the data set may be untrusted."""
     if os.path.lexists(path) and not SafePath(path.parent, path.name).is_file():
         raise OutputError("this is no plain file", where=str(path), hint="remove it")
 

@@ -1,4 +1,4 @@
-"""What a run tells of itself: to people, and in run/log.jsonl, run/summary.json and run/jobs.parquet.
+"""The report of a run: text, and the files run/log.jsonl, run/summary.json and run/jobs.parquet.
 
 The log has one JSON object a line, each on the disk when it has happened. Every line has `time` (ISO 8601, UTC) and
 `event`: start, image_damaged, job_done, job_failed, worker_lost, progress, finish, stop; of a cluster also
@@ -158,7 +158,7 @@ class Log:
         else:
             self._path = Path(tempfile.mkdtemp(prefix="forestgen-log-")) / "log.jsonl"
         try:
-            # To append to what a link in a stranger's data set points at would change a file elsewhere.
+            # To follow a link of an untrusted data set would change a file elsewhere.
             flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
             self._file = os.fdopen(os.open(self._path, flags, 0o666), "ab+")
             self._file.write(before)
@@ -173,7 +173,7 @@ class Log:
 
     def __exit__(self, *_: object) -> None:
         if self._file is not None:
-            with suppress(OSError):  # of a full disk: the line that it has no room for was told when it was written
+            with suppress(OSError):  # a full disk was reported when the line was written
                 self._file.close()
         if not self._local:
             self._path.unlink(missing_ok=True)

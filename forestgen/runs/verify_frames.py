@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 from forestgen.core.errors import DatasetError, ForestgenError
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.check.files import read_json, read_picture, read_table, read_text
 from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.safe_path import SafePath
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.description import this_version
 from forestgen.runs.records import in_order
 from forestgen.runs.storage import files_below
@@ -183,7 +182,7 @@ def check_renders(
     ----------
     description : dataset.json.
     count, seed : how many images; which ones.
-    note : told if other versions than those of this machine made the data set.
+    note : called if other versions than those of this machine made the data set.
     """
     moved = _moved(description)
     if moved:
@@ -255,7 +254,7 @@ def _check_image(
 
 def _render(source: Path, fresh: Path, progress: Progress) -> dict[str, dict[str, Any]]:
     """Render a drawn recipe again; the frames' rows of the index, by name."""
-    from forestgen.dataset.data_set import data_set_of
+    from forestgen.dataset.settings import data_set_of
     from forestgen.pipeline import assemble_image, write_image
     from forestgen.recipe.load import load_recipe
     from forestgen.render.variant import mitsuba

@@ -19,9 +19,9 @@ from forestgen.dataset.manifest import MANIFEST_NAME
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DRAW
 from forestgen.dataset.thumbnails import thumbnail_name
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.dataset import split_of
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.splits import split_of
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.contract import JobRecord
 from forestgen.runs.description import DATASET_NAME, file_groups
 from forestgen.runs.record_index import RecordIndex
@@ -99,7 +99,7 @@ class _Rows:
         return self._held.pop(frame, None)
 
     def rest(self) -> Iterator[str]:
-        """Frames whose rows nobody took."""
+        """Frames whose rows are left."""
         yield from self._held
         with suppress(DatasetError):  # the index's own check says why
             yield from (str(row["frame"]) for row in self._waiting)
@@ -231,11 +231,11 @@ def _description_findings(description: Mapping[str, Any], split_of_image: Mappin
 
 def group_findings(data_set: OpenDataSet) -> Iterator[Finding]:
     """Kinds of files that dataset.json counts otherwise; of a data set in which no file is missing or added."""
-    told = data_set.description["files"]
+    noted = data_set.description["files"]
     there = file_groups(file for file in data_set.record_index.present() if file.path not in _NOT_COUNTED)
-    for group in sorted({*there, *told}):
-        if there.get(group) != told.get(group):
-            expected, got = str(there.get(group)), str(told.get(group))
+    for group in sorted({*there, *noted}):
+        if there.get(group) != noted.get(group):
+            expected, got = str(there.get(group)), str(noted.get(group))
             yield Finding(DATASET_NAME, f"files: {group} is counted wrongly", expected, got)
 
 

@@ -20,19 +20,18 @@ from forestgen.core.errors import (
     RenderError,
     ResourceError,
 )
-from forestgen.core.memory import whole_bytes
-from forestgen.core.progress import Progress, Silent
+from forestgen.core.processes import whole_bytes
+from forestgen.core.progress import Progress, Silent, Timings
 from forestgen.core.threads import cores, limit_cores
-from forestgen.core.timing import Timings
 from forestgen.dataset.checksums import file_sum
-from forestgen.dataset.data_set import check_one_data_set
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import peak_memory_bytes
+from forestgen.dataset.settings import check_one_data_set
 from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
 from forestgen.pipeline import assemble_image, write_image
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.paths import MAPS
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.variant import mitsuba
 from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, StorageBackend, Work
 from forestgen.runs.keys import job_key
@@ -44,7 +43,7 @@ _FRAMES = "frames"  # of a staging folder: what belongs into the split's folder
 
 
 class _StorageFailedError(Exception):
-    """The data set's place has failed; the cause tells how."""
+    """The data set's storage has failed; `__cause__` is the error."""
 
 
 def make_job(work: Work, job: Job, attempt: int) -> Outcome:
@@ -141,7 +140,7 @@ def _storage_failed(error: BaseException | None) -> bool:
     """Whether a disk, a quota or a network is behind an error."""
     while error is not None:
         if isinstance(error, _StorageFailedError) or (isinstance(error, OutputError) and error.__cause__ is not None):
-            return True  # an `OutputError` without a cause tells of what a format cannot hold
+            return True  # an `OutputError` without a cause is about what a format cannot hold
         if isinstance(error, OSError) and (error.errno in STORAGE_ERRNOS or isinstance(error, ConnectionError)):
             return True
         error = error.__cause__

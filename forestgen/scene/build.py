@@ -17,9 +17,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.scene.building import building_materials
 from forestgen.scene.camera_path import next_frame
-from forestgen.scene.exemplars import (
-    SizeError,
-)
+from forestgen.scene.exemplars import ExemplarPlan, SizeError
 from forestgen.scene.ground import wetness_of
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
 from forestgen.scene.plan import Plan
@@ -70,9 +68,7 @@ class BuiltScene:
 def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
     """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras.
 
-    Parameters
-    ----------
-    population : as it was simulated, heights above the ground.
+    `population`: as it was simulated, heights above the ground.
     """
     return _Assembly(plan, population, progress, timer).scene()
 

@@ -14,8 +14,7 @@ from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import TERRAINS
-from forestgen.recipe.terrain import Terrain
-from forestgen.recipe.wet_soil import WetSoil
+from forestgen.recipe.schema import Terrain, WetSoil
 from forestgen.scene.soil_colour import Wetness
 from forestgen.scene.terrain import HeightField, smooth_step
 
@@ -25,9 +24,7 @@ _LEAST_MM = 1e-6  # of water: less would divide to infinity, or by 0
 def height_field(drawn: DrawnRecipe) -> HeightField:
     """Height of the ground at any x and y; the same object whenever a recipe's image is asked for again.
 
-    Raises
-    ------
-    RecipeError : a map of heights that cannot be read, has holes, or has not the site's shape; with its line.
+    Raises `RecipeError`: a map of heights that cannot be read, has holes, or has not the site's shape; with its line.
     """
     site = drawn.recipe.site
     try:

@@ -12,13 +12,13 @@ from forestgen.atmosphere.clouds.source import GAP_OF_SITE, LEAST_GAP_M, cloud_s
 from forestgen.community.plan import CommunityPlan
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
-from forestgen.core.memory import free_bytes
+from forestgen.core.processes import free_bytes
 from forestgen.plants.budget import most_triangles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.plants import Plants
+from forestgen.recipe.schema import Plants
 from forestgen.scene.exemplars import MOST_TRIANGLES
 from forestgen.scene.views import Views
 
@@ -57,9 +57,7 @@ class Plan:
 def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> dict[str, int]:
     """Peak memory by what takes it: an upper estimate, without simulating.
 
-    Parameters
-    ----------
-    plants : how many the scene will hold; before the simulation nobody knows, and their share is left out.
+    `plants`: how many the scene will hold; before the simulation nobody knows, and their share is left out.
     """
     recipe, stand = plan.drawn.recipe, plan.community
     try:
@@ -112,7 +110,7 @@ def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeEr
 
 
 def _may_be_exact(views: Views, base_m: float | None) -> bool:
-    """Whether the light of a recipe with clouds may be traced through them; see `render.transport`."""
+    """Whether the light of a recipe with clouds may be traced through them; see `render.cloud_shadow`."""
     drawn, recipe = views.drawn, views.drawn.recipe
     if recipe.render.clouds != "auto" or base_m is None:
         return recipe.render.clouds != "farfield"
@@ -142,9 +140,7 @@ def check_memory(
 ) -> None:
     """Raise `ResourceError` if the estimate does not fit into memory; see `estimate_bytes`.
 
-    Parameters
-    ----------
-    memory_budget_bytes : memory that there is for it; None: what is free now.
+    `memory_budget_bytes`: memory that there is for it; None: what is free now.
     """
     free = int((free_bytes() if memory_budget_bytes is None else memory_budget_bytes) * _SHARE_OF_MEMORY)
     parts = estimate_bytes(plan, simulate_only=simulate_only, plants=plants)

@@ -22,12 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.forestry import BREAST_HEIGHT_M
+from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
-from forestgen.geometry.hull import hull_of
+from forestgen.geometry.mesh import hull_of
 from forestgen.geometry.sections import section_area_m2
 from forestgen.plants.exemplar import Exemplar
-from forestgen.scene.spec import Instances, SceneSpec
+from forestgen.scene.spec import Instances
 
 Floats = NDArray[np.float64]
 
@@ -47,11 +47,6 @@ class PlantMeasures:
     stem_base_m: NDArray[np.float64]  # (N, 3) world
     tip_m: NDArray[np.float64]  # (N, 3) world: the highest point of its geometry
     crown_centre_m: NDArray[np.float64]  # (N, 3) world: area-weighted centre of leaves, or of all where there are none
-
-
-def measure_plants(spec: SceneSpec) -> PlantMeasures:
-    """Measure all plants of a scene; see `PlantMeter` for several poses of the same plants."""
-    return PlantMeter(spec.exemplars).measure(spec.instances)
 
 
 class PlantMeter:

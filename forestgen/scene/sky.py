@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from forestgen.atmosphere.sun_position import SunPosition, sun_position
+from forestgen.atmosphere.daylight import SunPosition, sun_position
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.schema import Recipe

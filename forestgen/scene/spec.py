@@ -14,7 +14,7 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
-from forestgen.recipe.exposure import Exposure
+from forestgen.recipe.camera_keys import Exposure
 from forestgen.recipe.registries import DEFAULT_PROJECTION
 
 
@@ -26,7 +26,7 @@ class Material:
     transmittance: tuple[float, float, float] = (0.0, 0.0, 0.0)
     roughness: float = 0.5  # of the gloss
     texture: SurfaceTexture | None = None  # of an opaque surface with uv; its mean colour is the reflectance
-    gloss: float = 0.0  # share of light that a leaf's skin mirrors, part of the reflectance; see render/gloss.py
+    gloss: float = 0.0  # share of light that a leaf's skin mirrors, part of the reflectance; see render/surfaces.py
     reflectance_spectrum: Spectrum | None = None  # of which the reflectance is the colour; None: the colour is all
     transmittance_spectrum: Spectrum | None = None
 

@@ -14,14 +14,14 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import with_mean
 from forestgen.recipe.registries import GROUND_COVERS
+from forestgen.recipe.schema import Terrain as TerrainSection
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.spectra import load_spectra
-from forestgen.recipe.terrain import Terrain as TerrainSection
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.soil_colour import Wetness, wet_ground
 from forestgen.scene.spec import Terrain

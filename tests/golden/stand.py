@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.simulation import final_population
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
-from forestgen.dataset.data_set import class_map
+from forestgen.core.progress import Silent, Timings
 from forestgen.dataset.exr import read_exr, write_exr
 from forestgen.dataset.png import write_rgb
+from forestgen.dataset.settings import class_map
 from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
 from forestgen.recipe.load import load_recipe
@@ -24,7 +23,7 @@ from forestgen.render.rendering import render_frame
 from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.plan import Plan
 from forestgen.scene.planning import make_plan
-from forestgen.scene.plant_measures import measure_plants
+from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import SceneSpec
 from support.ztest import Comparison, NoisyImage, welch, welch_blocks
 
@@ -51,7 +50,8 @@ def shoot(plan: Plan, built: BuiltScene, seed: int) -> LabelledFrame:
     frame = render_frame(tracer, built.spec.cameras[0], plan.drawn.recipe, seed, Silent(), Timings())
     channels = plan.drawn.recipe.labels.channels
     frame = add_channels(frame, channels, ChannelView(tracer, None, Silent(), Timings()))
-    return label_frame(frame, built.population, class_map(plan.drawn), measure_plants(built.spec), channels)
+    measures = PlantMeter(built.spec.exemplars).measure(built.spec.instances)
+    return label_frame(frame, built.population, class_map(plan.drawn), measures, channels)
 
 
 def without(built: BuiltScene, plant_id: int) -> BuiltScene:

@@ -18,7 +18,7 @@ from forestgen.dataset import png
 from forestgen.dataset.index import INDEX_NAME, write_index
 from forestgen.dataset.legend import write_legend
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.recipe.splits import split_of
+from forestgen.recipe.dataset import split_of
 
 SPLITS = {"train": 8.0, "val": 1.0, "test": 1.0}
 SIZE_PX = (48, 36)

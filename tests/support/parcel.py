@@ -36,6 +36,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.sounding import Floats, Sounding, saturation_ratio
 from support.humid_air import buoyancy_m_per_s2, density_kg_per_m3, dry_adiabat, moist_adiabat
+from support.soundings import sounding_of_lapse_rates
 
 _FINE_M, _FINE_UP_TO_M, _COARSE_M = 1.0, 500.0, 10.0  # steps of the heights that are looked at
 
@@ -110,7 +111,7 @@ class Sky:
 
     def sounding(self) -> Sounding:
         """The air at rest."""
-        return Sounding.of_lapse_rates(
+        return sounding_of_lapse_rates(
             ground_temperature_k=self.ground_temperature_k,
             lapse_rate_k_per_m=self.lapse_rate_k_per_m,
             inversion_m=self.inversion_m,

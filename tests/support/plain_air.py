@@ -11,10 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from forestgen.atmosphere.fluid.background import HEAT_CAPACITY_J_PER_KG_K, VAPOUR_LIGHTNESS, background
-from forestgen.atmosphere.fluid.parameters import Physics, Surface
+from forestgen.atmosphere.fluid.parameters import (
+    HEAT_CAPACITY_J_PER_KG_K,
+    VAPOUR_LIGHTNESS,
+    Physics,
+    Surface,
+    background,
+)
+from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import GRAVITY_M_PER_S2, LATENT_HEAT_J_PER_KG, Sounding
-from forestgen.atmosphere.weather import AirGrid, Weather
 
 Array = NDArray[Any]
 
@@ -25,8 +30,8 @@ class PlainAir:
     def __init__(
         self, grid: AirGrid, sounding: Sounding, surface: Surface | None, physics: Physics, dtype: Any = np.float64
     ) -> None:
-        if not grid.periodic or (surface is not None and surface.height_m is not None):
-            raise ValueError("the plain step knows joined sides and flat ground only")
+        if surface is not None and surface.height_m is not None:
+            raise ValueError("the plain step knows flat ground only")
         self.grid, self.physics, self.surface, self.dtype = grid, physics, surface, dtype
         self.air = background(grid, sounding)
         columns = {

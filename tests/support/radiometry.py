@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.render.light import envmap
+from forestgen.core.spectrum import Spectrum
+from forestgen.render.irradiance import Source
+from forestgen.render.light import emitters_of, envmap
 from forestgen.render.variant import mitsuba
-from forestgen.scene.spec import SceneSpec
+from forestgen.scene.channels import Channels
+from forestgen.scene.spec import SceneSpec, Sky
 
 Floats = NDArray[np.float64]
 _REPLICATES = 16  # of which a mean is made, and its error
@@ -165,3 +168,21 @@ def light_on(scene: Any, integrator: Any, facets: Facets, *, sides: int, rays: i
             means.append(radiance(scene, integrator, points + side * normals * 1e-5, direction, number).mean(axis=0))
         total = total + mean_of(np.array(means)) * (np.pi * area)
     return total
+
+
+def uniform_sky(irradiance: Spectrum) -> Source:
+    """A sky that is equally bright in all directions, by its light on a level plane in W/m²/nm."""
+
+    def emitter(channels: Channels) -> dict[str, Any]:
+        radiance = [float(value) for value in channels.of_light(irradiance) / np.pi]
+        return {"type": "constant", "radiance": {"type": "rgb", "value": radiance}, "sampling_weight": 0.0}
+
+    # All light samples go to a lamp without light: paths find the sky by themselves. All directions of a flat surface
+    # then see the same, and its image has no noise. (A scene of weight 0 in all is refused.)
+    lamp = {"type": "point", "position": [0.0, 0.0, 0.0], "intensity": {"type": "rgb", "value": 0.0}}
+    return Source("sky", irradiance, emitter, {"lamp": lamp}, roulette_from=64)
+
+
+def lights(sky: Sky, channels: Channels) -> dict[str, dict[str, Any]]:
+    """All lights of a cloudless scene by name."""
+    return {name: emitter(channels) for name, emitter in emitters_of(sky).items()}

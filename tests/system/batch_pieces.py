@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 
-from forestgen.dataset.data_set import data_set_of
+from forestgen.dataset.settings import data_set_of
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.runs.contract import Job, JobRecord, Work
 from forestgen.runs.finish import Finished, finish

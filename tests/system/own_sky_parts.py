@@ -11,8 +11,8 @@ from pydantic import Field
 
 from forestgen.atmosphere.daylight import Daylight
 from forestgen.core.spectrum import Spectrum
+from forestgen.recipe.schema import Terrain
 from forestgen.recipe.sky import SkySection
-from forestgen.recipe.terrain import Terrain
 from forestgen.render.skies.model import MAP_ROWS, SkyModel
 from forestgen.render.skies.overcast import SKY as OVERCAST
 from forestgen.scene.channels import Channels

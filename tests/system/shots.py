@@ -7,16 +7,14 @@ from functools import partial
 import numpy as np
 import pytest
 
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
-from forestgen.render.cuda import cuda_devices
+from forestgen.core.progress import Silent, Timings
 from forestgen.render.frame import Identity, Radiance, Surface
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.noise import Until
-from forestgen.render.paths.lit_scene import LitScene
+from forestgen.render.job import RenderJob, StoppingCriterion
+from forestgen.render.light import sky_map
 from forestgen.render.radiance import render_radiance
-from forestgen.render.shot import Shot
-from forestgen.render.sky_radiance import sky_map
+from forestgen.render.variant import cuda_devices
+from forestgen.render.views import LitScene
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.channels import RGB
 from forestgen.scene.spec import Camera, SceneSpec
@@ -35,10 +33,12 @@ def identity(spec: SceneSpec, samples: int) -> Identity:
     return seen(spec, samples)[0]
 
 
-def radiance(spec: SceneSpec, samples: int | Until, seed: int, max_depth: int = 64, mode: Mode = "rgb") -> Radiance:
+def radiance(
+    spec: SceneSpec, samples: int | StoppingCriterion, seed: int, max_depth: int = 64, mode: Mode = "rgb"
+) -> Radiance:
     """Of the first camera, with every pixel taken to see the sky."""
-    until = Until(samples) if isinstance(samples, int) else samples
-    shot = Shot(spec, spec.cameras[0], until, seed, mode, max_depth)
+    until = StoppingCriterion(samples) if isinstance(samples, int) else samples
+    shot = RenderJob(spec, spec.cameras[0], until, seed, mode, max_depth)
     return render_radiance(shot, progress=Silent(), timer=Timings())
 
 

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from shots import identity, shot
 
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.geometry.mesh import Mesh
-from forestgen.labels.amodal import amodal_masks
-from forestgen.labels.masks import instance_mask
+from forestgen.labels.masks import amodal_masks, instance_mask
 from forestgen.render.amodal import alone_rays, alone_scene, frames_of_plants, trace_amodal
 from forestgen.render.frame import Amodal
 from forestgen.render.identity import SceneTracer, sample_offsets

@@ -397,7 +397,7 @@ def test_the_map_of_a_resumed_recipe_may_have_changed_meanwhile(tmp_path: Path, 
     """A file that changes between the run's draw and the worker's is no silent mixture: the job fails, and says why."""
     path = recipe(tmp_path)
     loaded = load_recipe(path)
-    from forestgen.dataset.data_set import data_set_of
+    from forestgen.dataset.settings import data_set_of
     from forestgen.runs.contract import Job, Work
     from forestgen.runs.storage import LocalStorage
 

@@ -22,8 +22,8 @@ from forestgen.instruments import colour_chart as stage
 from forestgen.instruments.calibration import Calibration
 from forestgen.instruments.light_meter import Quantity, with_error
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.render.irradiance import uniform
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
+from support.radiometry import uniform_sky
 
 
 def level(half_m: float, z_m: float) -> Mesh:
@@ -53,7 +53,7 @@ def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> Calibrati
     sources = None
     if name is not None:
         light = illuminant(name)
-        sources = lambda origin: [uniform(light)]  # noqa: E731
+        sources = lambda origin: [uniform_sky(light)]  # noqa: E731
     return stage.measure_chart(
         spec,
         (0.0, 0.0, 1.0),

@@ -10,7 +10,7 @@ from shots import alpha, shot
 from ties import hits_around
 
 from forestgen.core.parts import Part
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.labels.masks import coverage_ranks, instance_mask
 from forestgen.render.amodal import trace_amodal
 from forestgen.render.frame import Identity, Surface

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, sample_offsets, trace_identity
-from forestgen.render.surfaces import Paints
+from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.projection import rays, world_rays
 from forestgen.scene.spec import Material, SceneSpec, Terrain
@@ -59,7 +59,7 @@ def canopy(index: float, angles: Angles | None, soil: np.ndarray, *, side: float
     material = Material(tuple(LEAF_R), tuple(LEAF_T))
     tiles = int(2 * HALF_EXTENT_M / width) | 1
     spec = tiled(leaves, material, tiles, ground(soil), camera_at((0, 0, 3), (0, 0.01, 0), (8, 8)))
-    return load({**scene_dict(spec, np.zeros(3), Paints()), "light": light}), width
+    return load({**scene_dict(spec, np.zeros(3), SpectralBsdfs()), "light": light}), width
 
 
 def reflectance(scene, width: float, irradiance: float, rays: int, seed: int) -> Mean:
@@ -128,7 +128,7 @@ def gaps_by_radiance(spec: SceneSpec) -> tuple[np.ndarray, np.ndarray]:
     """(N,) zenith angles of a fisheye's pixels, and their radiance under a sky of radiance 1."""
     camera = spec.cameras[0]
     with using(SCALAR) as mi:
-        scene = load({**scene_dict(spec, origin_of(camera), Paints()), "light": upper_sky()})
+        scene = load({**scene_dict(spec, origin_of(camera), SpectralBsdfs()), "light": upper_sky()})
         image = capture(mi.load_dict({"type": "path", "max_depth": 2}), scene, camera, samples=4, seed=1)
     found = world_rays(camera)
     return np.arccos(np.clip(found.direction[..., 2], -1, 1))[found.valid], image[..., 0][found.valid]

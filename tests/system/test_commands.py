@@ -342,7 +342,7 @@ def test_doctor_finds_this_machine_ready() -> None:
 @pytest.mark.parametrize(
     ("broken", "said"),
     [
-        ("import forestgen.render.check as c; c.find_llvm = lambda: None", "no libLLVM found"),
+        ("import forestgen.render.variant as c; c.find_llvm = lambda: None", "no libLLVM found"),
         ("import os; os.abort()", "crashed with signal 6"),
         ("raise ImportError('no module named mitsuba')", "no module named mitsuba"),
     ],

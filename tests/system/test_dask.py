@@ -19,7 +19,7 @@ import dask_jobs
 import pytest
 
 from forestgen.core.errors import ForestgenError, ResourceError
-from forestgen.dataset.data_set import data_set_of
+from forestgen.dataset.settings import data_set_of
 from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
 from forestgen.runs.engines.dask import DaskEngine
 from forestgen.runs.keys import versions_hash

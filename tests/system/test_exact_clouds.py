@@ -7,23 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.grid import CloudGrid, Phase
+from forestgen.atmosphere.grid import CloudGrid, PhaseFunction
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.core.errors import RenderError
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.render import exact_view
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.cloud_bricks import Bricks, brick_shapes, camera_shell, divide
-from forestgen.render.cloud_walks import WalkField
 from forestgen.render.exact_view import ExactView, clear_air_m, endless_tracer
-from forestgen.render.light import emitters_of, sky_light
-from forestgen.render.noise import Until
-from forestgen.render.painted import path_tracer
-from forestgen.render.shot import Shot
-from forestgen.render.sky_radiance import along, sky_map
-from forestgen.render.surfaces import Paints
-from forestgen.render.variant import SCALAR, using
+from forestgen.render.job import RenderJob, StoppingCriterion
+from forestgen.render.light import along, emitters_of, sky_light, sky_map
+from forestgen.render.surfaces import SpectralBsdfs
+from forestgen.render.variant import SCALAR, path_tracer, using
+from forestgen.render.volume_random_walk import WalkField
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import SceneSpec, Sky
 from support.cloud_box import cloud_volume
@@ -42,7 +39,7 @@ def field(seed: int = 1, low_m=(-500.0, -500.0, 100.0), high_m=(500.0, 500.0, 30
 
 def uniform_fog(sigma: float, half_m: float = 200.0, albedo: float = 0.0) -> CloudGrid:
     value = np.full((10, 20, 20), sigma, dtype=np.float32)
-    return CloudGrid(value, (-half_m, -half_m, -10.0), (half_m, half_m, 90.0), albedo=albedo, phase=Phase(0.5))
+    return CloudGrid(value, (-half_m, -half_m, -10.0), (half_m, half_m, 90.0), albedo=albedo, phase=PhaseFunction(0.5))
 
 
 def rays_up(count: int, least_deg: float = 8.0) -> np.ndarray:
@@ -119,7 +116,7 @@ def test_the_sky_is_looked_up_as_the_renderer_does():
 
 def in_fog(spec: SceneSpec, samples: int, channels: Channels = RGB) -> np.ndarray:
     with using(SCALAR):
-        view = ExactView(Shot(spec, spec.cameras[0], Until(samples), 3), Timings())
+        view = ExactView(RenderJob(spec, spec.cameras[0], StoppingCriterion(samples), 3), Timings())
         return view.take(channels, samples, (0, 0))
 
 
@@ -155,7 +152,7 @@ def test_plants_in_fog_are_those_of_one_box(inside):
         spec = replace(spec, cameras=(camera_at((10, -8, 120), (10, 12, 0), (24, 16)),))
     camera, origin = spec.cameras[0], origin_of(spec.cameras[0])
     with using(SCALAR) as mi:
-        surfaces = scene_dict(spec, origin, Paints())
+        surfaces = scene_dict(spec, origin, SpectralBsdfs())
         lights = {name: mi.load_dict(make(RGB)) for name, make in emitters_of(spec.sky).items()}
         box = cloud_volume(clouds, origin)
         shell = {}
@@ -166,7 +163,7 @@ def test_plants_in_fog_are_those_of_one_box(inside):
             shell = {"shell": {"type": "sphere", "radius": 0.01, "bsdf": null, "exterior": medium}}
         plain = load({**surfaces, "box": box, **shell, **lights})
         tracer = path_tracer("volpath", 256, rr_depth=64)
-        view = ExactView(Shot(spec, camera, Until(4), 3), Timings())
+        view = ExactView(RenderJob(spec, camera, StoppingCriterion(4), 3), Timings())
         ours = np.array([view.take(RGB, 8, (k, 0)).mean(axis=(0, 1)) for k in range(8)])
         theirs = [capture(tracer, plain, camera, samples=8, seed=50 + k)[..., :3].mean(axis=(0, 1)) for k in range(8)]
     error = np.hypot(np.std(ours, axis=0, ddof=1), np.std(theirs, axis=0, ddof=1)) / np.sqrt(8)
@@ -179,7 +176,7 @@ def test_plants_in_fog_are_those_of_one_box(inside):
 def test_thick_clouds_that_absorb_nothing_are_white_under_a_white_sky(depth):
     """Through an optical depth of 100 light scatters hundreds of times: no path may be cut short, nor ended early."""
     value = np.full((10, 20, 20), depth / 400.0, np.float32)
-    clouds = CloudGrid(value, (-2000.0, -2000.0, 100.0), (2000.0, 2000.0, 500.0), albedo=1.0, phase=Phase(0.85))
+    clouds = CloudGrid(value, (-2000.0, -2000.0, 100.0), (2000.0, 2000.0, 500.0), albedo=1.0, phase=PhaseFunction(0.85))
     start, direction = np.zeros((1500, 3)), np.repeat(np.array([[0.2, 0.1, 0.975]]), 1500, axis=0)
     with using(SCALAR):
         shapes, _ = brick_shapes(clouds, divide(clouds, np.zeros(3)), np.zeros(3))
@@ -203,7 +200,7 @@ def test_paths_that_end_in_no_number_are_drawn_once_more_and_many_are_refused(mo
     """Of the parts that are followed and of the image alike: none becomes black, and none stays without a number."""
     spec = small_forest(field(), (4, 3))
     place, way = np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1))
-    shot = Shot(spec, spec.cameras[0], Until(4), 3)
+    shot = RenderJob(spec, spec.cameras[0], StoppingCriterion(4), 3)
     with using(SCALAR):
         view = ExactView(shot, Timings())
         view._tracer = Unlucky([np.nan, 1.0, np.inf])
@@ -234,7 +231,7 @@ def test_the_rays_of_an_orthographic_camera_decide_which_way_it_goes():
     flat = replace(level, projection="orthographic", width_m=200.0)
     for camera, parted in ((level, True), (flat, False), (replace(flat, width_m=20.0), True)):
         with using(SCALAR):
-            assert (ExactView(Shot(spec, camera, Until(4), 3), Timings())._parts is not None) is parted
+            assert (ExactView(RenderJob(spec, camera, StoppingCriterion(4), 3), Timings())._parts is not None) is parted
 
 
 @pytest.mark.parametrize("effort", [1, pytest.param(12, marks=pytest.mark.slow)])
@@ -246,14 +243,14 @@ def test_the_parted_way_has_the_mean_of_the_whole(effort):
     camera, origin = spec.cameras[0], origin_of(spec.cameras[0])
     count = 8
     with using(SCALAR) as mi:
-        view = ExactView(Shot(spec, camera, Until(4), 3), Timings())
+        view = ExactView(RenderJob(spec, camera, StoppingCriterion(4), 3), Timings())
         assert view._parts is not None
         lights = {name: mi.load_dict(make(RGB)) for name, make in emitters_of(spec.sky).items()}
-        plain = load({**scene_dict(spec, origin, Paints()), "box": cloud_volume(spec.clouds, origin), **lights})
+        plain = load({**scene_dict(spec, origin, SpectralBsdfs()), "box": cloud_volume(spec.clouds, origin), **lights})
         tracer = path_tracer("volpath", 512, rr_depth=256)
         ours = np.array([view.take(RGB, 8 * effort, (k, 0)) for k in range(count)])
         # One path in a million of the renderer's ends in no number, in one box too: it is drawn once more.
-        shot = Shot(spec, camera, Until(4), 7)
+        shot = RenderJob(spec, camera, StoppingCriterion(4), 7)
         theirs = np.array([exact_view._captured(tracer, plain, shot, 8 * effort, ("box", k)) for k in range(count)])
     for rows in (slice(0, 7), slice(7, 14), slice(14, 20), slice(None)):
         one, other = (images[:, rows].mean(axis=(1, 2)) for images in (ours, theirs))
@@ -276,7 +273,7 @@ def test_channels_change_in_place_and_images_repeat():
     spec, channels = small_forest(field()), Channels((450.0, 550.0, 865.0))
     first = in_fog(spec, 4, channels)
     with using(SCALAR):
-        view = ExactView(Shot(spec, spec.cameras[0], Until(4), 3), Timings())
+        view = ExactView(RenderJob(spec, spec.cameras[0], StoppingCriterion(4), 3), Timings())
         view.take(RGB, 2, (5, 0))
         assert np.array_equal(view.take(channels, 4, (0, 0)), first)
     assert np.all(np.isfinite(first))

@@ -9,16 +9,15 @@ import pytest
 from shots import radiance
 
 from forestgen.core.parts import Part
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import sky_light, sun_disc
-from forestgen.render.settings import ROULETTE_DEPTH
 from forestgen.render.skies.model import daylight_of
-from forestgen.render.surfaces import Paints, repaint
-from forestgen.render.variant import BLOCK_PX, SCALAR, using
+from forestgen.render.surfaces import SpectralBsdfs, repaint
+from forestgen.render.variant import BLOCK_PX, ROULETTE_DEPTH, SCALAR, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky
 from support.radiometry import (
@@ -44,7 +43,7 @@ def path(max_depth: int = 64, rr_depth: int = ROULETTE_DEPTH) -> dict:
 
 def loaded(spec: SceneSpec, lights: dict, channels: Channels = RGB, origin_m=None):
     origin = origin_of(spec.cameras[0]) if origin_m is None else origin_m
-    return load({**scene_dict(spec, origin, Paints(channels)), **lights})
+    return load({**scene_dict(spec, origin, SpectralBsdfs(channels)), **lights})
 
 
 def bare_ground(sky: Sky) -> SceneSpec:
@@ -301,7 +300,7 @@ def test_a_repainted_scene_is_one_built_anew():
     glossy = {key: replace(one, gloss=0.02 if key[1] == "leaf" else 0.0) for key, one in spec.materials.items()}
     spec = replace(spec, materials=glossy)
     with using(SCALAR) as mi:
-        paints, integrator = Paints(), mi.load_dict(path())
+        paints, integrator = SpectralBsdfs(), mi.load_dict(path())
         lights = {name: mi.load_dict(one) for name, one in two_lights(spec.sky, RGB).items()}
         scene = load({**scene_dict(spec, origin_of(spec.cameras[0]), paints), **lights})
         for passes in (channels, RGB):

@@ -19,11 +19,10 @@ from ruamel.yaml import YAML
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.check import check_dataset
-from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.manifest import is_run_folder
-from forestgen.dataset.settings import DatasetSettings
-from forestgen.recipe.hashing import recipe_hash
+from forestgen.dataset.settings import DatasetSettings, data_set_of
 from forestgen.recipe.load import load_recipe
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs import record_index
 from forestgen.runs.contract import Job, JobRecord
 from forestgen.runs.finish import finish

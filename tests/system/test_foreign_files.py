@@ -10,8 +10,8 @@ from batch_runs import SerialEngine
 from command_line import run
 
 from forestgen.dataset.check import check_dataset
-from forestgen.dataset.data_set import data_set_of
 from forestgen.dataset.foreign import tool_of
+from forestgen.dataset.settings import data_set_of
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, Outcome, Work
 from forestgen.runs.finish import finish

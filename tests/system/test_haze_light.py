@@ -10,21 +10,20 @@ import pytest
 from shots import radiance, seen
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.haze import ASYMMETRY, Haze
 from forestgen.core.parts import Part
+from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.core.timing import Timings
 from forestgen.render.frame import Radiance
-from forestgen.render.haze import airlight_of, extinction_of, through_haze, trace_seen, under_clouds
+from forestgen.render.haze import ASYMMETRY, Haze, airlight_of, extinction_of, through_haze, trace_seen, under_clouds
 from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.tracer import sample_offsets
-from forestgen.render.light import lights
 from forestgen.render.skies.model import MAP_ROWS, daylight_of
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.render.wavelengths import ColourAtOnce, Pass, quadrature_of
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.projection import rays, world_rays
 from forestgen.scene.spec import Camera, Lens, Sky
+from support.radiometry import lights
 from support.scenes import camera_at, plain_ground, scattered_scene
 
 LAYER_M = 1.0  # so low that the wall blocks hardly any of the light that the haze scatters

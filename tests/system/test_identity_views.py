@@ -13,13 +13,13 @@ from ties import assert_ties
 
 from forestgen.community.simulation import final_population
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.labels.masks import coverage_ranks, instance_mask
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.load import load_recipe
-from forestgen.render.identity import SceneTracer, sample_offsets, trace_guides
+from forestgen.render.denoise import trace_guides
+from forestgen.render.identity import SceneTracer, sample_offsets
 from forestgen.render.variant import CUDA
 from forestgen.scene.build import build_scene
 from forestgen.scene.planning import make_plan

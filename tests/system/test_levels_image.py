@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from forestgen.community.simulation import final_population
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.recipe.load import load_recipe_data
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import render_frame

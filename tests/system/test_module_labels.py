@@ -11,7 +11,7 @@ from command_line import run
 from label_breaks import exr
 
 from forestgen.architecture.prototypes import MOST_NODES
-from forestgen.dataset.check import branches, check_dataset
+from forestgen.dataset.check import check_dataset, masks
 from forestgen.dataset.check.files import read_exr
 
 FRAME = "000000-camera0"
@@ -64,14 +64,14 @@ def test_modules_pass(data_set: Path, kinds: dict[str, np.ndarray]) -> None:
     report = check_dataset(data_set, jobs=1)
     assert report.findings == ()
     assert "modules" in {check_result.name for check_result in report.check_results if check_result.images}
-    assert branches._MOST_NODES == MOST_NODES
+    assert masks._MOST_NODES == MOST_NODES
 
 
 BREAKS = {
     "a node that no prototype has": ("node", MOST_NODES, "own", "module.node is out of range"),
     "a number beyond all": ("number", 2**32 - 1, "own", "module.number is out of range"),
     "own is neither": ("own", 2, "own", "module.own is out of range"),
-    "a node without a module": ("node", 3, "ground", "module.node is told where there is no module"),
+    "a node without a module": ("node", 3, "ground", "module.node is set where there is no module"),
     "the ground has a module": ("number", 1, "ground", "a module of no plant"),
     "a house has a module": ("number", 1, "house", "a module of no plant"),
     "a hole in a plant": ("number", 0, "stand-in", "a plant of modules has none here"),

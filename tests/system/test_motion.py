@@ -11,8 +11,7 @@ from shots import seen
 from forestgen.community.population import Population
 from forestgen.community.simulation import final_population
 from forestgen.core.frames import look_at
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.labels.channels.motion import motion_px
 from forestgen.recipe.assets import recipes_dir
 from forestgen.recipe.camera_keys import CameraPath

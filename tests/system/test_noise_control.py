@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 from shots import radiance
 
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.render import radiance as radiance_module
-from forestgen.render import unfinished as unfinished_module
-from forestgen.render.noise import Noise, Schedule, Until, noise_of
-from forestgen.render.radiance import render_radiance
-from forestgen.render.shot import Shot
-from forestgen.render.slices import Estimate, SliceSum
-from forestgen.render.unfinished import unfinished
+from forestgen.render.job import RenderJob, StoppingCriterion
+from forestgen.render.noise import Estimate, Noise, Schedule, SliceSum, noise_of
+from forestgen.render.radiance import render_radiance, unfinished
 from forestgen.scene.spec import SceneSpec
 from support.scenes import plain_ground, scattered_scene
 
@@ -47,7 +43,7 @@ class Painter:
         return noise_of(Estimate(self.mean, self.sigma**2 / samples), EVERYWHERE)
 
 
-def run(until: Until, painter: Painter, passes: int = 1) -> tuple[SliceSum, Noise, Schedule]:
+def run(until: StoppingCriterion, painter: Painter, passes: int = 1) -> tuple[SliceSum, Noise, Schedule]:
     schedule, total, noise = Schedule(until, passes), SliceSum(), Noise(np.nan, np.nan)
     while size := schedule.next_size(total, noise, 0.0):
         total = total.added(painter.take(size * passes), size)
@@ -65,7 +61,7 @@ def test_no_more_samples_than_the_target_needs(target, key):
     ideal = (per_sample / target) ** 2
     waste = []
     for seed in range(8):
-        total, noise, schedule = run(Until(8, most_samples=65536, **{key: target}), Painter(seed))
+        total, noise, schedule = run(StoppingCriterion(8, most_samples=65536, **{key: target}), Painter(seed))
         assert schedule.stopped_by == "target_error"
         assert getattr(noise, name) <= target
         waste.append(total.samples / max(ideal, 8) - 1)
@@ -76,30 +72,30 @@ def test_no_more_samples_than_the_target_needs(target, key):
 
 
 def test_both_targets_are_met_and_none_is_needed():
-    total, noise, _ = run(Until(8, target_error=0.1, target_error_p95=0.1), Painter(1))
+    total, noise, _ = run(StoppingCriterion(8, target_error=0.1, target_error_p95=0.1), Painter(1))
     assert noise.relative_error < 0.1
     assert noise.relative_error_p95 <= 0.1
-    total, _, schedule = run(Until(100), Painter(1))
+    total, _, schedule = run(StoppingCriterion(100), Painter(1))
     assert (total.samples, schedule.stopped_by) == (100, "samples")
 
 
 def test_an_image_ends_at_the_most_samples():
-    total, _, schedule = run(Until(16, target_error=1e-4, most_samples=333), Painter(1))
+    total, _, schedule = run(StoppingCriterion(16, target_error=1e-4, most_samples=333), Painter(1))
     assert (total.samples, schedule.stopped_by) == (333, "most_samples")
 
 
 def test_samples_are_shared_by_the_passes():
-    assert sum(Schedule(Until(16), 4).first) == 4
-    assert sum(Schedule(Until(16), 5).first) == 4  # whole rounds: 20
-    assert sum(Schedule(Until(1), 5).first) == 1
-    total, _, _ = run(Until(16, target_error=0.05), Painter(2), passes=4)
-    alone, _, _ = run(Until(16, target_error=0.05), Painter(2))
+    assert sum(Schedule(StoppingCriterion(16), 4).first) == 4
+    assert sum(Schedule(StoppingCriterion(16), 5).first) == 4  # whole rounds: 20
+    assert sum(Schedule(StoppingCriterion(1), 5).first) == 1
+    total, _, _ = run(StoppingCriterion(16, target_error=0.05), Painter(2), passes=4)
+    alone, _, _ = run(StoppingCriterion(16, target_error=0.05), Painter(2))
     assert 4 * total.samples == pytest.approx(alone.samples, rel=0.15)
 
 
 def test_a_time_budget_is_not_overrun():
     """A renderer of 0.1 s a sample: the last slice is what still fits."""
-    until = Until(16, time_budget_s=5.05, most_samples=65536)
+    until = StoppingCriterion(16, time_budget_s=5.05, most_samples=65536)
     schedule, total, painter = Schedule(until, 1), SliceSum(), Painter(3)
     while size := schedule.next_size(total, Noise(np.nan, np.nan), 0.1 * total.samples):
         total = total.added(painter.take(size), size)
@@ -120,7 +116,7 @@ def test_the_error_is_that_of_many_images():
 @pytest.mark.parametrize("mode", ["rgb", "spectral"])
 def test_a_target_is_met_by_the_true_noise(mode):
     spec = stand((32, 18))
-    until = Until(16, target_error=0.03, most_samples=4096)
+    until = StoppingCriterion(16, target_error=0.03, most_samples=4096)
     runs = [radiance(spec, until, seed, mode=mode) for seed in range(5)]
     assert all(one.relative_error <= 0.03 for one in runs)
     assert all(one.stopped_by == "target_error" for one in runs)
@@ -148,12 +144,16 @@ class Stopped(BaseException):
 
 @pytest.mark.parametrize(
     ("until", "mode"),
-    [(Until(16), "rgb"), (Until(16), "spectral"), (Until(8, target_error=0.1, most_samples=512), "rgb")],
+    [
+        (StoppingCriterion(16), "rgb"),
+        (StoppingCriterion(16), "spectral"),
+        (StoppingCriterion(8, target_error=0.1, most_samples=512), "rgb"),
+    ],
     ids=["samples", "spectral", "target"],
 )
 def test_an_interrupted_image_goes_on_with_the_same_bytes(until, mode, monkeypatch):
     spec = stand((24, 14))
-    shot = Shot(spec, spec.cameras[0], until, 5, mode)
+    shot = RenderJob(spec, spec.cameras[0], until, 5, mode)
     whole = render_radiance(shot, progress=Silent(), timer=Timings())
     count = [0]
     original = radiance_module._replicate
@@ -182,7 +182,7 @@ def test_an_interrupted_image_goes_on_with_the_same_bytes(until, mode, monkeypat
 
 def test_a_killed_process_loses_little(monkeypatch):
     """Without an interruption that Python sees: what was written last is there."""
-    monkeypatch.setattr(unfinished_module, "EVERY_S", 0.0)
+    monkeypatch.setattr(radiance_module, "EVERY_S", 0.0)
     kept = unfinished("killed")
     assert kept is not None
     total = SliceSum().added(np.ones((2, 2, 3)), 2)
@@ -202,6 +202,6 @@ def test_another_recipe_or_camera_finds_nothing():
 
 def test_time_budget_of_a_scene():
     spec = stand((24, 14))
-    one = radiance(replace(spec), Until(4, time_budget_s=0.5, most_samples=10**6), 1)
+    one = radiance(replace(spec), StoppingCriterion(4, time_budget_s=0.5, most_samples=10**6), 1)
     assert one.stopped_by == "time_budget_s"
     assert one.samples > 4

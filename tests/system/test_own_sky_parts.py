@@ -12,11 +12,10 @@ import pytest
 import forestgen as fg
 from forestgen.community.simulation import final_population
 from forestgen.core import registry
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.registries import CLOUD_SOURCES, GROUND_COVERS, SKIES, TERRAINS
-from forestgen.render.sky_radiance import sky_map
+from forestgen.render.light import sky_map
 from forestgen.render.variant import using
 from forestgen.scene.build import build_scene
 from forestgen.scene.channels import RGB

@@ -24,7 +24,7 @@ from PIL import Image
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.core.progress import Silent
 from forestgen.dataset.exr import read_exr
-from forestgen.dataset.pack.run import Packing, pack
+from forestgen.dataset.pack.pack import Packing, pack
 from support.data_sets import read_instance
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "train_segmentation.py"

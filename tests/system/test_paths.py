@@ -14,25 +14,22 @@ from test_exact_light import stand as leafy_stand
 from test_leaf import LEAVES, PASSES
 
 from forestgen.core.parts import Part
+from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Spectrum
-from forestgen.core.timing import Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe.species import Bark
 from forestgen.render.capture import capture
-from forestgen.render.cloud_shadow import Sheet
+from forestgen.render.cloud_shadow import ShadowPlane
 from forestgen.render.identity import SceneTracer
-from forestgen.render.paths.light import Sky as SkyOnDevice
-from forestgen.render.paths.light import Sun
-from forestgen.render.paths.lit_scene import LitScene
-from forestgen.render.paths.scattering import Local, Surfaces
-from forestgen.render.paths.sequence import sequence_of
-from forestgen.render.paths.surface_tables import face_tangents, paint_of, relief_tables
-from forestgen.render.paths.tracer import PathTracer
+from forestgen.render.light import along, sky_map
+from forestgen.render.paths.scattering import Local, Surfaces, face_tangents, paint_of
+from forestgen.render.paths.tracer import PathTracer, Sun, sequence_of
+from forestgen.render.paths.tracer import Sky as SkyOnDevice
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of
-from forestgen.render.sky_radiance import along, sky_map
 from forestgen.render.surfaces import surface_bsdf
 from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
+from forestgen.render.views import LitScene
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Lens, Material, SceneSpec, Sky, WetGround
 from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
@@ -222,8 +219,8 @@ def test_light_samples_of_the_sky_change_the_noise_alone():
     for one in (spec, post_scene(Material(REFLECTANCE, texture=bark))):
         tracer = SceneTracer(one, Timings())
         with using(LLVM):
-            surfaces = Surfaces(tracer, relief_tables(one))
-            surfaces.show(paint_of(one, RGB))
+            surfaces = Surfaces(tracer)
+            surfaces.show(RGB)
             paths = PathTracer(tracer, one.cameras[0], surfaces, 64)
             found, looked_for = (
                 np.array([paths.take(SkyOnDevice(cloudy(), sampled=sampled), None, 64, k).by_sky for k in range(12)])
@@ -233,13 +230,13 @@ def test_light_samples_of_the_sky_change_the_noise_alone():
         assert_same(looked_for.astype(np.float64), found.astype(np.float64))
 
 
-def test_the_sun_is_a_disc_behind_its_sheet():
+def test_the_sun_is_a_disc_behind_its_shadow_plane():
     to_sun = Sky(40.0, 200.0, 3.0).to_sun
     cells = np.random.default_rng(1).random((5, 7))
-    sheet = Sheet(cells, np.array([-70.0, -50.0]), np.array([70.0, 50.0]), 30.0)
+    shadow = ShadowPlane(cells, np.array([-70.0, -50.0]), np.array([70.0, 50.0]), 30.0)
     with using(LLVM) as mi:
         dr = drjit()
-        sun = Sun(to_sun, np.ones(3), np.full(3, 2.0), sheet, np.array([10.0, 0.0, 5.0]))
+        sun = Sun(to_sun, np.ones(3), np.full(3, 2.0), shadow, np.array([10.0, 0.0, 5.0]))
         steps = (dr.arange(mi.Float, 4096) + 0.5) / 4096
         disc = np.array(sun.sample(steps, mi.Float(steps * 1000.0) - dr.floor(steps * 1000.0))).T
         angle = np.degrees(np.arcsin(np.linalg.norm(np.cross(disc, to_sun), axis=1)))
@@ -248,7 +245,7 @@ def test_the_sun_is_a_disc_behind_its_sheet():
         sides = [to_sun + np.array([0, 0, dz]) for dz in (0.0045, 0.0065)]
         seen = np.array(sun.seen(mi.Vector3f(np.float32([one / np.linalg.norm(one) for one in sides]).T)))
         np.testing.assert_allclose(seen[0], [2.0, 0.0])
-        # Straight below the middles of cells; between two of them; beside the sheet; above it.
+        # Straight below the middles of cells; between two of them; beside the shadow; above it.
         up = to_sun / to_sun[2]
         above = [(-60, -40), (0, 0), (60, 40), (-50, -40), (75, 0), (0, 0)]
         depth = [25.0] * 5 + [-1.0]

@@ -13,20 +13,19 @@ from forestgen.core.parts import Part
 from forestgen.core.spectrum import Spectrum
 from forestgen.render import sky
 from forestgen.render.build import load, origin_of, scene_dict
-from forestgen.render.cloud_heights import base_of
+from forestgen.render.capture import sensor_of
 from forestgen.render.cloud_paths import gather
-from forestgen.render.light import lights, sky_light, sun_disc
-from forestgen.render.sensors import sensor_of
-from forestgen.render.sky_pixels import SkyPixels
-from forestgen.render.sky_radiance import sky_map, sun_irradiance
-from forestgen.render.slices import SliceSum, slice_sizes
-from forestgen.render.surfaces import Paints
+from forestgen.render.cloud_shadow import base_of
+from forestgen.render.light import sky_light, sky_map, sun_disc, sun_irradiance
+from forestgen.render.noise import SliceSum, slice_sizes
+from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba, using
-from forestgen.render.views import pixels_of
+from forestgen.render.views import sky_pixels
 from forestgen.scene.channels import RGB, Channels
-from forestgen.scene.projection import world_rays
-from forestgen.scene.spec import Instances, SceneSpec, Sky, WetGround
+from forestgen.scene.projection import image_circle, rays, world_rays
+from forestgen.scene.spec import Camera, Instances, SceneSpec, Sky, WetGround
 from support.cloud_box import cloud_volume
+from support.radiometry import lights
 from support.scenes import camera_at, plain_ground, scattered_scene
 
 
@@ -60,7 +59,7 @@ def test_ground_under_the_sun_alone(elevation, azimuth):
     mi = mitsuba()
     with mi.variant_context(SCALAR):
         origin = origin_of(camera)
-        scene = load({**scene_dict(spec, origin, Paints()), "light": sun_disc(spec.sky, RGB)})
+        scene = load({**scene_dict(spec, origin, SpectralBsdfs()), "light": sun_disc(spec.sky, RGB)})
         image = mi.load_dict({"type": "path", "max_depth": 2}).render(
             scene, sensor=sensor_of(camera, 64), spp=64, seed=1
         )
@@ -121,6 +120,14 @@ def assert_regions_agree(spec, one, other, bias: float, sigmas: float = 4.0) -> 
         assert np.all(np.abs(difference) < sigmas * error + bias * mean), (name, difference / mean, error / mean)
 
 
+def above_the_horizon(camera: Camera) -> np.ndarray:
+    """(H, W) pixels that see anything, all of it above a flat earth's horizon."""
+    width, height = camera.size_px
+    corner = rays(camera, *np.meshgrid(np.arange(width + 1.0), np.arange(height + 1.0)))
+    up = corner.valid & (corner.direction @ camera.world_from_camera[2] > -1e-9)
+    return image_circle(camera) & up[:-1, :-1] & up[:-1, 1:] & up[1:, :-1] & up[1:, 1:]
+
+
 def empty_clouds() -> CloudGrid:
     return CloudGrid(np.zeros((8, 8, 8), np.float32), (-500, -500, 300), (500, 500, 500))
 
@@ -146,7 +153,7 @@ def test_cameras_all_around_see_the_same_through_clouds_of_nothing(projection):
     camera = replace(up if projection == "fisheye" else level, projection=projection)
     spec = replace(spec, cameras=(camera,))
     clear, cloudy = radiance(spec, 16, 1), radiance(replace(spec, clouds=empty_clouds()), 16, 2)
-    seen, _, above = pixels_of(camera)
+    seen, above = image_circle(camera), above_the_horizon(camera)
     outside = ~binary_dilation(seen)  # a pixel at the circle's rim holds some of both
     assert (clear.mean[outside] == 0).all()
     assert (cloudy.mean[outside] == 0).all()
@@ -258,7 +265,7 @@ def exact(spec: SceneSpec, samples: int, seed: int):
         origin = origin_of(camera)
         scene = load(
             {
-                **scene_dict(spec, origin, Paints()),
+                **scene_dict(spec, origin, SpectralBsdfs()),
                 **lights(spec.sky, RGB),
                 "clouds": cloud_volume(spec.clouds, origin),
             }
@@ -281,20 +288,6 @@ def test_cloudy_composite_against_everything_in_one_path(samples, bias):
     assert_regions_agree(spec, exact(spec, samples, 100), radiance(spec, samples, 5), bias)
 
 
-def test_pixels_above_the_horizon():
-    def first_row_below(target, position=(0, 0, 2)):
-        above = pixels_of(camera_at(position, target, (40, 30))).above
-        assert (above == above[:, :1]).all()  # cameras are level
-        return int(above[:, 0].sum())
-
-    level = camera_at((0, 0, 2), (0, 9, 2), (40, 30))
-    assert first_row_below((0, 9, 2)) == 15
-    assert first_row_below((0, 9, 4)) == int(15 + 2 / 9 * level.focal_px)
-    assert first_row_below((0, 9, 1)) == int(15 - 1 / 9 * level.focal_px)
-    assert first_row_below((0, 0, 9)) == 30
-    assert first_row_below((0, 0, 2), (0, 0, 9)) == 0
-
-
 @pytest.mark.parametrize("projection", ["perspective", "orthographic", "fisheye", "panorama"])
 def test_the_sky_behind_a_scene_shows_nothing_of_what_lies_below(projection):
     """In all pixels that see anything, the sky of their own directions; below the horizon that above it."""
@@ -305,14 +298,14 @@ def test_the_sky_behind_a_scene_shows_nothing_of_what_lies_below(projection):
     )
     with using(SCALAR):
         clouds = sky.traced_clouds_of(spec)
-        seen = pixels_of(camera).seen
-        image = SkyPixels(clouds, camera).take(seen, RGB, 32, 1)
-        rays = world_rays(camera)
-        up = rays.direction * [1, 1, 0] + np.abs(rays.direction) * [0, 0, 1]
+        seen = image_circle(camera)
+        image = sky_pixels(clouds, camera, seen, RGB, 32, 1)
+        direction = world_rays(camera).direction
+        up = direction * [1, 1, 0] + np.abs(direction) * [0, 0, 1]
         true = environment(sky_light(spec.sky, RGB))
         expected = np.array([[emitted(true, one) for one in row] for row in up])
     assert (image[~seen] == 0).all()
-    far = seen & (rays.direction @ spec.sky.to_sun < np.cos(np.radians(20.0)))  # from the sun's disc
+    far = seen & (direction @ spec.sky.to_sun < np.cos(np.radians(20.0)))  # from the sun's disc
     assert np.abs(image[far] / expected[far] - 1).mean() < 0.02
     assert (image[seen] > 0).all()
 

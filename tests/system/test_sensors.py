@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from forestgen.core.frames import look_at
-from forestgen.render.assembled import LEAST_SAMPLES, check_ray_places, tiles_of
-from forestgen.render.capture import capture
+from forestgen.render.capture import LEAST_SAMPLES, FilmWindow, capture, check_ray_places, tiles_of
 from forestgen.render.light import envmap
-from forestgen.render.sensors import FilmWindow
 from forestgen.render.skies.model import map_directions
 from forestgen.render.variant import BLOCK_PX, SCALAR, mitsuba, using
 from forestgen.scene.projection import project, rays

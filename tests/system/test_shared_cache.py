@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from forestgen.core.disk_cache import DiskCache
+from forestgen.core.cache import DiskCache
 
 KEYS = 12
 WRITERS = 4

@@ -14,15 +14,14 @@ from forestgen.core.frames import look_at
 from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.load import load_recipe
 from forestgen.render.capture import capture
-from forestgen.render.light import lights
-from forestgen.render.painted import path_tracer
+from forestgen.render.light import sun_irradiance
 from forestgen.render.skies.model import daylight_of, map_directions
 from forestgen.render.skies.overcast import overcast_illuminance
-from forestgen.render.sky_radiance import sun_irradiance
-from forestgen.render.variant import SCALAR, drjit, mitsuba, using
+from forestgen.render.variant import SCALAR, drjit, mitsuba, path_tracer, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.sky import sky_of
 from forestgen.scene.spec import Camera, Sky
+from support.radiometry import lights
 
 QUICKSTART = Path(__file__).parents[2] / "recipes" / "quickstart.yaml"
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])

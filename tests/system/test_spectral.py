@@ -13,18 +13,16 @@ from shots import identity, radiance
 from forestgen.community.simulation import final_population
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
+from forestgen.core.progress import Silent, Timings
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.core.timing import Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.render import wavelengths
 from forestgen.render.capture import capture
-from forestgen.render.denoise import denoise, denoise_bands
-from forestgen.render.identity import SceneTracer, trace_guides
-from forestgen.render.noise import Until
+from forestgen.render.denoise import denoise, denoise_bands, trace_guides
+from forestgen.render.identity import SceneTracer
+from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.radiance import _replicate
-from forestgen.render.shot import Shot
 from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import build_view
 from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBySpectrum, quadrature_of
@@ -199,7 +197,7 @@ def test_bands_and_colour_agree_with_the_spectral_renderer(monkeypatch):
         for k, name in enumerate("XYZ")
     )
     bands = (box(440, 470), bell(560, 10), box(600, 630), bell(650, 12), box(710, 740))
-    shot = Shot(stand(), camera, Until(64), seed=3)
+    shot = RenderJob(stand(), camera, StoppingCriterion(64), seed=3)
     ours = {"bands": BandsBySpectrum(bands), "colour": ColourBySpectrum()}
     taken = {}
     with using(SCALAR):
@@ -357,7 +355,7 @@ def test_bands_are_denoised_by_threes():
 
 def test_a_scene_is_repainted_back_and_forth():
     """A view that has shown other wavelengths shows the first ones again, to the last bit."""
-    shot = Shot(stand((16, 9)), stand((16, 9)).cameras[0], Until(4), seed=1, mode="spectral")
+    shot = RenderJob(stand((16, 9)), stand((16, 9)).cameras[0], StoppingCriterion(4), seed=1, mode="spectral")
     one, other = Channels((450.0, 550.0, 650.0)), Channels((420.0, 600.0, 800.0))
     with using(SCALAR):
         view = build_view(shot, Silent(), Timings())

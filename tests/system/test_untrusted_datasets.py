@@ -247,7 +247,7 @@ def test_a_merge_copies_no_more_than_a_record_says(whole: Path, tmp_path: Path) 
 def test_a_render_is_not_held_up_by_what_it_would_replace(tmp_path: Path) -> None:
     """--overwrite looks into the folder's manifest.json: a pipe is no manifest, and a link is none."""
     from forestgen.dataset.manifest import is_run_folder
-    from forestgen.dataset.pack.run import is_pack
+    from forestgen.dataset.pack.pack import is_pack
 
     for name in ("manifest.json", "pack.json"):
         os.mkfifo(tmp_path / name)

@@ -17,8 +17,8 @@ from command_line import TINY, command, run
 from hostile import FILES, SECRET, SLOTS, TEXTS, WAYS, WRITTEN
 
 from forestgen.core.errors import ForestgenError
+from forestgen.recipe.assets import ALLOWED
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.paths import ALLOWED
 from forestgen.scene.planning import check_plan
 
 _opened: list[str] = []

@@ -19,13 +19,13 @@ def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_sky_in_numbers_files_and_a_picture(tmp_path: Path) -> None:
     from PIL import Image
 
-    from forestgen.atmosphere.weather_files import read_clouds, read_weather
+    from forestgen.atmosphere.weather_files import read_sky
 
     recipe = tiny(tmp_path, ("seed: 3", FOG))
     air, volume, picture = tmp_path / "a" / "sky.nc", tmp_path / "sky.vol", tmp_path / "sky.png"
     answer = run("weather", recipe, "--out", air, "--out", volume, "--picture", picture)
     assert answer.code == 0
-    weather, grid = read_weather(air), read_clouds(volume)
+    weather, grid = read_sky(air), read_sky(volume)
     assert weather.time_s == 600.0
     assert weather.cloud.shape == (8, 8, 8)
     assert np.isfinite(grid.extinction_per_m).all()

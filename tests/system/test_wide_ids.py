@@ -10,8 +10,7 @@ import pytest
 from shots import identity
 
 from forestgen.core.errors import OutputError
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.dataset.formats import panoptic
 from forestgen.dataset.formats.format import check_ids
 from forestgen.recipe.load import load_recipe_data

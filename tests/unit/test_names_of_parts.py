@@ -9,7 +9,7 @@ from functools import cache
 import pytest
 
 from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
-from forestgen.core.code_hash import PACKAGE
+from forestgen.core.cache import PACKAGE
 from forestgen.core.registry import Registry
 from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.plants.registry import GENERATORS
@@ -47,30 +47,28 @@ FOLDERS = {"label channel": ("labels/", "dataset/", "instruments/", "pipeline.py
 REGISTRY_FILES = {"recipe/registries.py", "community/registry.py", "plants/registry.py"}
 OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "instruments/instrument.py": {"points"},  # what a list holds, for its error
+    "labels/gap_fraction.py": {"gap_fraction"},  # a field of canopy.json
     "api/points.py": {"points"},  # a parameter
     "community/fitting/report.py": {"points"},  # a key of community model strauss
-    "dataset/check/branches.py": {"module"},  # a part of frame.exr
-    "dataset/check/coverage.py": {"coverage"},  # the same
-    "dataset/check/frame_data.py": {"coverage"},  # the same
-    "dataset/check/light.py": {"albedo", "cloud", "sun"},  # the same
-    "dataset/check/motion.py": {"motion"},  # the same
-    "dataset/check/registry.py": {"amodal", "coverage", "motion"},  # names of checks
+    "dataset/check/frame_data.py": {"coverage"},  # a part of frame.exr
+    "dataset/check/geometry.py": {"motion"},  # a part of frame.exr, and a check
+    "dataset/check/light.py": {"albedo", "cloud", "sun"},  # parts of frame.exr
+    "dataset/check/masks.py": {"coverage", "module"},  # the same, and a check
+    "dataset/check/plants.py": {"amodal"},  # a check
     "dataset/formats/bop.py": {"amodal"},  # a channel that it needs
     "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
-    "dataset/pack/channels.py": {"albedo", "motion"},  # the same
+    "dataset/pack/source.py": {"albedo", "motion"},  # the same
     "dataset/report/scene_sections.py": {"sun"},  # a key of the recipe
-    "dataset/check/merged.py": {"bop"},  # a folder, whose files the checks read by their names
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
-    "lsystem/statement_reader.py": {"points"},  # the same
-    "recipe/schema.py": {"litter"},  # the default
+    "lsystem/statements.py": {"points"},  # the same
+    "recipe/schema.py": {"flat", "litter"},  # defaults
     "recipe/sky.py": {"clear"},  # the default
     "recipe/suggestions.py": {"grass"},  # a species
-    "recipe/terrain.py": {"flat"},  # the default
-    "render/clear_view.py": {"clear"},  # a stream of random numbers
+    "render/views.py": {"clear"},  # a stream of random numbers
     "scene/spec.py": {"clear"},  # the default
     "scene/terrain.py": {"litter"},  # the default
     "render/irradiance.py": {"perspective"},  # a plugin of the renderer
-    "render/sensors.py": {"perspective"},  # the same
+    "render/capture.py": {"perspective"},  # the same
     "instruments/light_meter.py": {"points", "sun"},  # a stage of the progress bar, and keys of a table
     "community/resume.py": {"flat"},  # a history's word for ground without a height function
 }

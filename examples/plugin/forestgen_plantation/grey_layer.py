@@ -14,9 +14,9 @@ from pydantic import Field
 
 from forestgen.atmosphere.clouds.source import CloudRequest, CloudSource
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.recipe.clouds import Clouds
 from forestgen.recipe.fields import Positive
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.sky import Clouds
 
 _SIDE_M, _CELLS = 20_000.0, 64
 

@@ -16,8 +16,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from pydantic import Field
 
-from forestgen.core.progress import Progress
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Progress, Timings
 from forestgen.instruments.instrument import Instrument, Reading
 from forestgen.recipe.fields import Section
 from forestgen.recipe.load import LoadedRecipe

@@ -29,9 +29,9 @@ from forestgen.atmosphere.extinction import ALBEDO, droplet_phase
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
-from forestgen.recipe.clouds import Clouds
 from forestgen.recipe.fields import Fraction, Positive
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.sky import Clouds
 
 _DROPLET_UM = 10.0  # effective radius
 _MOST_OPTICAL_DEPTH = 200.0  # straight up
@@ -131,11 +131,10 @@ def cumulus_field(
     rng: np.random.Generator,
     cell_m: float = 26.0,
 ) -> CloudGrid:
-    """A field of cumulus over a square of side `extent_m`.
+    """A field of cumulus over a square of side `extent_m`, around world x and y.
 
     Parameters
     ----------
-    centre_m : world x and y of the field's middle.
     base_m, thickness_m : height of the flat base, and of the tallest cloud over it.
     cover : share of the sky's area under cloud, as seen straight from below, in (0, 1].
     extinction_per_m : at the top of the tallest cloud.

@@ -10,8 +10,8 @@ from typing import ClassVar
 from pydantic import ConfigDict
 
 from forestgen.atmosphere.clouds.source import CloudRequest, CloudSource
-from forestgen.recipe.clouds import Clouds
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.sky import Clouds
 
 
 class NoCloudsKeys(Clouds):

@@ -24,17 +24,17 @@ from forestgen.atmosphere.clouds.source import (
     PlacedKeys,
     check_depth,
     clouds_of_air,
+    naming_the_file,
     on_the_ground,
     simulated_bytes,
 )
-from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.weather import Weather
-from forestgen.core.errors import AssetError, RecipeError
-from forestgen.recipe.clouds import NamedFile
+from forestgen.atmosphere.grid import CloudGrid, Weather
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.assets import inside
 from forestgen.recipe.fields import mistake, spelled_out
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import known_file
-from forestgen.recipe.paths import inside
+from forestgen.recipe.sky import NamedFile
 
 _WIDEST_M, _HIGHEST_M = 1e6, 1e5  # of a file's box
 
@@ -91,13 +91,11 @@ class SavedClouds(CloudSource[SavedKeys]):
         assert keys.file is not None
         where = drawn.where("sky", "clouds", "file")
         path = known_file(drawn.folder, keys.file.file, keys.file.sha256, where)
-        try:
+        with naming_the_file(path, where):
             found = read_sky(path)
             radius_um = keys.droplet_radius_um
             if radius_um is None and isinstance(found, Weather):
                 radius_um = read_droplet_radius_um(path)
-        except AssetError as cause:
-            raise AssetError(f"{cause.problem}: {path}", where=where, expected=cause.expected, got=cause.got) from cause
         centre = keys.centre_m(request)
         if isinstance(found, CloudGrid):
             _check_keys_of_volumes(drawn, keys)

@@ -1,4 +1,4 @@
-"""Simulated weather: five types of clouds by one set of parameters, alone or as the chapters of a story.
+"""Simulated weather: five types of clouds by one set of parameters, alone or as the phases of a story.
 
 The air in a box around the site is simulated (`forestgen.atmosphere.simulate`) from air at rest, what the ground gives
 off, and wind; `forestgen.atmosphere.conditions` says how these are described. Each type is a set of values; keys of
@@ -33,7 +33,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Self, TypeVar
+from typing import Annotated, ClassVar, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
@@ -44,25 +44,25 @@ from forestgen.atmosphere.clouds.source import (
     PlacedKeys,
     WeatherReport,
     clouds_of_air,
+    naming_the_file,
     simulated_bytes,
 )
-from forestgen.atmosphere.clouds.weather_keys import Chapter as ChapterKeys
-from forestgen.atmosphere.clouds.weather_keys import EmissionSection, SoundingSection, WeatherKeys
+from forestgen.atmosphere.clouds.weather_keys import EmissionSection, Phase, SoundingSection, WeatherKeys
 from forestgen.atmosphere.conditions import Conditions, Domain, Emission, Layers, wind_towards
+from forestgen.atmosphere.fluid.parameters import UnstableError
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.kept_weather import weather_store
-from forestgen.atmosphere.simulate import Chapter, Scenario, simulate
-from forestgen.atmosphere.sounding import Sounding, first_fault
-from forestgen.atmosphere.weather import Weather
-from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.grey_picture import read_grey
+from forestgen.atmosphere.simulate import Scenario, WeatherPhase, simulate, weather_store
+from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding, first_fault
+from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
+from forestgen.core.raster import read_raster
 from forestgen.recipe.fields import NonNegative, Whole, mistake
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import known_file
 from forestgen.recipe.registries import CLOUD_SOURCES
 
 _CHANGE_S = 1200.0
+_MOST_CELLS = 2048  # along a side of the box of air
 _SHAPE = "set its base and top by its sounding, how much there is by its emission, how wide it is by domain"
 _ANY = TypeVar("_ANY")
 _Keys = tuple[str | int, ...]
@@ -93,11 +93,11 @@ class SimulatedKeys(WeatherKeys, PlacedKeys):
         ),
     ] = None
     story: Annotated[
-        tuple[ChapterKeys, ...] | None,
+        tuple[Phase, ...] | None,
         Field(
             min_length=1,
             max_length=50,
-            description="Chapters of weather one after another, instead of one type; the type above is then left out "
+            description="Phases of weather one after another, instead of one type; the type above is then left out "
             "or that of the first.",
         ),
     ] = None
@@ -108,7 +108,7 @@ class SimulatedKeys(WeatherKeys, PlacedKeys):
             return self
         twice = [key for key in WeatherKeys.model_fields if getattr(self, key) is not None]
         if twice:
-            hint = f"move {twice[0]} into the chapters"
+            hint = f"move {twice[0]} into the phases"
             problem = "the weather is given twice, beside the story and in it"
             raise mistake("a story, or its keys", problem=problem, got=", ".join(twice), hint=hint, at=(twice[0],))
         if self.type != self.story[0].type:
@@ -118,36 +118,41 @@ class SimulatedKeys(WeatherKeys, PlacedKeys):
             raise mistake("at_s: 0", problem="the story begins late", got=f"{self.story[0].at_s:g}", at=("story", 0))
         for index, (one, other) in enumerate(pairwise(self.story), start=1):
             if other.at_s <= one.at_s:
-                expected = f"more than {one.at_s:g} s, when the chapter before it begins"
-                raise mistake(
-                    expected, problem="chapters out of order", got=f"{other.at_s:g}", at=("story", index, "at_s")
-                )
+                expected = f"more than {one.at_s:g} s, when the phase before it begins"
+                place = ("story", index, "at_s")
+                raise mistake(expected, problem="phases out of order", got=f"{other.at_s:g}", at=place)
         return self
 
 
 class SimulatedClouds(CloudSource[SimulatedKeys]):
-    """Weather of a type.
+    """Weather of a type, by values of the keys that a recipe leaves out.
 
-    Parameters
-    ----------
-    conditions : values of the keys that a recipe leaves out.
-    time_s : when the clouds are such as the type's name says.
-    wind_m_per_s : speed aloft.
-    droplet_radius_um : effective radius.
+    At `time_s` the clouds are such as the type's name says; the wind is that aloft, the droplets' radius effective.
     """
 
     Parameters = SimulatedKeys
 
-    def __init__(self, conditions: Conditions, *, time_s: float, wind_m_per_s: float, droplet_radius_um: float) -> None:
-        self.conditions, self.time_s = conditions, time_s
-        self.wind_m_per_s, self.droplet_radius_um = wind_m_per_s, droplet_radius_um
+    def __init__(
+        self,
+        kind: str,
+        layers: Layers,
+        emission: Emission,
+        domain: Domain,
+        *,
+        cooling_k_per_h: float,
+        time_s: float,
+        wind_m_per_s: float,
+        droplet_radius_um: float,
+    ) -> None:
+        self.conditions = Conditions(kind, layers, emission, domain, cooling_k_per_h)
+        self.time_s, self.wind_m_per_s, self.droplet_radius_um = time_s, wind_m_per_s, droplet_radius_um
 
     def check(self, drawn: DrawnRecipe) -> None:
         self.scenario(drawn)
 
     def estimate_bytes(self, drawn: DrawnRecipe, model: object, parameters: object) -> int:
         keys = self.keys_of(drawn)
-        domains = [chapter.conditions.domain for chapter in self.scenario(drawn).chapters]
+        domains = [phase.conditions.domain for phase in self.scenario(drawn).phases]
         return max(simulated_bytes(keys, math.prod(one.cells), one.extent_m) for one in domains)
 
     def grid(self, request: CloudRequest) -> CloudGrid | None:
@@ -157,12 +162,25 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
     def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
         """The state of the air at the recipe's time: from the cache, or simulated.
 
-        Raises
-        ------
-        RecipeError : see `scenario`; or the simulation fails.
+        Raises `RecipeError` as `scenario` does, or if the simulation fails.
         """
         keys, scenario, time_s = self.keys_of(drawn), self.scenario(drawn), self.time_of(drawn)
-        weather = _simulated(drawn, scenario, drawn.recipe.seed if keys.seed is None else keys.seed, time_s, progress)
+        seed = drawn.recipe.seed if keys.seed is None else keys.seed
+        try:
+            weather = simulate(scenario, seed=seed, until_s=time_s, progress=progress, kept=weather_store())
+        except ValueError as cause:
+            storm = isinstance(cause, UnstableError)  # any other: what no check before has seen
+            raise RecipeError(
+                "the weather cannot be simulated",
+                where=drawn.where("sky", "clouds"),
+                expected="air that stays slower than any storm"
+                if storm
+                else "air, and a box of it, that can be stepped",
+                got=str(cause),
+                hint="lower the emission or the wind, or make the cells of domain larger"
+                if storm
+                else "change the sounding, or the cells of domain",
+            ) from cause
         return WeatherReport(weather, scenario.at(time_s).kind, self.droplet_radius_um_at(drawn, time_s))
 
     def time_of(self, drawn: DrawnRecipe) -> float:
@@ -178,61 +196,30 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
     def droplet_radius_um_at(self, drawn: DrawnRecipe, time_s: float) -> float:
         """Effective radius of the droplets at a time: the recipe's, or the type's.
 
-        In a story's later chapters it goes from the radius before to the new type's, linear over change_s.
+        In a story's later phases it goes from the radius before to the new type's, linear over change_s.
         """
         given = self.keys_of(drawn).droplet_radius_um
         if given is not None:
             return given
 
-        def radius_um(chapters: Sequence[Chapter], at_s: float) -> float:
-            last = chapters[-1]
+        def radius_um(phases: Sequence[WeatherPhase], at_s: float) -> float:
+            last = phases[-1]
             own: float = CLOUD_SOURCES.load(last.conditions.kind).droplet_radius_um
-            if len(chapters) == 1:
+            if len(phases) == 1:
                 return own
-            before = radius_um(chapters[:-1], last.at_s)
+            before = radius_um(phases[:-1], last.at_s)
             return before + min((at_s - last.at_s) / last.change_s, 1.0) * (own - before)
 
-        return radius_um([one for one in self.scenario(drawn).chapters if one.at_s <= time_s], time_s)
+        return radius_um([one for one in self.scenario(drawn).phases if one.at_s <= time_s], time_s)
 
     def scenario(self, drawn: DrawnRecipe) -> Scenario:
-        """What a recipe's clouds are simulated from.
-
-        Raises
-        ------
-        RecipeError : air, ground or a box of air that cannot be.
-        """
+        """What a recipe's clouds are simulated from. `RecipeError`: air, ground or a box of air that cannot be."""
         keys, where = self.keys_of(drawn), ("sky", "clouds")
         if keys.story is None:
-            return Scenario((Chapter(0.0, _conditions(drawn, keys.type, keys, where)),))
-        return Scenario(
-            tuple(
-                Chapter(one.at_s, _conditions(drawn, one.type, one, (*where, "story", n)), one.change_s or _CHANGE_S)
-                for n, one in enumerate(keys.story)
-            )
-        )
-
-
-def _simulated(drawn: DrawnRecipe, scenario: Scenario, seed: int, until_s: float, progress: Progress) -> Weather:
-    from forestgen.atmosphere.fluid.parameters import UnstableError
-
-    try:
-        return simulate(scenario, seed=seed, until_s=until_s, progress=progress, kept=weather_store())
-    except UnstableError as cause:
-        raise RecipeError(
-            "the weather cannot be simulated",
-            where=drawn.where("sky", "clouds"),
-            expected="air that stays slower than any storm",
-            got=str(cause),
-            hint="lower the emission or the wind, or make the cells of domain larger",
-        ) from cause
-    except ValueError as cause:  # what no check before has seen
-        raise RecipeError(
-            "the weather cannot be simulated",
-            where=drawn.where("sky", "clouds"),
-            expected="air that can be, and a box of it that can be stepped",
-            got=str(cause),
-            hint="change the sounding, or the cells of domain",
-        ) from cause
+            return Scenario((WeatherPhase(0.0, _conditions(drawn, keys.type, keys, where)),))
+        conditions = [_conditions(drawn, one.type, one, (*where, "story", n)) for n, one in enumerate(keys.story)]
+        phases = zip(keys.story, conditions, strict=True)
+        return Scenario(tuple(WeatherPhase(one.at_s, own, one.change_s or _CHANGE_S) for one, own in phases))
 
 
 def _conditions(drawn: DrawnRecipe, kind: str, keys: WeatherKeys, where: _Keys) -> Conditions:
@@ -244,10 +231,9 @@ def _conditions(drawn: DrawnRecipe, kind: str, keys: WeatherKeys, where: _Keys) 
     speed = keys.wind_m_per_s
     if speed is None:
         speed = 0.0 if measured else preset.wind_m_per_s  # a measured sounding has its own
-    emission = own.emission if keys.emission is None else _emission(drawn, own.emission, keys.emission, where)
     conditions = replace(
         own,
-        emission=emission,
+        emission=own.emission if keys.emission is None else _emission(drawn, own.emission, keys.emission, where),
         domain=own.domain if keys.domain is None else _with(own.domain, keys.domain),
         cooling_k_per_h=own.cooling_k_per_h if keys.cooling_k_per_h is None else keys.cooling_k_per_h,
         wind_m_per_s=wind_towards(speed, from_deg) if speed else (0.0, 0.0),
@@ -259,23 +245,21 @@ def _conditions(drawn: DrawnRecipe, kind: str, keys: WeatherKeys, where: _Keys) 
     return conditions
 
 
-def _with(preset: _ANY, section: BaseModel, skipped: Sequence[str] = ()) -> _ANY:
-    """A preset's part with the values that a recipe gives."""
-    names = {one.name for one in fields(preset)}  # type: ignore[arg-type]
-    given = {name: getattr(section, name) for name in section.model_fields_set if name in names - {*skipped}}
+def _with(preset: _ANY, section: BaseModel) -> _ANY:
+    """A preset's part with the values that a recipe gives, but for maps."""
+    names = {one.name for one in fields(preset)} - {"map"}  # type: ignore[arg-type]
+    given = {name: getattr(section, name) for name in section.model_fields_set & names}
     return replace(preset, **{name: value for name, value in given.items() if value is not None})  # type: ignore[type-var]
 
 
-def _emission(drawn: DrawnRecipe, own: Any, section: EmissionSection, where: _Keys) -> Any:
-    from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
-
-    made = _with(own, section, skipped=("map",))
+def _emission(drawn: DrawnRecipe, own: Emission, section: EmissionSection, where: _Keys) -> Emission:
+    made = _with(own, section)
     if section.vapour_g_per_m2_s is not None:
         made = replace(made, latent_w_per_m2=section.vapour_g_per_m2_s * 1e-3 * LATENT_HEAT_J_PER_KG)
     if section.map is None:
         return made
     place = drawn.where(*where, "emission", "map")
-    picture = read_grey(known_file(drawn.folder, section.map.file, section.map.sha256, place))
+    picture = read_raster(known_file(drawn.folder, section.map.file, section.map.sha256, place))
     values = np.asarray(picture.values, dtype=np.float32)[::-1] / np.float32(picture.white)  # row 0 in the south
     if not (np.isfinite(values).all() and values.min() >= 0 and values.mean() > 0):
         expected = "numbers of 0 and more, not all 0"
@@ -287,16 +271,12 @@ def _layers(drawn: DrawnRecipe, conditions: Conditions, section: SoundingSection
     if section.file is None:
         assert isinstance(conditions.layers, Layers)
         return _with(conditions.layers, section)
-    place = drawn.where(*where, "sounding")
-    path = known_file(drawn.folder, section.file, section.sha256, place)
     from forestgen.atmosphere.weather_files import read_sounding
 
-    try:
-        if section.ground_pressure_hpa is None:
-            return read_sounding(path)
-        return read_sounding(path, ground_pressure_pa=100.0 * section.ground_pressure_hpa)
-    except AssetError as cause:
-        raise AssetError(f"{cause.problem}: {path}", where=place, expected=cause.expected, got=cause.got) from cause
+    place = drawn.where(*where, "sounding")
+    path = known_file(drawn.folder, section.file, section.sha256, place)
+    with naming_the_file(path, place):
+        return read_sounding(path, ground_pressure_pa=100.0 * (section.ground_pressure_hpa or 1013.25))
 
 
 def _check_air(drawn: DrawnRecipe, conditions: Conditions, where: _Keys) -> None:
@@ -314,90 +294,83 @@ def _check_air(drawn: DrawnRecipe, conditions: Conditions, where: _Keys) -> None
 
 
 def _check_box(drawn: DrawnRecipe, conditions: Conditions, where: _Keys) -> None:
-    """Refuse a box of air smaller than the site, without height, or of too many or too few cells."""
-    domain, site = conditions.domain, drawn.recipe.site
-    if max(site.size_m) > domain.extent_m:
-        raise RecipeError(
+    """Refuse a box of air smaller than the site, below the inversion, or of too many cells."""
+    domain, widest_m = conditions.domain, max(drawn.recipe.site.size_m)
+    inversion_m = conditions.layers.inversion_m if isinstance(conditions.layers, Layers) else 0.0
+    refused = None
+    if widest_m > domain.extent_m:
+        refused = (
             "the site is larger than the box of air in which its weather is simulated",
-            where=drawn.where(*where, "domain"),
-            expected=f"sky.clouds.domain.extent_m of at least {max(site.size_m):g} m",
-            got=f"{domain.extent_m:g} m",
-            hint="make the domain larger, or the site smaller",
+            f"sky.clouds.domain.extent_m of at least {widest_m:g} m",
+            f"{domain.extent_m:g} m",
+            "make the domain larger, or the site smaller",
         )
-    if isinstance(conditions.layers, Layers) and conditions.layers.inversion_m >= domain.height_m:
-        raise RecipeError(
+    elif inversion_m >= domain.height_m:
+        refused = (
             "the box of air ends below the inversion",
-            where=drawn.where(*where, "domain"),
-            expected=f"a height_m of more than {conditions.layers.inversion_m:g} m, the sounding's inversion_m",
-            got=f"{domain.height_m:g} m",
-            hint="raise domain.height_m, or lower sounding.inversion_m",
+            f"a height_m of more than {inversion_m:g} m, the sounding's inversion_m",
+            f"{domain.height_m:g} m",
+            "raise domain.height_m, or lower sounding.inversion_m",
         )
-    if max(domain.cells) > 2048:
-        raise RecipeError(
+    elif max(domain.cells) > _MOST_CELLS:
+        cells = " x ".join(map(str, domain.cells))
+        refused = (
             "too many cells",
-            where=drawn.where(*where, "domain"),
-            expected="at most 2048 along a side",
-            got=" x ".join(str(one) for one in domain.cells),
-            hint="make cell_m and cell_height_m larger",
+            f"at most {_MOST_CELLS} along a side",
+            cells,
+            "make cell_m and cell_height_m larger",
         )
+    if refused is not None:
+        problem, expected, got, hint = refused
+        raise RecipeError(problem, where=drawn.where(*where, "domain"), expected=expected, got=got, hint=hint)
 
 
 FOG = SimulatedClouds(
-    Conditions(
-        "fog",
-        Layers(6.0, 0.0, 0.0, 60.0, 3.0, -5.0, 0.99, 0.985, 0.75),
-        Emission(5.0, 15.0, 250.0, 0.5),
-        Domain(1200.0, 160.0, 16.0, 5.0),
-        cooling_k_per_h=1.5,
-    ),
+    "fog",
+    Layers(6.0, 0.0, 0.0, 60.0, 3.0, -5.0, 0.99, 0.985, 0.75),
+    Emission(5.0, 15.0, 250.0, 0.5),
+    Domain(1200.0, 160.0, 16.0, 5.0),
+    cooling_k_per_h=1.5,
     time_s=1800.0,
     wind_m_per_s=1.0,
     droplet_radius_um=8.0,
 )
 STRATUS = SimulatedClouds(
-    Conditions(
-        "stratus",
-        Layers(9.0, 550.0, 6.0, 600.0, 5.0, 2.0, 0.83, 0.97, 0.5),
-        Emission(20.0, 60.0, 500.0, 0.3),
-        Domain(4000.0, 1000.0, 62.5, 25.0),
-        cooling_k_per_h=0.6,
-    ),
+    "stratus",
+    Layers(9.0, 550.0, 6.0, 600.0, 5.0, 2.0, 0.83, 0.97, 0.5),
+    Emission(20.0, 60.0, 500.0, 0.3),
+    Domain(4000.0, 1000.0, 62.5, 25.0),
+    cooling_k_per_h=0.6,
     time_s=2400.0,
     wind_m_per_s=4.0,
     droplet_radius_um=8.0,
 )
 STRATOCUMULUS = SimulatedClouds(
-    Conditions(
-        "stratocumulus",
-        Layers(17.0, 1900.0, 6.0, 1950.0, 6.0, 3.0, 0.385, 0.98, 0.35),
-        Emission(80.0, 110.0, 900.0, 0.4),
-        Domain(8000.0, 2600.0, 100.0, 50.0),
-        cooling_k_per_h=0.3,
-    ),
+    "stratocumulus",
+    Layers(17.0, 1900.0, 6.0, 1950.0, 6.0, 3.0, 0.385, 0.98, 0.35),
+    Emission(80.0, 110.0, 900.0, 0.4),
+    Domain(8000.0, 2600.0, 100.0, 50.0),
+    cooling_k_per_h=0.3,
     time_s=3000.0,
     wind_m_per_s=5.0,
     droplet_radius_um=10.0,
 )
 CUMULUS = SimulatedClouds(
-    Conditions(
-        "cumulus",
-        Layers(22.0, 1400.0, 6.8, 2250.0, 4.0, 4.0, 0.465, 0.5, 0.3),
-        Emission(150.0, 180.0, 1200.0, 0.5),
-        Domain(7200.0, 3000.0, 75.0, 62.5),
-        cooling_k_per_h=0.0,
-    ),
+    "cumulus",
+    Layers(22.0, 1400.0, 6.8, 2250.0, 4.0, 4.0, 0.465, 0.5, 0.3),
+    Emission(150.0, 180.0, 1200.0, 0.5),
+    Domain(7200.0, 3000.0, 75.0, 62.5),
+    cooling_k_per_h=0.0,
     time_s=2100.0,
     wind_m_per_s=4.0,
     droplet_radius_um=10.0,
 )
 CUMULONIMBUS = SimulatedClouds(
-    Conditions(
-        "cumulonimbus",
-        Layers(27.0, 1400.0, 7.2, 7600.0, 1.0, -8.0, 0.5, 0.45, 0.3),
-        Emission(120.0, 200.0, 6000.0, 2.0),
-        Domain(24000.0, 12000.0, 375.0, 200.0),
-        cooling_k_per_h=0.0,
-    ),
+    "cumulonimbus",
+    Layers(27.0, 1400.0, 7.2, 7600.0, 1.0, -8.0, 0.5, 0.45, 0.3),
+    Emission(120.0, 200.0, 6000.0, 2.0),
+    Domain(24000.0, 12000.0, 375.0, 200.0),
+    cooling_k_per_h=0.0,
     time_s=4200.0,
     wind_m_per_s=4.0,
     droplet_radius_um=15.0,

@@ -1,37 +1,89 @@
-"""What a cloud source is; and how the air that a source has is put over the site.
+"""What a cloud source is; how the air that a source has is put over the site; and the numbers that describe its clouds.
 
 A source is one object named in `forestgen.recipe.registries`. `grid` makes the clouds of an image; the other methods
-tell of them before anything is simulated.
+describe them before anything is simulated.
+
+In statistics a cell is cloudy where its droplets' mass ratio is at least `CLOUDY`. A column's base is the bottom of its
+lowest cloudy cell, its top the top of its highest.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar, cast
 
 import numpy as np
 from pydantic import Field
 
-from forestgen.atmosphere.cloud_statistics import CloudStatistics, cloud_statistics
 from forestgen.atmosphere.extinction import cloud_grid_of
-from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.weather import Weather
-from forestgen.core.errors import RecipeError
+from forestgen.atmosphere.grid import CloudGrid, Weather
+from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Progress
-from forestgen.recipe.clouds import Clouds
 from forestgen.recipe.fields import Flag, Number, Positive
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import CLOUD_SOURCES
+from forestgen.recipe.sky import Clouds
 
+CLOUDY = 1e-5  # kg/kg
+_LOW_PERCENT, _HIGH_PERCENT = 10.0, 99.0
+_WATER_KG_PER_M3 = 1000.0
 KeysT = TypeVar("KeysT", bound=Clouds)
-# Clouds so far above the scene may be traced from afar: metres, a share of the site's diagonal (render/transport.py)
+# Clouds so far above the scene may be traced from afar: metres, a share of the site's diagonal (render/cloud_shadow.py)
 LEAST_GAP_M, GAP_OF_SITE = 100.0, 0.5
 _MOST_OPTICAL_DEPTH = 5000.0  # of a thundercloud's core
 _SHOWN_BY_TOP, _SHOWN_M = 12.0, (4000.0, 24_000.0)  # how far clouds are shown, by the height of their tops
 _MOST_TILES = 7
 _BYTES_PER_AIR_CELL = 160  # the state twice, its rates of change, and the pressure's transform
 _BYTES_PER_SHOWN_CELL = 32  # extinction with its copies, and the renderer's; exact was measured to take 17
+
+
+@dataclass(frozen=True)
+class CloudStatistics:
+    """Of one snapshot. Heights are above the datum; None where there is no cloud."""
+
+    time_s: float
+    cover: float  # share of columns with a cloudy cell
+    base_m: float | None  # that a tenth of the cloudy columns' bases lie below
+    top_m: float | None  # that a hundredth of the cloudy columns' tops lie above
+    mean_base_m: float | None  # over cloudy columns
+    mean_top_m: float | None
+    cloud_kg_per_m2: float  # liquid water path of droplets, over all columns: mm
+    rain_kg_per_m2: float  # the same of falling drops
+    fallen_kg_per_m2: float  # rain on the ground since the beginning, mean: mm
+    optical_depth: float  # of droplets straight up, mean over cloudy columns, at the radius given
+    updraught_m_per_s: float  # largest upward speed
+
+
+def cloud_statistics(weather: Weather, *, droplet_radius_um: float = 10.0) -> CloudStatistics:
+    """Base, top, cover and water of the clouds in a snapshot."""
+    cloudy = weather.cloud >= CLOUDY
+    columns = cloudy.any(axis=0)
+    low_m, side_m = weather.grid.low_m[2], weather.grid.cell_m[2]
+    base_m, top_m, mean_base_m, mean_top_m = (None,) * 4
+    if columns.any():
+        first = np.argmax(cloudy, axis=0)[columns]
+        last = len(cloudy) - np.argmax(cloudy[::-1], axis=0)[columns]
+        layers = np.percentile(first, _LOW_PERCENT), np.percentile(last, _HIGH_PERCENT), first.mean(), last.mean()
+        base_m, top_m, mean_base_m, mean_top_m = (low_m + side_m * float(one) for one in layers)
+    path = weather.cloud_water_kg_per_m3.sum(axis=0, dtype=np.float64) * side_m
+    depth = 1.5 * path / (_WATER_KG_PER_M3 * droplet_radius_um * 1e-6)
+    return CloudStatistics(
+        weather.time_s,
+        float(columns.mean()),
+        base_m,
+        top_m,
+        mean_base_m,
+        mean_top_m,
+        cloud_kg_per_m2=float(path.mean()),
+        rain_kg_per_m2=float(weather.rain_water_kg_per_m3.sum(axis=0, dtype=np.float64).mean() * side_m),
+        fallen_kg_per_m2=float(weather.fallen_kg_per_m2.mean()),
+        optical_depth=float(depth[columns].mean()) if columns.any() else 0.0,
+        updraught_m_per_s=float(weather.up_m_per_s.max()),
+    )
 
 
 class AirKeys(Clouds):
@@ -104,13 +156,7 @@ class CloudSource(Generic[KeysT]):
         """Raise `RecipeError` for clouds that cannot be, or that light cannot cross."""
 
     def check_community(self, drawn: DrawnRecipe, model: object, parameters: Any) -> None:
-        """Raise `RecipeError` for clouds that this community cannot have.
-
-        Parameters
-        ----------
-        model : the community model.
-        parameters : the model's, a `forestgen.community.model.CommunityParameters`.
-        """
+        """Raise `RecipeError` for clouds that a community model of such `CommunityParameters` cannot have."""
 
     def known_base_m(self, drawn: DrawnRecipe) -> float | None:
         """Height of the clouds' base where the recipe itself says it; None: unknown before they are made."""
@@ -123,24 +169,17 @@ class CloudSource(Generic[KeysT]):
     def grid(self, request: CloudRequest) -> CloudGrid | None:
         """The clouds of an image, in the world's frame; None where the sky has none.
 
-        Raises
-        ------
-        RecipeError : weather that cannot be, or a file that cannot be read.
+        Raises `RecipeError` for weather that cannot be, or a file that cannot be read.
         """
         raise NotImplementedError
 
     def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
-        """The state of the air that the clouds are of, simulated without the community.
-
-        Raises
-        ------
-        RecipeError : these clouds have none.
-        """
-        sources = dict(CLOUD_SOURCES.parts())
+        """The state of the air that the clouds are of, without the community. `RecipeError`: these clouds have none."""
+        simulated = [name for name, one in CLOUD_SOURCES.parts() if type(one).air is not CloudSource.air]
         raise RecipeError(
             "the recipe's clouds are not simulated",
             where=drawn.where("sky", "clouds"),
-            expected="a type of " + ", ".join(n for n, one in sources.items() if type(one).air is not CloudSource.air),
+            expected="a type of " + ", ".join(simulated),
             got=drawn.recipe.sky.clouds.type,
             hint="set sky.clouds to one of these; clouds that come with their community are seen in its images",
         )
@@ -157,14 +196,8 @@ def clouds_of_air(
 ) -> CloudGrid | None:
     """The clouds of a state of the air over the site, repeated sideways as far as they are seen.
 
-    Parameters
-    ----------
-    radius_um : effective radius of the droplets.
-    centre : world x and y of the field's middle.
-
-    Raises
-    ------
-    RecipeError : see `check_depth` and `on_the_ground`.
+    `radius_um` is the droplets' effective radius, `centre` the world x and y of the field's middle. Raises
+    `RecipeError` as `check_depth` and `on_the_ground` do.
     """
     repeat = weather.grid.periodic and weather.solid is None and keys.repeat is not False
     grid = cloud_grid_of(
@@ -180,21 +213,29 @@ def clouds_of_air(
 
 
 def check_depth(drawn: DrawnRecipe, grid: CloudGrid, hint: str) -> None:
-    """Raise `RecipeError` if light would take for ever through the field."""
+    """Raise `RecipeError` if the field is too thick to be traced."""
     depth = float(grid.extinction_per_m.sum(axis=0, dtype=np.float64).max()) * grid.cell_m[2]
-    if depth <= _MOST_OPTICAL_DEPTH:
-        return
-    raise RecipeError(
-        "the clouds are too thick to be traced in reasonable time",
-        where=drawn.where("sky", "clouds"),
-        expected=f"an optical depth of at most {_MOST_OPTICAL_DEPTH:g}; thunderclouds have hundreds",
-        got=f"{depth:.3g} in the thickest column",
-        hint=hint,
-    )
+    if depth > _MOST_OPTICAL_DEPTH:
+        raise RecipeError(
+            "the clouds are too thick to be traced in reasonable time",
+            where=drawn.where("sky", "clouds"),
+            expected=f"an optical depth of at most {_MOST_OPTICAL_DEPTH:g}; thunderclouds have hundreds",
+            got=f"{depth:.3g} in the thickest column",
+            hint=hint,
+        )
+
+
+@contextmanager
+def naming_the_file(path: Path, where: str | None) -> Iterator[None]:
+    """Errors of a file's content name the file and the key that names it."""
+    try:
+        yield
+    except AssetError as cause:
+        raise AssetError(f"{cause.problem}: {path}", where=where, expected=cause.expected, got=cause.got) from cause
 
 
 def on_the_ground(request: CloudRequest, grid: CloudGrid) -> CloudGrid:
-    """The field raised to the site's ground; refused if it is smaller than the site, whose rest had no clouds."""
+    """The field raised to the site's ground; refused if it is smaller than the site."""
     site = request.drawn.recipe.site.size_m
     size = [high - low for low, high in zip(grid.low_m, grid.high_m, strict=True)][:2]
     if any(own < wanted for own, wanted in zip(size, site, strict=True)):

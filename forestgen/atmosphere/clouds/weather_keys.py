@@ -1,4 +1,4 @@
-"""Keys of simulated weather: air at rest, what the ground gives off, the box of air, and chapters of a story.
+"""Keys of simulated weather: air at rest, what the ground gives off, the box of air, and phases of a story.
 
 All may be left out, and are then those of the type; see `forestgen.atmosphere.clouds.simulated`.
 """
@@ -10,11 +10,14 @@ from typing import Annotated, Any, Self
 from pydantic import Field, field_validator, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.clouds import FileName, GivenSection, NamedFile, Sha256
-from forestgen.recipe.fields import Fraction, NonNegative, Number, Positive, Text, mistake, spelled_out
+from forestgen.recipe.fields import Fraction, GivenSection, NonNegative, Number, Positive, Text, mistake, spelled_out
 from forestgen.recipe.registries import CLOUD_SOURCES
+from forestgen.recipe.sky import FileName, NamedFile, Sha256
 
-_OF_TYPE = " Default: the type's."
+
+def _or_of_type(description: str, **bounds: Any) -> Any:
+    """A key that the type has a value for."""
+    return Field(description=f"{description} Default: the type's.", **bounds)
 
 
 class SoundingSection(GivenSection):
@@ -29,7 +32,7 @@ class SoundingSection(GivenSection):
         Field(description="SHA-256 of the file, written when the recipe is loaded; another file is refused."),
     ] = None
     ground_temperature_c: Annotated[
-        Number | None, Field(ge=-60, le=60, description="Of the air at the ground, degrees Celsius." + _OF_TYPE)
+        Number | None, _or_of_type("Of the air at the ground, degrees Celsius.", ge=-60, le=60)
     ] = None
     ground_pressure_hpa: Annotated[
         Number | None,
@@ -37,41 +40,31 @@ class SoundingSection(GivenSection):
     ] = None
     mixed_layer_m: Annotated[
         NonNegative | None,
-        Field(
+        _or_of_type(
+            "Depth of the air next to the ground that is stirred through: it cools upwards by 9.8 K/km, "
+            "and its vapour is the same at all heights. Metres.",
             le=20000,
-            description="Depth of the air next to the ground that is stirred through: it cools upwards by 9.8 K/km, "
-            "and its vapour is the same at all heights. Metres." + _OF_TYPE,
         ),
     ] = None
     lapse_rate_k_per_km: Annotated[
         Number | None,
-        Field(
-            ge=-300,
-            le=30,
-            description="How fast it cools upwards from there to the inversion, K/km; negative: it gets warmer."
-            + _OF_TYPE,
+        _or_of_type(
+            "How fast it cools upwards from there to the inversion, K/km; negative: it gets warmer.", ge=-300, le=30
         ),
     ] = None
-    inversion_m: Annotated[
-        Positive | None, Field(le=30000, description="Height of the inversion, metres." + _OF_TYPE)
-    ] = None
+    inversion_m: Annotated[Positive | None, _or_of_type("Height of the inversion, metres.", le=30000)] = None
     inversion_jump_k: Annotated[
-        NonNegative | None,
-        Field(le=40, description="How much warmer it becomes across the inversion itself, K." + _OF_TYPE),
+        NonNegative | None, _or_of_type("How much warmer it becomes across the inversion itself, K.", le=40)
     ] = None
     lapse_rate_above_k_per_km: Annotated[
-        Number | None, Field(ge=-300, le=30, description="How fast it cools upwards above it, K/km." + _OF_TYPE)
+        Number | None, _or_of_type("How fast it cools upwards above it, K/km.", ge=-300, le=30)
     ] = None
-    relative_humidity: Annotated[
-        Fraction | None, Field(description="At the ground, 0 to 1, over water." + _OF_TYPE)
-    ] = None
+    relative_humidity: Annotated[Fraction | None, _or_of_type("At the ground, 0 to 1, over water.")] = None
     relative_humidity_aloft: Annotated[
         Fraction | None,
-        Field(description="Just below the inversion, 0 to 1; linear between it and the mixed layer's top." + _OF_TYPE),
+        _or_of_type("Just below the inversion, 0 to 1; linear between it and the mixed layer's top."),
     ] = None
-    relative_humidity_above: Annotated[
-        Fraction | None, Field(description="Above the inversion, 0 to 1." + _OF_TYPE)
-    ] = None
+    relative_humidity_above: Annotated[Fraction | None, _or_of_type("Above the inversion, 0 to 1.")] = None
 
     @model_validator(mode="after")
     def _file_or_numbers(self) -> Self:
@@ -91,22 +84,17 @@ class SoundingSection(GivenSection):
 class EmissionSection(GivenSection):
     """What the ground gives to the air."""
 
-    heat_w_per_m2: Annotated[
-        Number | None, Field(ge=-500, le=5000, description="Mean flux of sensible heat, W/m2." + _OF_TYPE)
-    ] = None
+    heat_w_per_m2: Annotated[Number | None, _or_of_type("Mean flux of sensible heat, W/m2.", ge=-500, le=5000)] = None
     latent_w_per_m2: Annotated[
-        Number | None, Field(ge=-100, le=5000, description="Mean flux of vapour as latent heat, W/m2." + _OF_TYPE)
+        Number | None, _or_of_type("Mean flux of vapour as latent heat, W/m2.", ge=-100, le=5000)
     ] = None
     vapour_g_per_m2_s: Annotated[
         Number | None,
         Field(ge=-0.05, le=2, description="The same as mass: 0.1 g/m2/s is 250 W/m2. Instead of latent_w_per_m2."),
     ] = None
-    patch_m: Annotated[
-        Positive | None, Field(le=100000, description="Size of warm and moist patches, metres." + _OF_TYPE)
-    ] = None
+    patch_m: Annotated[Positive | None, _or_of_type("Size of warm and moist patches, metres.", le=100000)] = None
     contrast: Annotated[
-        NonNegative | None,
-        Field(le=10, description="How much patches differ: standard deviation over mean." + _OF_TYPE),
+        NonNegative | None, _or_of_type("How much patches differ: standard deviation over mean.", le=10)
     ] = None
     map: Annotated[
         NamedFile | None,
@@ -132,35 +120,23 @@ class EmissionSection(GivenSection):
 class DomainSection(GivenSection):
     """The box of air that is simulated; at its sides it goes on periodically."""
 
-    extent_m: Annotated[
-        Positive | None, Field(ge=100, le=200000, description="Side of its square, metres." + _OF_TYPE)
-    ] = None
-    height_m: Annotated[Positive | None, Field(ge=20, le=25000, description="Its height, metres." + _OF_TYPE)] = None
-    cell_m: Annotated[Positive | None, Field(ge=0.5, le=5000, description="Width of a cell, metres." + _OF_TYPE)] = None
-    cell_height_m: Annotated[
-        Positive | None, Field(ge=0.5, le=2000, description="Height of a cell, metres." + _OF_TYPE)
-    ] = None
+    extent_m: Annotated[Positive | None, _or_of_type("Side of its square, metres.", ge=100, le=200000)] = None
+    height_m: Annotated[Positive | None, _or_of_type("Its height, metres.", ge=20, le=25000)] = None
+    cell_m: Annotated[Positive | None, _or_of_type("Width of a cell, metres.", ge=0.5, le=5000)] = None
+    cell_height_m: Annotated[Positive | None, _or_of_type("Height of a cell, metres.", ge=0.5, le=2000)] = None
 
 
 class WeatherKeys(GivenSection):
     """What makes one kind of weather another."""
 
-    sounding: Annotated[
-        SoundingSection | None, Field(description="The air at rest: a file's name, or its keys." + _OF_TYPE)
-    ] = None
-    emission: Annotated[EmissionSection | None, Field(description="What the ground gives off." + _OF_TYPE)] = None
-    domain: Annotated[DomainSection | None, Field(description="The box that is simulated." + _OF_TYPE)] = None
+    sounding: Annotated[SoundingSection | None, _or_of_type("The air at rest: a file's name, or its keys.")] = None
+    emission: Annotated[EmissionSection | None, _or_of_type("What the ground gives off.")] = None
+    domain: Annotated[DomainSection | None, _or_of_type("The box that is simulated.")] = None
     cooling_k_per_h: Annotated[
         Number | None,
-        Field(
-            ge=-10,
-            le=10,
-            description="How fast the air below the inversion radiates its heat away, K/h." + _OF_TYPE,
-        ),
+        _or_of_type("How fast the air below the inversion radiates its heat away, K/h.", ge=-10, le=10),
     ] = None
-    wind_m_per_s: Annotated[
-        NonNegative | None, Field(le=100, description="Speed of the wind aloft, m/s." + _OF_TYPE)
-    ] = None
+    wind_m_per_s: Annotated[NonNegative | None, _or_of_type("Speed of the wind aloft, m/s.", le=100)] = None
     wind_from_deg: Annotated[
         Number | None,
         Field(
@@ -176,8 +152,8 @@ class WeatherKeys(GivenSection):
         return spelled_out(value, "file")
 
 
-class Chapter(WeatherKeys):
-    """The weather from one moment of a story on, until the next chapter."""
+class Phase(WeatherKeys):
+    """The weather from one moment of a story on, until the next phase."""
 
     at_s: Annotated[NonNegative, Field(le=1e6, description="When it begins, seconds after the story does.")]
     type: Annotated[Text, Field(description="The type whose values hold for all keys that are left out.")]

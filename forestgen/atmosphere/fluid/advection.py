@@ -7,7 +7,7 @@ first sweep and after the last) is carried along, and ratios are masses over it 
 even, no value passes those of the neighbourhood, none becomes negative, and mass is conserved to rounding, as long as
 less air leaves a cell in a step than is in it.
 
-All fields have two ghost cells on each side (see `boundaries`).
+All fields have two ghost cells on each side (see `pressure`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.fluid.parameters import Velocity
+from forestgen.atmosphere.fluid.pressure import fill_sides
 from forestgen.core.compiled import borrowed, unchecked
 from forestgen.core.threads import over_slabs
 
@@ -24,27 +26,20 @@ _HALF, _SIXTH = np.float32(0.5), np.float32(1 / 6)
 
 
 class Transport:
-    """Carries ratios by a given velocity for a given step.
+    """Carries ratios by a given velocity for a given step, in a box of (Z, Y, X) cells.
 
-    Parameters
-    ----------
-    shape : (Z, Y, X) of the cells.
-    periodic : at the sides.
-    openness : per axis x, y, z a field (Z + 4, Y + 4, X + 4): 1 at open faces, 0 at those that terrain blocks; None:
-        no terrain.
+    `openness` is that of `pressure.Boundaries`.
     """
 
-    def __init__(
-        self, shape: tuple[int, int, int], periodic: bool, openness: tuple[Field, Field, Field] | None
-    ) -> None:
-        self.shape, self.periodic, self.openness = shape, periodic, openness
+    def __init__(self, shape: tuple[int, int, int], openness: Velocity | None) -> None:
+        self.shape, self.openness = shape, openness
         padded = tuple(n + 4 for n in shape)
-        self.between = np.zeros(padded, np.float32)
+        self._between = np.zeros(padded, np.float32)
         self._squeeze = np.zeros((2, *padded), np.float32)  # air that half a sweep along x, and along y too, takes away
-        self._velocity: tuple[Field, Field, Field]
+        self._velocity: Velocity
         self._per_m: tuple[np.float32, ...]
 
-    def prepare(self, velocity: tuple[Field, Field, Field], step_s: float, cell_m: tuple[float, float, float]) -> None:
+    def prepare(self, velocity: Velocity, step_s: float, cell_m: tuple[float, float, float]) -> None:
         """Sets velocity (m/s, at the faces, ghosts filled) and step."""
         self._velocity = velocity
         self._per_m = tuple(np.float32(step_s / side) for side in cell_m)
@@ -52,38 +47,24 @@ class Transport:
         z, rows, columns = self.shape
         over_slabs(z, rows * columns, lambda a, b: _squeeze(self._squeeze, *velocity[:2], x, y, a + 2, b + 2))
         for part in self._squeeze:
-            fill_sides(part, self.periodic, np.zeros(z, np.float32))
+            fill_sides(part[2:-2])
 
-    def carry(self, ratio: Field, outside: NDArray[np.float32], *, least: float = 0.0) -> None:
-        """Replaces the ratio's inner values by those after the step.
+    def carry(self, ratio: Field, *, least: float = 0.0) -> None:
+        """Replaces the inner values of a ratio (Z + 4, Y + 4, X + 4) by those after the step, at least `least`.
 
-        Parameters
-        ----------
-        ratio : (Z + 4, Y + 4, X + 4).
-        outside : (Z,) what flows in at open sides.
-        least : the values are this or more, but for rounding: it is taken care of here.
+        The limit only takes care of rounding: the scheme makes no value below it.
         """
         low = np.float32(least)
-        fill_sides(ratio, self.periodic, outside)
+        fill_sides(ratio[2:-2])
         z, y, x = self.shape
         u, v, w = self._velocity
         cx, cy, cz = self._per_m
-        between, squeeze, opened = self.between, self._squeeze, self.openness
-        over_slabs(z, y * x, lambda a, b: _x_then_y(ratio, between, u, v, squeeze, cx, cy, opened, low, a + 2, b + 2))
+        between, squeeze, opened = self._between, self._squeeze, self.openness
+        flat = (u, v, squeeze, cx, cy, opened, low)
+        over_slabs(z, y * x, lambda a, b: _sweep_flat(ratio, between, True, *flat, a + 2, b + 2))
         over_slabs(y, z * x, lambda a, b: _along_z(between, w, squeeze, cz, opened, low, a + 2, b + 2))
-        fill_sides(between, self.periodic, outside)
-        over_slabs(z, y * x, lambda a, b: _y_then_x(between, ratio, u, v, squeeze, cx, cy, opened, low, a + 2, b + 2))
-
-
-def fill_sides(field: Field, periodic: bool, outside: NDArray[np.float32]) -> None:
-    """Ghost cells at the four sides of a field of cells: of the far side, or what is outside (Z,)."""
-    inner = field[2:-2]
-    if periodic:
-        inner[:, :, :2], inner[:, :, -2:] = inner[:, :, -4:-2], inner[:, :, 2:4]
-        inner[:, :2], inner[:, -2:] = inner[:, -4:-2], inner[:, 2:4]
-    else:
-        for side in (inner[:, :, :2], inner[:, :, -2:], inner[:, :2], inner[:, -2:]):
-            side[...] = outside[:, None, None]
+        fill_sides(between[2:-2])
+        over_slabs(z, y * x, lambda a, b: _sweep_flat(between, ratio, False, *flat, a + 2, b + 2))
 
 
 @unchecked
@@ -98,36 +79,24 @@ def _squeeze(out, u, v, cx, cy, first, end):  # type: ignore[no-untyped-def]
 
 
 @unchecked
-def _x_then_y(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
+def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
+    """Half a step along x and then y, or along y and then x."""
     ratio, out, u, v, squeeze = borrowed(ratio), borrowed(out), borrowed(u), borrowed(v), borrowed(squeeze)
     rows = ratio.shape[1]
     plane, work = np.empty(ratio.shape[1:], np.float32), np.empty((6, ratio.shape[2]), np.float32)
     x, y = _HALF * cx, _HALF * cy
     for k in range(first, end):
         plane[:] = ratio[k]
-        _sweep_x(plane, u[k], squeeze[:, k], _ZERO, -_ONE, x, _opened(opened, 0, k), least, 0, rows, work)
-        _sweep_y(plane, v[k], squeeze[0, k], squeeze[1, k], -_ONE, y, _opened(opened, 1, k), least, work)
+        opened_x = None if opened is None else opened[0][k]
+        opened_y = None if opened is None else opened[1][k]
+        by_x, by_both = squeeze[0, k], squeeze[1, k]
+        if x_first:
+            _sweep_x(plane, u[k], squeeze[:, k], _ZERO, -_ONE, x, opened_x, least, 0, rows, work)
+            _sweep_y(plane, v[k], by_x, by_both, -_ONE, y, opened_y, least, work)
+        else:
+            _sweep_y(plane, v[k], by_both, by_x, _ONE, y, opened_y, least, work)
+            _sweep_x(plane, u[k], squeeze[:, k], _ONE, _ZERO, x, opened_x, least, 2, rows - 2, work)
         out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
-
-
-@unchecked
-def _y_then_x(ratio, out, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
-    ratio, out, u, v, squeeze = borrowed(ratio), borrowed(out), borrowed(u), borrowed(v), borrowed(squeeze)
-    rows = ratio.shape[1]
-    plane, work = np.empty(ratio.shape[1:], np.float32), np.empty((6, ratio.shape[2]), np.float32)
-    x, y = _HALF * cx, _HALF * cy
-    for k in range(first, end):
-        plane[:] = ratio[k]
-        _sweep_y(plane, v[k], squeeze[1, k], squeeze[0, k], _ONE, y, _opened(opened, 1, k), least, work)
-        _sweep_x(plane, u[k], squeeze[:, k], _ONE, _ZERO, x, _opened(opened, 0, k), least, 2, rows - 2, work)
-        out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
-
-
-@unchecked
-def _opened(opened, axis, k):  # type: ignore[no-untyped-def]
-    if opened is None:
-        return None
-    return opened[axis][k]
 
 
 @unchecked

@@ -13,8 +13,8 @@ One step from t to t + h:
 4. the wind a whole step on by the middle's advection and the mean of both ends' buoyancy; pressure again.
 
 For gravity waves this is the leapfrog of Stoermer and Verlet: stable up to 2 over their frequency, and it feeds or
-damps none. Parts: `momentum`, `advection`, `pressure`, `buoyancy`, `microphysics`, `turbulence`, `boundaries`,
-`emission`, `stability`; constants in `parameters`. Second order in space and time, but for sources of phase.
+damps none. Parts: `momentum`, `advection`, `pressure`, `microphysics`; constants and limits in `parameters`. Second
+order in space and time, but for sources of phase.
 
 The wind's fields hold single precision. Heat is stepped as its difference from the air at rest. The result does not
 depend on the number of threads, and a step depends on nothing but the weather that it is given: so a run
@@ -31,114 +31,131 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.advection import Transport, fill_sides
-from forestgen.atmosphere.fluid.background import HEAT_CAPACITY_J_PER_KG_K, Background, background
-from forestgen.atmosphere.fluid.boundaries import Boundaries, Velocity, solid_cells
-from forestgen.atmosphere.fluid.buoyancy import carry_rest, lift
-from forestgen.atmosphere.fluid.diagnostics import divergence_per_s, total_energy_j, total_water_kg
-from forestgen.atmosphere.fluid.microphysics import change_phases, fall
-from forestgen.atmosphere.fluid.momentum import advance_velocity
-from forestgen.atmosphere.fluid.parameters import STABLE_COURANT, Physics, Surface, UnstableError
-from forestgen.atmosphere.fluid.pressure import Pressure
-from forestgen.atmosphere.fluid.stability import (
-    WAVE_LIMIT,
+from forestgen.atmosphere.fluid.advection import Transport
+from forestgen.atmosphere.fluid.microphysics import carry_rest, change_phases, fall, lift
+from forestgen.atmosphere.fluid.momentum import Confinement, advance_velocity
+from forestgen.atmosphere.fluid.parameters import (
+    HEAT_CAPACITY_J_PER_KG_K,
+    Background,
+    Field,
+    Physics,
+    Surface,
+    UnstableError,
+    Velocity,
+    background,
     check_fields,
     crossing_per_s,
     fixed_limit_s,
     moving_limit_s,
-    wave_per_s,
 )
-from forestgen.atmosphere.fluid.start import at_rest, check_grid
-from forestgen.atmosphere.fluid.turbulence import Confinement, diffuse
-from forestgen.atmosphere.sounding import Sounding
-from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.atmosphere.fluid.pressure import Boundaries, Pressure, solid_cells
+from forestgen.atmosphere.grid import AirGrid, Weather
+from forestgen.atmosphere.sounding import Sounding, saturation_ratio
 from forestgen.core.threads import at_once
 
-__all__ = [
-    "Air",
-    "Physics",
-    "Surface",
-    "UnstableError",
-    "at_rest",
-    "divergence_per_s",
-    "total_energy_j",
-    "total_water_kg",
-]
-
+_NOISE_SHARE = 0.25  # of the box's height, at least four layers
+_OVER = 1.01  # saturation that a sounding may show between its levels
 _HALVINGS = 6  # of a step of the solver's own choice, when the air speeds up within it
-Field = NDArray[np.float32]
+_INNER = (slice(2, -2),) * 3
+
+
+def at_rest(
+    grid: AirGrid, sounding: Sounding, surface: Surface | None, *, rng: np.random.Generator, noise_k: float = 0.0
+) -> Weather:
+    """Air in hydrostatic balance that moves with the sounding's wind, around the terrain.
+
+    Potential temperature near the ground is even between plus and minus `noise_k`, cell by cell; there is none at a
+    quarter of the box's height. Without any, air above an even ground does not know where to rise.
+
+    Raises ValueError if the sounding is supersaturated in a layer, or the terrain reaches the top layer.
+    """
+    air = background(grid, sounding)
+    most = saturation_ratio(air.potential_temperature_k * air.temperature_ratio, air.pressure_pa)
+    worst = int(np.argmax(air.vapour / most))
+    if air.vapour[worst] > _OVER * most[worst]:
+        raise ValueError(
+            f"the sounding is supersaturated at {grid.layer_heights_m[worst]:.0f} m:"
+            f" {air.vapour[worst]:.2e} kg/kg of vapour; expected at most {most[worst]:.2e}"
+        )
+    solid = solid_cells(grid, surface)
+    noise = rng.uniform(-noise_k, noise_k, grid.shape)
+    fade = np.maximum(1 - np.arange(grid.cells[2]) / max(4, _NOISE_SHARE * grid.cells[2]), 0)[:, None, None]
+    u, v, w = _wind_around(grid, air, solid)
+    return Weather(
+        grid=grid,
+        time_s=0.0,
+        east_m_per_s=u,
+        north_m_per_s=v,
+        up_m_per_s=w,
+        potential_temperature_k=air.rest_k + (noise * fade).astype(np.float32),
+        vapour=np.broadcast_to(air.vapour.astype(np.float32)[:, None, None], grid.shape).copy(),
+        cloud=np.zeros(grid.shape, np.float32),
+        rain=np.zeros(grid.shape, np.float32),
+        fallen_kg_per_m2=np.zeros(grid.shape[1:]),
+        density_kg_per_m3=air.density_kg_per_m3,
+        temperature_ratio=air.temperature_ratio,
+        solid=solid,
+    )
+
+
+def _wind_around(grid: AirGrid, air: Background, solid: NDArray[np.bool_] | None) -> Velocity:
+    """The sounding's wind, made to flow around terrain."""
+    u, v, w = (np.zeros(tuple(n + 4 for n in grid.shape), np.float32) for _ in range(3))
+    u[2:-2], v[2:-2] = air.wind_m_per_s.T.astype(np.float32)[:, :, None, None]
+    sides = Boundaries(solid)
+    sides.apply((u, v, w))
+    if solid is not None and air.wind_m_per_s.any():
+        Pressure(grid, sides.openness).project((u, v, w))
+        sides.apply((u, v, w))
+    return u[2:-2, 2:-2, 2:-1].copy(), v[2:-2, 2:-1, 2:-2].copy(), w[2:-1, 2:-2, 2:-2].copy()
 
 
 class Air:
     """Steps the weather of one grid: work space, and the constants of sounding, ground and physics.
 
-    Parameters
-    ----------
-    surface : what the ground gives off, and terrain; None: nothing, and flat.
-
-    Raises
-    ------
-    ValueError
-        for a grid with fewer than 4 cells along an axis, or maps of other shapes than the grid's.
+    `surface` is what the ground gives off, and terrain; None: nothing, and flat. The grid has at least 4 cells along
+    each axis.
     """
 
     def __init__(self, grid: AirGrid, sounding: Sounding, surface: Surface | None, physics: Physics) -> None:
-        check_grid(grid, surface)
         self.grid, self.sounding, self.surface, self.physics = grid, sounding, surface, physics
         self.background = background(grid, sounding)
-        self.solid = solid_cells(grid, surface.height_m if surface else None)
-        self._sides = Boundaries(grid, self.background.wind_m_per_s, self.solid)
+        self.solid = solid_cells(grid, surface)
+        self._sides = Boundaries(self.solid)
         self._pressure = Pressure(grid, self._sides.openness)
-        self._transport = Transport(grid.shape, grid.periodic, self._sides.openness)
+        self._transport = Transport(grid.shape, self._sides.openness)
         self._ground = Ground(grid, surface, self.solid, self.background)
         self._confinement = Confinement(grid, physics.confinement, self.solid)
         padded = tuple(n + 4 for n in grid.shape)
-        self._wind, self._middle = ((_zeros(padded), _zeros(padded), _zeros(padded)) for _ in range(2))
-        self._ratios = (
-            _zeros(padded),
-            _zeros(padded),
-            _zeros(padded),
-            _zeros(padded),
-        )  # heat (K from rest), vapour, cloud, rain
-        self._lift = _zeros((grid.cells[2] + 1, *grid.shape[1:]))
+        u, v, w, *middle = np.zeros((6, *padded), np.float32)
+        self._wind: Velocity = (u, v, w)
+        self._middle: Velocity = (middle[0], middle[1], middle[2])
+        heat, vapour, cloud, rain = np.zeros((4, *padded), np.float32)
+        self._ratios = (heat, vapour, cloud, rain)  # heat: K from rest
+        self._lift = np.zeros((grid.cells[2] + 1, *grid.shape[1:]), np.float32)
         self._fixed_limit_s = fixed_limit_s(grid, self.background, physics)
-        self._calm = _calm_per_s(grid, physics)
+        # (Z + 1,) rate at which vertical motion dies out at the faces: rises as a sine squared to the ceiling.
+        height = np.arange(grid.cells[2] + 1) / grid.cells[2]
+        within = np.clip(1 - (1 - height) / physics.sponge_share, 0, 1) if physics.sponge_share else 0.0 * height
+        self._calm = physics.sponge_per_s * np.sin(np.pi / 2 * within) ** 2
         self._made: Weather | None = None  # the weather that the work space holds, from the last step
 
-    def step_limit_s(self, weather: Weather) -> float:
-        """The step that `step` would choose: the largest that is stable with some margin."""
-        self._load(weather)
-        return self._limit_s()
-
     def step(self, weather: Weather, step_s: float | None = None) -> Weather:
-        """The weather one step later.
+        """The weather one step later; None: the largest step that is stable.
 
-        Parameters
-        ----------
-        step_s : None: the largest that is stable.
-
-        Raises
-        ------
-        UnstableError
-            if the step is too long, or the weather is or becomes not finite, or faster than any air.
+        Raises `UnstableError` if the weather is or becomes not finite, or faster than any air, or speeds up too much.
         """
         self._load(weather)
-        if step_s is not None:
-            self._check_step(step_s)
-            return self._stepped(weather, step_s)
-        return self._careful(weather, self._limit_s())
+        return self._careful(weather, self._limit_s()) if step_s is None else self._stepped(weather, step_s)
 
-    def run(
-        self, weather: Weather, until_s: float, *, advance: Callable[[float], None] = lambda seconds: None
-    ) -> Weather:
-        """The weather at a time. `advance` is told of the seconds of each step."""
+    def run(self, weather: Weather, until_s: float) -> Weather:
+        """The weather at a time."""
         while weather.time_s < until_s:
             self._load(weather)
             left = until_s - weather.time_s
             after = self._careful(weather, min(left, self._limit_s()))
             if until_s - after.time_s < 1e-9 * max(1.0, until_s):
                 after = replace(after, time_s=float(until_s))
-            advance(after.time_s - weather.time_s)
             weather = after
         return weather
 
@@ -156,8 +173,7 @@ class Air:
         """The weather into the work space."""
         if weather.grid != self.grid:
             raise ValueError(f"the weather has the grid {weather.grid}; this solver's is {self.grid}")
-        rest = self.background.potential_temperature_k.astype(np.float32)[:, None, None]
-        np.subtract(weather.potential_temperature_k, rest, out=self._ratios[0][_INNER])
+        np.subtract(weather.potential_temperature_k, self.background.rest_k, out=self._ratios[0][_INNER])
         if weather is not self._made:  # else its wind and water are still there
             check_fields(_fields(weather))
             u, v, w = self._wind
@@ -169,26 +185,9 @@ class Air:
         lift(self._lift, *self._ratios, self.background, 1.0)
 
     def _limit_s(self) -> float:
-        strongest = float(max(self._lift.max(), -self._lift.min()))
         crossing = crossing_per_s(self._wind, self.grid.cell_m)
-        moving = moving_limit_s(crossing, strongest, self.grid.cell_m[2], self.physics.courant)
+        moving = moving_limit_s(crossing, _largest(self._lift), self.grid.cell_m[2], self.physics.courant)
         return min(self._fixed_limit_s, moving)
-
-    def _check_step(self, step_s: float) -> None:
-        if not (math.isfinite(step_s) and step_s > 0):
-            raise UnstableError(f"the step is {step_s} s; expected a finite time above 0")
-        crossing = crossing_per_s(self._wind, self.grid.cell_m)
-        wave = wave_per_s(self.background, self.grid.cell_m[2])
-        eddies = max(self.physics.viscosity_m2_per_s, self.physics.diffusivity_m2_per_s)
-        spread = 2 * eddies * sum(1 / side**2 for side in self.grid.cell_m)
-        limits = {
-            f"the air crosses {crossing * step_s:.2f} cells in it": STABLE_COURANT / crossing if crossing else math.inf,
-            "gravity waves turn over in it": WAVE_LIMIT / wave if wave else math.inf,
-            "viscosity reaches past a cell in it": 1 / spread if spread else math.inf,
-        }
-        reason, limit = min(limits.items(), key=lambda item: item[1])
-        if step_s > limit:
-            raise UnstableError(f"a step of {step_s:.3g} s is too long: {reason}; expected at most {limit:.3g} s")
 
     def _stepped(self, weather: Weather, step_s: float) -> Weather:
         """One step of the loaded weather."""
@@ -222,21 +221,14 @@ class Air:
     def _carry_ratios(self, step_s: float) -> None:
         heat, vapour, cloud, rain = self._ratios
         up, thickness = self._middle[2], self.grid.cell_m[2]
-        nothing = np.zeros(self.grid.cells[2], np.float32)
         self._transport.prepare(self._middle, step_s, self.grid.cell_m)
         carry_rest(heat, up, self.background, step_s / 2, thickness)
-        self._transport.carry(heat, nothing, least=-np.inf)
+        self._transport.carry(heat, least=-np.inf)
         carry_rest(heat, up, self.background, step_s / 2, thickness)
-        damp = self.background.vapour.astype(np.float32)
-        self._transport.carry(vapour, damp)
+        self._transport.carry(vapour)
         for ratio in (cloud, rain):
             if ratio.any():
-                self._transport.carry(ratio, nothing)
-        if self.physics.diffusivity_m2_per_s > 0:
-            work, openness = self._transport.between, self._sides.openness
-            for ratio, outside in ((heat, nothing), (vapour, damp), (cloud, nothing), (rain, nothing)):
-                fill_sides(ratio, self.grid.periodic, outside)
-                diffuse(ratio, work, self.physics.diffusivity_m2_per_s, self.grid.cell_m, step_s, openness)
+                self._transport.carry(ratio)
 
     def _exchange(self, fallen: NDArray[np.float64], step_s: float) -> None:
         """Ground, falling drops, phases."""
@@ -262,28 +254,27 @@ class Air:
     def _snapshot(self, weather: Weather, fallen: NDArray[np.float64], step_s: float) -> Weather:
         u, v, w = self._wind
         heat, vapour, cloud, rain = (ratio[_INNER] for ratio in self._ratios)
-        air = self.background
-        rest = air.potential_temperature_k.astype(np.float32)[:, None, None]
+        rest = self.background.rest_k
         parts = (u[2:-2, 2:-2, 2:-1], v[2:-2, 2:-1, 2:-2], w[2:-1, 2:-2, 2:-2], vapour, cloud, rain)
         copies: list[Callable[[], Field]] = [part.copy for part in parts]
         east, north, up, damp, drops, falling, warmth = at_once([*copies, lambda: heat + rest])
-        after = Weather(
-            self.grid,
-            weather.time_s + step_s,
-            east,
-            north,
-            up,
-            warmth,
-            damp,
-            drops,
-            falling,
-            fallen,
-            air.density_kg_per_m3,
-            air.temperature_ratio,
-            self.solid,
+        after = replace(
+            weather,
+            time_s=weather.time_s + step_s,
+            east_m_per_s=east,
+            north_m_per_s=north,
+            up_m_per_s=up,
+            potential_temperature_k=warmth,
+            vapour=damp,
+            cloud=drops,
+            rain=falling,
+            fallen_kg_per_m2=fallen,
+            density_kg_per_m3=self.background.density_kg_per_m3,
+            temperature_ratio=self.background.temperature_ratio,
+            solid=self.solid,
         )
         check_fields(_fields(after))
-        fastest = max(at_once([partial(_fastest, field) for field in (u, v, w)]))
+        fastest = max(at_once([partial(_largest, field) for field in (u, v, w)]))
         if fastest > self.physics.fastest_m_per_s:
             raise UnstableError(
                 f"the air has {fastest:.0f} m/s at {after.time_s:.1f} s; expected"
@@ -293,11 +284,8 @@ class Air:
         return after
 
 
-def _fastest(field: Field) -> float:
+def _largest(field: Field) -> float:
     return max(float(field.max()), -float(field.min()))
-
-
-_INNER = (slice(2, -2),) * 3
 
 
 class _TooLongError(UnstableError):
@@ -316,26 +304,8 @@ def _fields(weather: Weather) -> dict[str, Field]:
     }
 
 
-def _zeros(shape: tuple[int, ...]) -> Field:
-    return np.zeros(shape, np.float32)
-
-
-def _calm_per_s(grid: AirGrid, physics: Physics) -> NDArray[np.float64]:
-    """(Z + 1,) rate at which vertical motion dies out at the faces: rises as a sine squared to the ceiling."""
-    height = np.arange(grid.cells[2] + 1) / grid.cells[2]
-    if physics.sponge_share == 0:
-        return 0.0 * height
-    within = np.clip(1 - (1 - height) / physics.sponge_share, 0, 1)
-    return np.asarray(physics.sponge_per_s * np.sin(np.pi / 2 * within) ** 2)
-
-
 class Ground:
-    """The lowest air of each column, and what it receives.
-
-    Parameters
-    ----------
-    solid : (Z, Y, X) cells inside the terrain, or None.
-    """
+    """The lowest air of each column, over `solid` cells (Z, Y, X) or flat ground, and what it receives."""
 
     def __init__(
         self, grid: AirGrid, surface: Surface | None, solid: NDArray[np.bool_] | None, air: Background

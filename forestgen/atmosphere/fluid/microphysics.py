@@ -1,13 +1,23 @@
-"""Vapour, droplets and drops: Kessler's scheme (Eqs. 35 to 37) and saturation (Eqs. 29, 34).
+"""Buoyancy, and vapour, droplets and drops: Kessler's scheme (Eqs. 35 to 37) and saturation (Eqs. 29, 34).
 
-A step's sources, cell by cell: autoconversion A = alpha_A (q_c - a_T) and accretion K = alpha_K q_c q_r turn droplets
-into drops; drops evaporate in dry air (Klemp & Wilhelmson 1978, after Ogura & Takahashi 1971); last, vapour condenses
-or droplets evaporate until the air is just saturated or no droplet is left (Soong & Ogura 1973), with
+Buoyancy. Eq. 28 is g (M_air/M_th T_th/T_air - 1): the ratio of the two virtual temperatures. At one pressure T_th/T_air
+is the ratio of the potential temperatures; where the surroundings are moist too, theirs is also lighter; M_air/M of air
+with vapour q_v is 1 + 0.607 q_v. To first order, with the weight of drops and droplets, which Eq. 28 leaves out,
+
+    b = g [theta'/theta_0 + 0.607 q_v' - q_c - q_r],
+
+with primes for differences from the air at rest.
+
+Phases. A step's sources, cell by cell: autoconversion A = alpha_A (q_c - a_T) and accretion K = alpha_K q_c q_r turn
+droplets into drops; drops evaporate in dry air (Klemp & Wilhelmson 1978, after Ogura & Takahashi 1971); last, vapour
+condenses or droplets evaporate until the air is just saturated or no droplet is left (Soong & Ogura 1973), with
 c_p Pi theta + L q_v unchanged: up to three steps of Newton's method. Each amount is at most what there is, so no
 ratio is negative and water is conserved to rounding.
 
 Drops fall at one speed: the column is shifted by whole cells, and the rest of the way by a limited flux, at any
 length of step. What reaches the ground, flat or terrain, is counted there.
+
+Fields of cells are (Z + 4, Y + 4, X + 4). Heat is potential temperature less that at rest, K; the others are kg/kg.
 """
 
 from __future__ import annotations
@@ -15,13 +25,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.background import HEAT_CAPACITY_J_PER_KG_K, Background
-from forestgen.atmosphere.fluid.parameters import Physics
-from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
+from forestgen.atmosphere.fluid.parameters import HEAT_CAPACITY_J_PER_KG_K, VAPOUR_LIGHTNESS, Background, Physics
+from forestgen.atmosphere.sounding import GRAVITY_M_PER_S2, LATENT_HEAT_J_PER_KG
 from forestgen.core.compiled import borrowed, unchecked
 from forestgen.core.threads import over_slabs
 
 Field = NDArray[np.float32]
+_HALF = np.float32(0.5)
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _LITTLE = np.float32(1e-8)  # kg/kg: a step of Newton's method this short is the last
 # Bolton's saturation ratio (Eq. 29), celsius = T - 273.15.
@@ -29,25 +39,79 @@ _SCALE_PA, _SLOPE, _ORIGIN_K, _FREEZING_K = np.float32(380.16), np.float32(17.67
 _LATENT_K = np.float32(LATENT_HEAT_J_PER_KG / HEAT_CAPACITY_J_PER_KG_K)  # warming by condensation of 1 kg/kg
 
 
+def lift(out: Field, heat: Field, vapour: Field, cloud: Field, rain: Field, air: Background, share: float) -> None:
+    """out = share x buoyancy + (1 - share) x out, at the faces between layers (Z + 1, Y, X), m/s2; the ends stay 0."""
+    per_k = air.lift_per_k.astype(np.float32)
+    still = air.vapour.astype(np.float32)
+    rest = still[1:] + still[:-1]  # of just such numbers as the fields hold: air at rest has no buoyancy at all
+    layers, rows, columns = out.shape
+    light, gravity = np.float32(VAPOUR_LIGHTNESS), np.float32(0.5 * GRAVITY_M_PER_S2)
+    given = (per_k, rest, light, gravity, np.float32(share), np.float32(1 - share))
+    over_slabs(layers - 2, rows * columns, lambda a, b: _lift(out, heat, vapour, cloud, rain, *given, a + 1, b + 1))
+
+
+@unchecked
+def _lift(out, heat, vapour, cloud, rain, per_k, rest, light, gravity, new, old, first, end):  # type: ignore[no-untyped-def]
+    out, heat, vapour, cloud, rain = borrowed(out), borrowed(heat), borrowed(vapour), borrowed(cloud), borrowed(rain)
+    rows, columns = out.shape[1], out.shape[2]
+    water = np.empty(columns, np.float32)
+    for k in range(first, end):
+        for j in range(rows):
+            _weight(water, cloud[k + 1, j + 2], rain[k + 1, j + 2], cloud[k + 2, j + 2], rain[k + 2, j + 2])
+            h, q = heat[k + 1 : k + 3, j + 2], vapour[k + 1 : k + 3, j + 2]
+            scale = _HALF * per_k[k]
+            to = out[k, j]
+            low, high, damp, wet = h[0], h[1], q[0], q[1]
+            for i in range(columns):
+                moist = light * ((damp[i + 2] + wet[i + 2]) - rest[k - 1]) - water[i]
+                to[i] = new * (scale * (low[i + 2] + high[i + 2]) + gravity * moist) + old * to[i]
+
+
+@unchecked
+def _weight(out, a, b, c, d):  # type: ignore[no-untyped-def]
+    for i in range(out.size):
+        out[i] = (a[i + 2] + b[i + 2]) + (c[i + 2] + d[i + 2])
+
+
+def carry_rest(heat: Field, up: Field, air: Background, step_s: float, thickness_m: float) -> None:
+    """Adds what the vertical wind carries of the air at rest: heat -= step x w d(theta_0)/dz, conserving its sum.
+
+    `up` is the vertical velocity at the faces.
+    """
+    jump = np.zeros(len(air.potential_temperature_k) + 1)
+    jump[1:-1] = np.diff(air.potential_temperature_k)
+    slope = (0.5 * step_s / thickness_m * jump).astype(np.float32)
+    layers, rows, columns = heat.shape
+    size = (rows - 4) * (columns - 4)
+    over_slabs(layers - 4, size, lambda a, b: _carry_rest(heat, up, slope, a + 2, b + 2))
+
+
+@unchecked
+def _carry_rest(heat, up, slope, first, end):  # type: ignore[no-untyped-def]
+    heat, up = borrowed(heat), borrowed(up)
+    rows, columns = heat.shape[1], heat.shape[2]
+    for k in range(first, end):
+        below, above = slope[k - 2], slope[k - 1]
+        for j in range(2, rows - 2):
+            row, low, high = heat[k, j], up[k, j], up[k + 1, j]
+            for i in range(2, columns - 2):
+                row[i] -= below * low[i] + above * high[i]
+
+
 def change_phases(
     heat: Field, vapour: Field, cloud: Field, rain: Field, air: Background, physics: Physics, step_s: float
 ) -> None:
-    """The step's condensation, evaporation and growth of drops, in place. Fields (Z + 4, Y + 4, X + 4)."""
+    """The step's condensation, evaporation and growth of drops, in place."""
     rest, exner, pressure, density = (
         values.astype(np.float32)
         for values in (air.potential_temperature_k, air.temperature_ratio, air.pressure_pa, air.density_kg_per_m3)
     )
     gone = np.float32(-np.expm1(-physics.autoconversion_per_s * step_s))
     threshold, swept = np.float32(physics.autoconversion_threshold), np.float32(physics.accretion_per_s * step_s)
-    drying = np.float32(physics.evaporation * step_s)
+    given = (rest, exner, pressure, density, gone, threshold, swept, np.float32(physics.evaporation * step_s))
     layers, rows, columns = heat.shape
-
-    def work(first: int, end: int) -> None:
-        _change(
-            heat, vapour, cloud, rain, rest, exner, pressure, density, gone, threshold, swept, drying, first, end
-        )  # fmt: skip
-
-    over_slabs(layers - 4, (rows - 4) * (columns - 4), work)
+    size = (rows - 4) * (columns - 4)
+    over_slabs(layers - 4, size, lambda a, b: _change(heat, vapour, cloud, rain, *given, a, b))
 
 
 @unchecked
@@ -109,25 +173,22 @@ def _drying_per_s(humidity, saturated, rain, density, pressure):  # type: ignore
 
 
 def fall(
-    rain: Field, fallen_kg_per_m2: NDArray[np.float64], ground: NDArray[np.int64], distance_m: float,
-    thickness_m: float, flow_density_kg_per_m3: float,
-) -> None:  # fmt: skip
-    """Lets drops fall by a distance, and counts what reaches the ground.
+    rain: Field,
+    fallen_kg_per_m2: NDArray[np.float64],
+    ground: NDArray[np.int64],
+    distance_m: float,
+    thickness_m: float,
+    flow_density_kg_per_m3: float,
+) -> None:
+    """Lets drops fall by a distance, and adds what reaches the ground to `fallen_kg_per_m2` (Y, X).
 
-    Parameters
-    ----------
-    rain : (Z + 4, Y + 4, X + 4) kg/kg, changed.
-    fallen_kg_per_m2 : (Y, X) added to.
-    ground : (Y, X) number of the lowest cell of air in each column.
+    `ground` (Y, X) is the number of the lowest cell of air in each column.
     """
     whole, part = divmod(distance_m / thickness_m, 1.0)
     layers, rows, columns = rain.shape
-    mass, share, cells = flow_density_kg_per_m3 * thickness_m, np.float32(part), min(int(whole), layers)
-
-    def work(first: int, end: int) -> None:
-        _fall(rain, fallen_kg_per_m2, ground, cells, share, mass, first, end)
-
-    over_slabs(rows - 4, (layers - 4) * (columns - 4), work)
+    given = (min(int(whole), layers), np.float32(part), flow_density_kg_per_m3 * thickness_m)
+    size = (layers - 4) * (columns - 4)
+    over_slabs(rows - 4, size, lambda a, b: _fall(rain, fallen_kg_per_m2, ground, *given, a, b))
 
 
 @unchecked

@@ -1,17 +1,40 @@
-"""What the air is put into and how it behaves: the ground below it, and the constants of its motion and water."""
+"""What the air is put into and how it behaves: the ground, constants of motion and water, air at rest, and step limits.
+
+Air at rest is what the moving air is compared with, by layer. Pressure, density and Exner's function come from the
+sounding and stay (Boussinesq). The flow has one density, that of the lowest layer: so heat and vapour from the ground
+and rain on it are what they are in nature.
+
+Limits of a step: the air crosses at most a share of a cell (Courant), also while buoyancy speeds it up; viscosity
+reaches no further than a cell; a gravity wave's step times its frequency stays under 2 (the staggered steps of heat
+and wind are a leapfrog).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-STABLE_COURANT = 0.87  # of third-order upwind fluxes with two-stage Runge and Kutta (Wicker & Skamarock 2002, Table 1)
-
-STABLE_CONFINEMENT = (
-    0.15  # a warm bubble: at 0.3 its eddies passed 150 m/s within four minutes; at 0.1 they stayed at 10
+from forestgen.atmosphere.grid import AirGrid
+from forestgen.atmosphere.sounding import (
+    AIR_EXPONENT,
+    AIR_KG_PER_KMOL,
+    GAS_CONSTANT_AIR_J_PER_KG_K,
+    REFERENCE_PA,
+    WATER_KG_PER_KMOL,
+    Sounding,
 )
+from forestgen.core.compiled import borrowed, unchecked
+from forestgen.core.threads import at_once, over_slabs
+
+HEAT_CAPACITY_J_PER_KG_K = GAS_CONSTANT_AIR_J_PER_KG_K / AIR_EXPONENT  # of dry air at constant pressure
+VAPOUR_LIGHTNESS = AIR_KG_PER_KMOL / WATER_KG_PER_KMOL - 1  # 0.607: what a unit of vapour adds to virtual temperature
+Floats = NDArray[np.float64]
+Field = NDArray[np.float32]
+Velocity = tuple[Field, Field, Field]  # east, north, up
 
 
 class UnstableError(ValueError):
@@ -32,8 +55,9 @@ class Physics:
     """Constants of the motion and of the water."""
 
     viscosity_m2_per_s: float = 1.0  # nu of Eq. 33, of eddies smaller than a cell; the molecules' 1.5e-5 is not felt
-    diffusivity_m2_per_s: float = 0.0  # the same for heat and water; the seeds have none
-    confinement: float = 0.05  # vorticity confinement (Fedkiw 2001): eddies at the grid's scale are kept alive; 0: not
+    # Vorticity confinement (Fedkiw 2001): eddies at the grid's scale are kept alive; 0: not. Those of a warm bubble
+    # stayed at 10 m/s with 0.1, and passed 150 m/s within four minutes with 0.3.
+    confinement: float = 0.05
     rain_fall_m_per_s: float = 10.0  # terminal velocity of drops (seeds 3.2.3.5); 0: none falls
     autoconversion_per_s: float = 1e-3  # alpha_A of Kessler (1969)
     autoconversion_threshold: float = 1e-3  # a_T, kg/kg (seeds)
@@ -42,23 +66,119 @@ class Physics:
     wind_relaxation_s: float | None = None  # time in which a layer's mean wind returns to the sounding's; None: never
     sponge_share: float = 0.2  # of the box's height, below the ceiling, in which vertical motion dies out; 0: none
     sponge_per_s: float = 0.02  # rate of that, at the ceiling
-    courant: float = 0.7  # share of a cell that air may cross in a step, summed over the axes
+    # Share of a cell that air may cross in a step, summed over the axes; third-order upwind fluxes with two-stage Runge
+    # and Kutta are stable up to 0.87 (Wicker & Skamarock 2002, Table 1).
+    courant: float = 0.7
     largest_step_s: float = 10.0
     fastest_m_per_s: float = 150.0  # air that is faster is taken for an instability
 
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not None and not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{field.name} is {value}; expected a finite number, 0 or more")
-        if not 0 < self.courant <= STABLE_COURANT:
-            raise ValueError(f"courant is {self.courant}; steps are stable above 0 and up to {STABLE_COURANT}")
-        if self.confinement > STABLE_CONFINEMENT:
-            raise ValueError(
-                f"confinement is {self.confinement}; up to {STABLE_CONFINEMENT} eddies do not grow on and on"
+
+@dataclass(frozen=True)
+class Background:
+    """The air at rest, at the layers' centres; `lift_per_k` at the faces between them."""
+
+    potential_temperature_k: Floats  # (Z,)
+    vapour: Floats  # (Z,) kg/kg
+    wind_m_per_s: Floats  # (Z, 2)
+    temperature_ratio: Floats  # (Z,) Exner's function
+    density_kg_per_m3: Floats  # (Z,)
+    pressure_pa: Floats  # (Z,)
+    lift_per_k: Floats  # (Z + 1,) m/s2 of buoyancy per kelvin at the faces: g over potential temperature; 0 at the ends
+
+    @property
+    def rest_k(self) -> Field:
+        """(Z, 1, 1) potential temperature."""
+        return self.potential_temperature_k.astype(np.float32)[:, None, None]
+
+    @property
+    def flow_density_kg_per_m3(self) -> float:
+        return float(self.density_kg_per_m3[0])
+
+
+def background(grid: AirGrid, sounding: Sounding) -> Background:
+    """The sounding in the grid's layers."""
+    height = grid.layer_heights_m
+    ratio = sounding.temperature_ratio_at(height)
+    # g / theta at a face is c_p times the fall of Exner's function across it (hydrostatic balance): with this very
+    # value the work of buoyancy and the change of enthalpy balance in the discrete equations too.
+    lift = np.zeros(len(height) + 1)
+    lift[1:-1] = HEAT_CAPACITY_J_PER_KG_K * -np.diff(ratio) / grid.cell_m[2]
+    return Background(
+        sounding.potential_temperature_at(height),
+        sounding.vapour_at(height),
+        sounding.wind_at(height),
+        ratio,
+        sounding.density_at(height),
+        REFERENCE_PA * ratio ** (1 / AIR_EXPONENT),
+        lift,
+    )
+
+
+def crossing_per_s(velocity: Velocity, cell_m: tuple[float, float, float]) -> float:
+    """Largest rate at which air leaves a cell through its faces, in cells a second; the ghosts are filled."""
+    layers, rows, columns = velocity[0].shape
+    most = np.zeros(layers - 4, np.float64)
+    per_m = tuple(np.float32(1 / side) for side in cell_m)
+    over_slabs(layers - 4, (rows - 4) * (columns - 4), lambda a, b: _crossing(most, *velocity, *per_m, a, b))
+    return float(most.max())
+
+
+@unchecked
+def _crossing(most, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
+    u, v, w = borrowed(u), borrowed(v), borrowed(w)
+    rows, columns = u.shape[1], u.shape[2]
+    rate = np.zeros(columns, np.float32)
+    for layer in range(first, end):
+        k = layer + 2
+        largest = np.zeros(columns, np.float32)
+        for j in range(2, rows - 2):
+            _out(rate, u[k, j], u[k, j, 1:], x_per_m, np.float32(0))
+            _out(rate, v[k, j], v[k, j + 1], y_per_m, np.float32(1))
+            _out(rate, w[k, j], w[k + 1, j], z_per_m, np.float32(1))
+            for i in range(2, columns - 2):
+                largest[i] = rate[i] if rate[i] > largest[i] else largest[i]
+        most[layer] = largest.max()
+
+
+@unchecked
+def _out(rate, low, high, per_m, keep):  # type: ignore[no-untyped-def]
+    zero = np.float32(0)
+    for i in range(min(high.size, rate.size)):
+        outwards = (high[i] if high[i] > zero else zero) - (low[i] if low[i] < zero else zero)
+        rate[i] = keep * rate[i] + outwards * per_m
+
+
+def fixed_limit_s(grid: AirGrid, air: Background, physics: Physics) -> float:
+    """What the air at rest and the constants allow, whatever the wind."""
+    limit = physics.largest_step_s
+    if physics.viscosity_m2_per_s > 0:
+        limit = min(limit, 0.25 / (physics.viscosity_m2_per_s * sum(1 / side**2 for side in grid.cell_m)))
+    # The frequency of the fastest gravity wave of the air at rest (Brunt and Vaisala's).
+    rise = air.lift_per_k[1:-1] * np.diff(air.potential_temperature_k) / grid.cell_m[2]
+    wave = math.sqrt(max(0.0, float(rise.max(initial=0.0))))
+    return min(limit, 1.0 / wave) if wave > 0 else limit
+
+
+def moving_limit_s(crossing_per_s: float, lift_m_per_s2: float, thickness_m: float, courant: float) -> float:
+    """The step after which Courant's number reaches `courant`, with buoyancy speeding the air up meanwhile."""
+    speeding = lift_m_per_s2 / thickness_m  # cells / s2
+    if speeding <= 0:
+        return courant / crossing_per_s if crossing_per_s > 0 else math.inf
+    # crossing t + speeding t^2 / 2 = courant, written so that nothing cancels
+    root = math.sqrt(crossing_per_s**2 + 2 * speeding * courant)
+    return 2 * courant / (crossing_per_s + root)
+
+
+def check_fields(fields: dict[str, Field]) -> None:
+    """Raises UnstableError where a field is not finite."""
+    sums = at_once([partial(np.add.reduce, field, axis=None) for field in fields.values()])
+    for (name, field), total in zip(fields.items(), sums, strict=True):
+        if np.isfinite(total):
+            continue
+        bad = np.argwhere(~np.isfinite(field))
+        if len(bad):  # else the sum alone is too large
+            layer, row, column = (int(n) for n in bad[0])
+            raise UnstableError(
+                f"{name} is {field[layer, row, column]} in layer {layer}, row {row}, column {column}"
+                f" and in {len(bad) - 1} other places; expected finite numbers"
             )
-        if self.sponge_share > 1:
-            raise ValueError(f"sponge_share is {self.sponge_share}; it is a share of the box, 0 to 1")
-        for name in ("largest_step_s", "fastest_m_per_s", "wind_relaxation_s"):
-            if getattr(self, name) == 0:
-                raise ValueError(f"{name} is 0; expected more")

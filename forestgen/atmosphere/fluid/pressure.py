@@ -1,28 +1,89 @@
-"""Pressure: the gradient that makes a velocity free of divergence (Eq. 32), solved directly.
+"""Pressure, and what stands at the box's six sides and on the terrain.
 
-The discrete Laplacian of the staggered grid is diagonal in Fourier's basis along periodic axes and in that of the
-cosine transform between walls, with eigenvalues -(2 sin(pi m / N) / h)^2 and -(2 sin(pi m / 2N) / h)^2. So the
-divergence falls to rounding in one solve. With terrain the faces of solid cells pass nothing; the solve over the
-whole box is then the preconditioner of conjugate gradients.
+Boundaries. Fields have two ghost cells on each side, which are filled here. Nothing passes ground and ceiling. The
+ceiling slips: the wind is mirrored. The ground does not: viscosity sees the wind there with its sign turned (see
+`momentum`; the fluxes do not, since they would take the jump for a wind). The sides are periodic. Faces of terrain are
+shut.
+
+Pressure. Its gradient makes a velocity free of divergence (Eq. 32); it is solved directly. The discrete Laplacian of
+the staggered grid is diagonal in Fourier's basis along periodic axes and in that of the cosine transform between
+walls, with eigenvalues -(2 sin(pi m / N) / h)^2 and -(2 sin(pi m / 2N) / h)^2. So the divergence falls to rounding in
+one solve. With terrain the faces of solid cells pass nothing; the solve over the whole box is then the preconditioner
+of conjugate gradients.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.boundaries import Velocity
-from forestgen.atmosphere.fluid.parameters import UnstableError
-from forestgen.atmosphere.weather import AirGrid
+from forestgen.atmosphere.fluid.parameters import Field, Surface, UnstableError, Velocity
+from forestgen.atmosphere.grid import AirGrid
 from forestgen.core.compiled import borrowed, unchecked
-from forestgen.core.threads import cores, over_slabs
+from forestgen.core.threads import at_once, cores, over_slabs
 
-Field = NDArray[np.float32]
 _MOST_ITERATIONS = 200  # hills take 13, cliffs half as high as the box 35, walls with slots of three cells 130
 _ENOUGH_PER_S = 1e-7  # root mean square of the divergence that is left, over terrain
 _TOO_MUCH_PER_S = 1e-5  # of what is left after all iterations: a step of 1 s makes that share of the air from nothing
+
+
+class Boundaries:
+    """The sides of a box, around `solid` cells (Z, Y, X) inside the terrain, if there are any.
+
+    `openness` per axis x, y, z is a field (Z + 4, Y + 4, X + 4): 1 at faces between two cells of air, 0 at others; None
+    without terrain.
+    """
+
+    def __init__(self, solid: NDArray[np.bool_] | None) -> None:
+        self.openness = None if solid is None else _openness(solid)
+
+    def apply(self, velocity: Velocity) -> None:
+        """Sets the velocity at the sides and its ghosts."""
+        u, v, w = velocity
+        if self.openness is not None:
+            for field, opened in zip(velocity, self.openness, strict=True):
+                field *= opened
+        w[2] = w[-2] = 0
+        at_once([partial(fill_sides, field) for field in velocity])
+        for field in (u, v):
+            field[1], field[0] = field[2], field[3]
+            field[-2], field[-1] = field[-3], field[-4]
+        w[1], w[0], w[-1] = -w[3], -w[4], -w[-3]
+
+
+def fill_sides(field: Field) -> None:
+    """Ghost cells at the four periodic sides of a field (Z, Y + 4, X + 4)."""
+    field[:, :, :2], field[:, :, -2:] = field[:, :, -4:-2], field[:, :, 2:4]
+    field[:, :2], field[:, -2:] = field[:, -4:-2], field[:, 2:4]
+
+
+def _openness(solid: NDArray[np.bool_]) -> Velocity:
+    layers, rows, columns = solid.shape
+    around = np.ones((layers + 4, rows + 4, columns + 4), dtype=bool)
+    around[-2:] = False
+    around[2:-2] = np.pad(solid, ((0, 0), (2, 2), (2, 2)), mode="wrap")
+    faces = []
+    for axis in (2, 1, 0):
+        shut = around | np.roll(around, 1, axis)
+        shut[(slice(None),) * axis + (slice(0, 1),)] = np.take(around, [0], axis)
+        faces.append((~shut).astype(np.float32))
+    return faces[0], faces[1], faces[2]
+
+
+def solid_cells(grid: AirGrid, surface: Surface | None) -> NDArray[np.bool_] | None:
+    """(Z, Y, X) cells whose centre lies below the terrain; None where there is none. ValueError: it reaches the top."""
+    if surface is None or surface.height_m is None:
+        return None
+    solid = grid.layer_heights_m[:, None, None] < np.asarray(surface.height_m)[None]
+    if surface.height_m.max() >= grid.layer_heights_m[-1]:
+        raise ValueError(
+            f"the terrain rises to {surface.height_m.max():.0f} m, to the top layer of the air"
+            f" ({grid.layer_heights_m[-1]:.0f} m); expected a higher box"
+        )
+    return solid if solid.any() else None
 
 
 class Pressure:
@@ -37,49 +98,34 @@ class Pressure:
     def project(self, velocity: Velocity) -> None:
         """Takes the divergence out of a velocity (Z + 4, Y + 4, X + 4) in place; its faces at walls are set before.
 
-        The ghosts of the result are not filled, and of periodic sides neither the last face.
+        The ghosts of the result are not filled, nor are the last faces of the sides.
         """
         z, y, x = self.grid.shape
-        out, ends = self._divergence, self.grid.periodic
-        over_slabs(z, y * x, lambda a, b: _divergence(out, *velocity, *self.per_m, ends, a, b))
+        out = self._divergence
+        over_slabs(z, y * x, lambda a, b: _divergence(out, *velocity, *self.per_m, a, b))
         potential = self.solve(out) if self.openness is None else self._solve_around(out)
-        over_slabs(z, y * x, lambda a, b: _subtract(potential, *velocity, *self.per_m, ends, self.openness, a, b))
+        over_slabs(z, y * x, lambda a, b: _subtract(potential, *velocity, *self.per_m, self.openness, a, b))
 
     def solve(self, divergence: Field) -> Field:
         """(Z, Y, X) potential whose Laplacian is the divergence, over the whole box."""
         from scipy import fft
 
         n = cores()
-        spectrum: Any = fft.dct(divergence, axis=0, workers=n)
-        if self.grid.periodic:
-            spectrum = fft.rfft2(spectrum, axes=(1, 2), workers=n)
-            spectrum *= self._inverse
-            spectrum = fft.irfft2(spectrum, s=divergence.shape[1:], axes=(1, 2), overwrite_x=True, workers=n)
-        else:
-            spectrum = fft.dctn(spectrum, axes=(1, 2), overwrite_x=True, workers=n)
-            spectrum *= self._inverse
-            spectrum = fft.idctn(spectrum, axes=(1, 2), overwrite_x=True, workers=n)
+        spectrum: Any = fft.rfft2(fft.dct(divergence, axis=0, workers=n), axes=(1, 2), workers=n)
+        spectrum *= self._inverse
+        spectrum = fft.irfft2(spectrum, s=divergence.shape[1:], axes=(1, 2), overwrite_x=True, workers=n)
         potential: Field = fft.idct(spectrum, axis=0, overwrite_x=True, workers=n)
         return potential
 
     def _solve_around(self, divergence: Field) -> Field:
         """The same with the terrain's faces shut: conjugate gradients, preconditioned by the open box.
 
-        Raises
-        ------
-        UnstableError : they do not converge.
+        Raises `UnstableError` if they do not converge.
         """
         z, y, x = self.grid.shape
-        opened, ends, per_m = self.openness, self.grid.periodic, self.per_m
-
-        def laplacian(p: Field) -> Field:
-            out = np.empty_like(p)
-            over_slabs(z, y * x, lambda a, b: _laplacian(out, p, *per_m, ends, opened, a, b))
-            return out
-
         potential = np.zeros_like(divergence)
         rest = divergence.copy()
-        along, was = np.zeros_like(rest), np.inf
+        along, bent, was = np.zeros_like(rest), np.empty_like(rest), np.inf
         for _ in range(_MOST_ITERATIONS):
             if _size(rest) < _ENOUGH_PER_S:
                 return potential
@@ -87,7 +133,7 @@ class Pressure:
             now = _dot(rest, better)
             along = better + np.float32(now / was) * along
             was = now
-            bent = laplacian(along)
+            over_slabs(z, y * x, partial(_laplacian, bent, along, *self.per_m, self.openness))
             length = np.float32(now / _dot(along, bent))
             potential += length * along
             rest -= length * bent
@@ -103,9 +149,8 @@ class Pressure:
 def _inverse_eigenvalues(grid: AirGrid) -> Field:
     x, y, z = grid.cells
     dx, dy, dz = grid.cell_m
-    joined = grid.periodic
-    along_x = np.sin(np.pi * np.arange(x // 2 + 1) / x) if joined else np.sin(np.pi * np.arange(x) / (2 * x))
-    along_y = np.sin(np.pi * np.arange(y) / (y if joined else 2 * y))
+    along_x = np.sin(np.pi * np.arange(x // 2 + 1) / x)
+    along_y = np.sin(np.pi * np.arange(y) / y)
     along_z = np.sin(np.pi * np.arange(z) / (2 * z))
     total = (2 * along_z / dz)[:, None, None] ** 2 + (2 * along_y / dy)[:, None] ** 2 + (2 * along_x / dx) ** 2
     total[0, 0, 0] = np.inf  # a constant pressure moves nothing
@@ -122,25 +167,23 @@ def _size(a: Field) -> float:
 
 
 @unchecked
-def _divergence(out, u, v, w, x_per_m, y_per_m, z_per_m, joined, first, end):  # type: ignore[no-untyped-def]
+def _divergence(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
     out, u, v, w = borrowed(out), borrowed(u), borrowed(v), borrowed(w)
     rows, columns = out.shape[1], out.shape[2]
     for k in range(first, end):
         for j in range(rows):
             to, east, low, high = out[k, j], u[k + 2, j + 2], w[k + 2, j + 2], w[k + 3, j + 2]
             south = v[k + 2, j + 2]
-            north = v[k + 2, 2] if joined and j == rows - 1 else v[k + 2, j + 3]
+            north = v[k + 2, 2] if j == rows - 1 else v[k + 2, j + 3]
             for i in range(columns):
                 to[i] = (north[i + 2] - south[i + 2]) * y_per_m + (high[i + 2] - low[i + 2]) * z_per_m
-            last = columns - 1 if joined else columns
-            for i in range(last):
+            for i in range(columns - 1):
                 to[i] += (east[i + 3] - east[i + 2]) * x_per_m
-            if joined:
-                to[last] += (east[2] - east[last + 2]) * x_per_m
+            to[columns - 1] += (east[2] - east[columns + 1]) * x_per_m
 
 
 @unchecked
-def _subtract(p, u, v, w, x_per_m, y_per_m, z_per_m, joined, opened, first, end):  # type: ignore[no-untyped-def]
+def _subtract(p, u, v, w, x_per_m, y_per_m, z_per_m, opened, first, end):  # type: ignore[no-untyped-def]
     p, u, v, w = borrowed(p), borrowed(u), borrowed(v), borrowed(w)
     rows, columns = p.shape[1], p.shape[2]
     for k in range(first, end):
@@ -148,10 +191,8 @@ def _subtract(p, u, v, w, x_per_m, y_per_m, z_per_m, joined, opened, first, end)
             here = p[k, j]
             east = u[k + 2, j + 2]
             _slope(east[3 : columns + 2], here[: columns - 1], here[1:], x_per_m)
-            if joined:
-                east[2] -= (here[0] - here[columns - 1]) * x_per_m
-            if j > 0 or joined:
-                _slope(v[k + 2, j + 2, 2 : columns + 2], p[k, j - 1 if j > 0 else rows - 1], here, y_per_m)
+            east[2] -= (here[0] - here[columns - 1]) * x_per_m
+            _slope(v[k + 2, j + 2, 2 : columns + 2], p[k, j - 1 if j > 0 else rows - 1], here, y_per_m)
             if k > 0:
                 _slope(w[k + 2, j + 2, 2 : columns + 2], p[k - 1, j], here, z_per_m)
             if opened is not None:
@@ -168,7 +209,7 @@ def _slope(velocity, before, after, per_m):  # type: ignore[no-untyped-def]
 
 
 @unchecked
-def _laplacian(out, p, x_per_m, y_per_m, z_per_m, joined, opened, first, end):  # type: ignore[no-untyped-def]
+def _laplacian(out, p, x_per_m, y_per_m, z_per_m, opened, first, end):  # type: ignore[no-untyped-def]
     """Divergence of the gradient through open faces."""
     out, p = borrowed(out), borrowed(p)
     opened_x, opened_y, opened_z = borrowed(opened[0]), borrowed(opened[1]), borrowed(opened[2])
@@ -178,14 +219,10 @@ def _laplacian(out, p, x_per_m, y_per_m, z_per_m, joined, opened, first, end):  
         for j in range(rows):
             for i in range(columns):
                 here, total = p[k, j, i], np.float32(0)
-                if i > 0 or joined:
-                    total += (p[k, j, i - 1 if i > 0 else columns - 1] - here) * opened_x[k + 2, j + 2, i + 2] * xx
-                if i < columns - 1 or joined:
-                    total += (p[k, j, i + 1 if i < columns - 1 else 0] - here) * opened_x[k + 2, j + 2, i + 3] * xx
-                if j > 0 or joined:
-                    total += (p[k, j - 1 if j > 0 else rows - 1, i] - here) * opened_y[k + 2, j + 2, i + 2] * yy
-                if j < rows - 1 or joined:
-                    total += (p[k, j + 1 if j < rows - 1 else 0, i] - here) * opened_y[k + 2, j + 3, i + 2] * yy
+                total += (p[k, j, i - 1 if i > 0 else columns - 1] - here) * opened_x[k + 2, j + 2, i + 2] * xx
+                total += (p[k, j, i + 1 if i < columns - 1 else 0] - here) * opened_x[k + 2, j + 2, i + 3] * xx
+                total += (p[k, j - 1 if j > 0 else rows - 1, i] - here) * opened_y[k + 2, j + 2, i + 2] * yy
+                total += (p[k, j + 1 if j < rows - 1 else 0, i] - here) * opened_y[k + 2, j + 3, i + 2] * yy
                 if k > 0:
                     total += (p[k - 1, j, i] - here) * opened_z[k + 2, j + 2, i + 2] * zz
                 if k < layers - 1:

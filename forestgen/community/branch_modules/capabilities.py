@@ -21,7 +21,7 @@ from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.plants.parameters import Lifeless
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 
 M = TypeVar("M", bound=BaseModel)
 

@@ -36,7 +36,7 @@ from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import MOST_NODES, Tables
 from forestgen.community.branch_modules.state import Plants, Snags, State, StepParameters, Traits, uniform
 from forestgen.core.compiled import compiled
-from forestgen.core.forestry import BREAST_HEIGHT_M
+from forestgen.core.frames import BREAST_HEIGHT_M
 
 STUNTED = 1 / 30  # share of the mature age that a module must have reached
 PATIENCE = 2.0  # within so many times the years that one of full vigour needs to grow up

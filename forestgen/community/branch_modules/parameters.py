@@ -36,8 +36,8 @@ from forestgen.community.placement.density_map import DensityMap
 from forestgen.recipe.biome import COLDEST_C, DRIEST_MM, WARMEST_C, WETTEST_MM
 from forestgen.recipe.fields import Flag, Fraction, NonNegative, Number, Positive, Section, Text, Whole, mistake
 from forestgen.recipe.messages import show
-from forestgen.recipe.plant_type import PlantType
 from forestgen.recipe.sources import Keys
+from forestgen.recipe.species import PlantType
 from forestgen.recipe.suggestions import nearest
 
 BLOCKED_ABOVE = 0.5  # a soil map's values above this bar plants

@@ -22,7 +22,7 @@ from forestgen.community.branch_modules.parameters import BranchModulesParameter
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.core.errors import RecipeError, ResourceError
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 from forestgen.recipe.suggestions import did_you_mean
 
 MOST_SEEDS = 20_000_000  # of one step: a gigabyte

@@ -27,10 +27,9 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.conditions import Layers, wind_towards
 from forestgen.atmosphere.fluid.air import Air, at_rest
-from forestgen.atmosphere.fluid.diagnostics import total_water_kg
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
+from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding
-from forestgen.atmosphere.weather import AirGrid, Weather
 from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, Month
 from forestgen.community.ecoclimate.parameters import WeatherSection
 from forestgen.community.soil_water import Floats, Ground
@@ -257,7 +256,7 @@ def hours_of(section: WeatherSection, grid: AirGrid, day: Day, surface: Surface)
     air = Air(grid, day.sounding, surface, Physics(wind_relaxation_s=_RELAXATION_S))
     unrest = child_rng(day.seed, "air", "unrest", *day.name)
     weather = at_rest(grid, day.sounding, surface, rng=unrest, noise_k=_NOISE_K)
-    before_kg, area_m2 = total_water_kg(weather), grid.cell_m[0] * grid.cell_m[1]
+    before_kg, area_m2 = weather.total_water_kg, grid.cell_m[0] * grid.cell_m[1]
     end_s, looks = 3600.0 * section.hours, max(1, round(3600.0 * section.hours / _MARK_S))
     rest_k = air.background.potential_temperature_k[0] * weather.temperature_ratio[0]
     condensed, warmth = np.zeros(grid.shape[1:]), np.zeros(grid.shape[1:])
@@ -266,7 +265,7 @@ def hours_of(section: WeatherSection, grid: AirGrid, day: Day, surface: Surface)
         condensed += _column_kg_per_m2(weather) / looks
         warmth += (_of_lowest(weather)[0] - rest_k) / looks
     received_kg = area_m2 * float(surface.vapour_kg_per_m2_s.sum(dtype=np.float64)) * end_s
-    error = abs(total_water_kg(weather) - before_kg - received_kg) / before_kg
+    error = abs(weather.total_water_kg - before_kg - received_kg) / before_kg
     return Hours(condensed, warmth, _of_lowest(weather)[1], error, weather)
 
 

@@ -12,8 +12,8 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
+from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.text_file import read_text
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.fields import NonNegative, Number, Section, Text, mistake
 

@@ -31,9 +31,8 @@ from forestgen.architecture.geometry import spheres, terminal_leaf_area_m2
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables
 from forestgen.atmosphere.fluid.parameters import UnstableError
-from forestgen.atmosphere.kept_weather import read_weather, weather_store
-from forestgen.atmosphere.simulate import described
-from forestgen.atmosphere.weather import Weather
+from forestgen.atmosphere.grid import Weather
+from forestgen.atmosphere.simulate import described, read_weather, weather_store
 from forestgen.community.branch_modules.parameters import parameters_at
 from forestgen.community.branch_modules.seeding import NO_SEEDS, Arriving
 from forestgen.community.branch_modules.state import State, refuse_more_seeds, step_parameters
@@ -44,7 +43,7 @@ from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, WeatherSection
 from forestgen.community.model import Site
 from forestgen.community.soil_water import Floats, Ground, SoilWater, SoilWaterParameters, Water, WaterBudget
-from forestgen.core.code_hash import code_hash
+from forestgen.core.cache import code_hash
 from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
 from forestgen.core.progress import Progress

@@ -14,8 +14,8 @@ from forestgen.community.fitting.fit import Fit
 from forestgen.community.fitting.stand import MeasuredStand
 from forestgen.community.fitting.summaries import RADII, STANDS, Envelope
 from forestgen.community.plots import new_figure
+from forestgen.core import __version__
 from forestgen.core.figures import count, seconds
-from forestgen.core.version import __version__
 from forestgen.recipe.fields import NAME_PATTERN
 
 if TYPE_CHECKING:

@@ -43,7 +43,7 @@ from pydantic import AfterValidator, Field
 from forestgen.community.ground.horizons import Views, exposure, irradiation, views
 from forestgen.community.ground.relief import Nodes, Relief, far_relief, moisture, near_relief
 from forestgen.community.model import GroundHeight, Site
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
 from forestgen.recipe.fields import Section, mistake
 

@@ -37,7 +37,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.weather import AirGrid, Weather
+from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.community.branch_modules.capabilities import ModuleCapabilities
 from forestgen.community.branch_modules.state import refuse_more_seeds
 from forestgen.community.capabilities import SoilWaterMaps

@@ -109,9 +109,9 @@ from forestgen.community.population import Floats, Population
 from forestgen.community.registry import COMPETITION_MODELS
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns
 from forestgen.core.errors import LsystemError, RecipeError, ResourceError
+from forestgen.lsystem.codegen import fold
 from forestgen.lsystem.compiler import settable
 from forestgen.lsystem.derivation import Derivation, TooManyModulesError, axiom, derive_step
-from forestgen.lsystem.folding import fold
 from forestgen.lsystem.multiset import Kind, words_as_lists
 from forestgen.lsystem.program import Program
 
@@ -373,7 +373,7 @@ class MultisetLSystem:
         `most_plants` for others.
         """
         program, _ = program_of(parameters, site, species)
-        macros, arrays = program.listing.macros, program.listing.arrays
+        macros, arrays = program.ast.macros, program.ast.arrays
         if not {"initial_plants_per_ha", "seedlings_per_ha_per_yr"} & {*macros, *arrays}:
             return float(parameters.most_plants)
         total = planted(parameters.disturbances) + _cohort(program, site)
@@ -388,7 +388,7 @@ class MultisetLSystem:
         if self.expected_plants(parameters, site, species) > 0:
             return None
         program, _ = program_of(parameters, site, species)
-        if "initial_plants_per_ha" in settable(program.listing):
+        if "initial_plants_per_ha" in settable(program.ast):
             return "no plant can grow: community.parameters.initial_plants_per_ha is 0"
         if parameters.steps == 0:
             return "no plant can grow: community.steps is 0, and succession begins on bare ground"
@@ -408,9 +408,9 @@ def _most_modules(parameters: MultisetParameters) -> int:
 
 def _cohort(program: Program, site: Site) -> float:
     """Number of plants of the axiom, by the program's initial_plants_per_ha, a number or one a species."""
-    name, macros = "initial_plants_per_ha", program.listing.macros
-    if name in program.listing.arrays:
-        return sum(program.listing.arrays[name]) * site.area_ha
+    name, macros = "initial_plants_per_ha", program.ast.macros
+    if name in program.ast.arrays:
+        return sum(program.ast.arrays[name]) * site.area_ha
     return (fold(macros[name].body, macros, program.name) or 0.0) * site.area_ha if name in macros else 0.0
 
 

@@ -35,12 +35,12 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, RecipeError
-from forestgen.core.grey_picture import GreyPicture, read_grey
+from forestgen.core.raster import SingleChannelRaster, read_raster
+from forestgen.recipe.assets import inside
 from forestgen.recipe.fields import Flag, NonNegative, Positive, Section, Text, mistake
 from forestgen.recipe.map_files import file_sha256
-from forestgen.recipe.paths import inside
 from forestgen.recipe.sources import Keys
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ _ROWS_AT_ONCE = 256
 LARGEST = 1e12  # a map's values, scaled; more would make sums over the site meaningless
 LEAST = 1e-100  # what is less counts as 0: its square, and what it divides, must still be numbers
 
-_pictures: BoundedCache[GreyPicture] = BoundedCache(400_000_000, lambda one: one.values.nbytes)
+_pictures: BoundedCache[SingleChannelRaster] = BoundedCache(400_000_000, lambda one: one.values.nbytes)
 _grids: BoundedCache[NDArray[np.float64]] = BoundedCache(200_000_000, lambda one: one.nbytes)
 
 
@@ -136,7 +136,7 @@ class MapSection(Section):
     )
     smooth: Flag = Field(True, description="Whether values are interpolated between the middles of pixels.")
 
-    _picture: GreyPicture = PrivateAttr()
+    _picture: SingleChannelRaster = PrivateAttr()
 
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> Self:
@@ -147,13 +147,13 @@ class MapSection(Section):
             raise mistake("one of them", problem=problem)
         if self.rows is not None:
             _check_rows(self.rows)
-            self._picture = GreyPicture(np.array(self.rows, dtype=np.float64), 1.0)
+            self._picture = SingleChannelRaster(np.array(self.rows, dtype=np.float64), 1.0)
         else:
             self._picture = self._opened((info.context or {}).get("folder"))
         self._check_values()
         return self
 
-    def _opened(self, folder: Path | None) -> GreyPicture:
+    def _opened(self, folder: Path | None) -> SingleChannelRaster:
         """The file's picture, read once for all maps of its content; without a recipe's folder, of any path."""
         assert self.file is not None
         named = self.file
@@ -162,14 +162,14 @@ class MapSection(Section):
         except AssetError as cause:
             raise mistake(cause.expected or "", problem=cause.problem, got=cause.got, hint=cause.hint) from cause
 
-        def read() -> GreyPicture:
+        def read() -> SingleChannelRaster:
             if self.sha256 is not None and file_sha256(path, named) != self.sha256:
                 raise AssetError(
                     "this is not the file that the recipe was made with",
                     expected=f"a file whose SHA-256 is {self.sha256[:16]}...",
                     got=str(path),
                 )
-            return read_grey(path)
+            return read_raster(path)
 
         try:
             return _pictures.get(self.sha256 or file_sha256(path, named), read)
@@ -250,7 +250,7 @@ def _check_rows(rows: tuple[tuple[float, ...], ...]) -> None:
             raise mistake(expected, problem="the map's rows differ in length", got=f"{len(row)} in row {index + 1}")
 
 
-def _first(picture: GreyPicture, wrong: NDArray[np.bool_]) -> str:
+def _first(picture: SingleChannelRaster, wrong: NDArray[np.bool_]) -> str:
     """The first of the wrong values, for people."""
     row, col = np.argwhere(wrong)[0]
     count = int(wrong.sum())

@@ -1,6 +1,6 @@
 """Whether a data set is what it claims to be: invariants over its files, and the first place where one breaks.
 
-Each family of invariants is a small module; `registry` lists the checks in their order; `run` applies them. The checks
+Each family of invariants is a small module; `run` lists the checks in their order and applies them. The checks
 recompute from the files' definitions in plain NumPy. They share no code that computes labels with those who wrote the
 files: only the numbers of parts, and readers that are safe with strangers' files.
 """

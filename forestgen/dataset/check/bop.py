@@ -2,41 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from forestgen.dataset.check.check import DatasetCheck, FrameCheck
-from forestgen.dataset.check.files import read_picture
+from forestgen.dataset.check.check import dataset_check, frame_check
+from forestgen.dataset.check.files import read_json, read_picture
 from forestgen.dataset.check.finding import Finding, numbers
 from forestgen.dataset.check.frame_data import FrameData
-from forestgen.dataset.check.merged import BOP, Merged
+from forestgen.dataset.check.merged import Merged
+from forestgen.dataset.safe_path import SafePath
 
+_FOLDER = "bop"
+_FILES = (("camera", "scene_camera.json"), ("gt", "scene_gt.json"), ("info", "scene_gt_info.json"))
 _TOLERANCE = 1e-9
 
 
-def has_bop(merged: Merged) -> bool:
-    return bool(merged.bop_scenes)
+def _scenes(merged: Merged) -> list[str]:
+    """Folders of scenes, relative to the root."""
+    found = {name.rpartition("/")[0] for name in merged.listed if re.fullmatch(r"bop/.*/scene_\w+\.json", name)}
+    for split in _inside(SafePath(merged.root, _FOLDER)):
+        for scene in _inside(split):
+            if any(re.fullmatch(r".*/scene_[^/]*\.json", one.name) for one in _inside(scene)):
+                found.add(scene.name)
+    return sorted(found)
 
 
-def has_share(frame: FrameData) -> bool:
-    return BOP in frame.task.shared
+def _inside(folder: SafePath) -> list[SafePath]:
+    return [folder / name for name in folder.names()] if folder.is_folder() else []
 
 
+def frame_shares(merged: Merged) -> Mapping[str, Any]:
+    """Frame -> its entries in the three files of its scene."""
+    found = {}
+    for scene in _scenes(merged):
+        files = {key: read_json(merged.root, f"{scene}/{name}") for key, name in _FILES}
+        for image, camera in files["camera"].items():
+            entries = {key: content[image] for key, content in files.items()}
+            found[str(camera["frame"])] = {"scene": scene, "image": image, **entries}
+    return found
+
+
+@dataset_check("bop files", "each frame in a scene", _FOLDER, when=lambda merged: bool(_scenes(merged)))
 def structure(merged: Merged) -> Iterator[Finding]:
     """Each frame is one image of one scene."""
+    shares = frame_shares(merged)
     for name in merged.frames:
-        if name not in merged.bop_by_frame:
-            yield Finding(f"{BOP}/train_pbr", "a frame is in no scene", expected="an image", got="none", image=name)
+        if name not in shares:
+            yield Finding(f"{_FOLDER}/train_pbr", "a frame is in no scene", expected="an image", got="none", image=name)
 
 
+@frame_check("bop", "counts and masks are the plants'", _FOLDER, share=_FOLDER, shared=True)
 def plants(frame: FrameData) -> Iterator[Finding]:
     """The plants of the mask by rising id, with the counts of visible and amodal masks, and their pictures."""
-    share = frame.task.shared[BOP]
+    share = frame.task.shared[_FOLDER]
     scene, image = PurePosixPath(share["scene"]), int(share["image"])
-    yield from _camera(frame, share, scene)
+    yield from _camera(frame, share, str(scene / "scene_camera.json"))
     listed = [one["plant_id"] for one in share["gt"]]
     if listed != frame.extents.plant_id.tolist() or len(share["info"]) != len(listed):
         file = str(scene / "scene_gt.json")
@@ -51,16 +75,14 @@ def plants(frame: FrameData) -> Iterator[Finding]:
             yield from _mask(frame, str(scene / folder / f"{image:06d}_{row:06d}.png"), folder, row)
 
 
-def _camera(frame: FrameData, share: dict[str, Any], scene: PurePosixPath) -> Iterator[Finding]:
+def _camera(frame: FrameData, share: dict[str, Any], file: str) -> Iterator[Finding]:
     camera, entry = frame.camera, share["camera"]
-    pairs = (
+    for key, expected in (
         ("cam_K", np.asarray(camera.values["K"], dtype=np.float64).ravel()),
         ("cam_R_w2c", camera.rotation.ravel()),
         ("cam_t_w2c", camera.camera_from_world[:3, 3] * 1000.0),
-    )
-    for key, expected in pairs:
+    ):
         if not np.allclose(np.asarray(entry[key], dtype=np.float64), expected, rtol=1e-6, atol=1e-6):
-            file = str(scene / "scene_camera.json")
             yield Finding(file, f"{key} is not camera.json's", numbers(expected), numbers(entry[key]), frame.name)
 
 
@@ -69,24 +91,24 @@ def _info(frame: FrameData, file: str, row: int, info: dict[str, Any]) -> Iterat
     table = frame.row_of.get(plant)
     if table is None:
         return
-    alone = int(frame.plants["amodal_pixels"][table])
-    box = [int(frame.plants[f"amodal_box_{side}"][table]) for side in "xywh"]
-    seen = int(frame.extents.pixels[row])
+
+    def differs(problem: str, expected: object, got: object) -> Finding:
+        return Finding(file, problem, str(expected), str(got), frame.name, plant)
+
+    seen, alone = int(frame.extents.pixels[row]), int(frame.plants["amodal_pixels"][table])
     for key, expected in (
         ("px_count_visib", seen),
         ("px_count_all", alone),
         ("bbox_visib", frame.extents.box_px[row].tolist()),
-        ("bbox_obj", box),
+        ("bbox_obj", [int(frame.plants[f"amodal_box_{side}"][table]) for side in "xywh"]),
     ):
         if info[key] != expected:
-            problem = f"{key} is not the mask's"
-            yield Finding(file, problem, str(expected), str(info[key]), frame.name, plant)
+            yield differs(f"{key} is not the mask's", expected, info[key])
     if not abs(info["visib_fract"] - seen / alone) <= _TOLERANCE:
-        problem = "visib_fract is not px_count_visib / px_count_all"
-        yield Finding(file, problem, str(seen / alone), str(info["visib_fract"]), frame.name, plant)
+        yield differs("visib_fract is not px_count_visib / px_count_all", seen / alone, info["visib_fract"])
     if not 0 <= info["px_count_valid"] <= info["px_count_all"]:
-        problem = "px_count_valid is more than px_count_all"
-        yield Finding(file, problem, f"0 to {info['px_count_all']}", str(info["px_count_valid"]), frame.name, plant)
+        most = f"0 to {info['px_count_all']}"
+        yield differs("px_count_valid is more than px_count_all", most, info["px_count_valid"])
 
 
 def _mask(frame: FrameData, file: str, folder: str, row: int) -> Iterator[Finding]:
@@ -108,5 +130,4 @@ def _mask(frame: FrameData, file: str, folder: str, row: int) -> Iterator[Findin
             yield Finding(file, problem, str(expected), str(got), frame.name, plant)
 
 
-FRAME_CHECKS = (FrameCheck("bop", "counts and masks are the plants'", BOP, has_share, plants, True),)
-DATASET_CHECKS = (DatasetCheck("bop files", "each frame in a scene", BOP, has_bop, structure),)
+FRAME_CHECKS, DATASET_CHECKS = (plants,), (structure,)

@@ -1,4 +1,4 @@
-"""cryptomatte.exr against frame.exr: names hash to ids, and plants have the shares that the coverage's ranks tell.
+"""cryptomatte.exr against frame.exr: names hash to ids, and plants have the shares of the coverage's ranks.
 
 Where the recipe leaves coverage out, shares are held against the instance mask: its plant has the largest.
 
@@ -15,52 +15,48 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.check import FrameCheck
-from forestgen.dataset.check.coverage import has_coverage
+from forestgen.dataset.check.check import Wrong, frame_check
 from forestgen.dataset.check.files import read_exr
 from forestgen.dataset.check.finding import Finding, numbers
 from forestgen.dataset.check.frame_data import FrameData
-from forestgen.dataset.check.pixels import wrong_pixels
+from forestgen.dataset.check.masks import coverage
 from forestgen.dataset.safe_path import load_json
 
-FILE = "cryptomatte.exr"
+_FILE = "cryptomatte.exr"
 _LAYER = "CryptoPlant"
 _RANKS = 8
 _TOLERANCE = 1e-6
 
 
-def has_cryptomatte(frame: FrameData) -> bool:
-    return frame.has(FILE)
-
-
-def cryptomatte(frame: FrameData) -> Iterator[Finding]:
+@frame_check("cryptomatte", "names, plants, shares are frame.exr's", _FILE, files=(_FILE,))
+def cryptomatte(frame: FrameData) -> Iterator[Finding | Wrong]:
     """Every name has the standard's id; plants and shares are those of frame.exr's ranks, or suit its mask."""
-    parts, header = read_exr(frame.task.root, frame.file(FILE))
+    parts, header = read_exr(frame.task.root, frame.file(_FILE))
     channels = next(iter(parts.values()))
     manifests = _manifests(header)
     for layer, names in manifests.items():
         for name, code in names.items():
-            if int(code, 16) != standard_id(name):
-                expected = f"{standard_id(name):08x}"
-                yield frame.finding(FILE, f"{layer}: the id of {name} is not its hash", expected=expected, got=code)
+            expected = f"{standard_id(name):08x}"
+            if int(code, 16) != int(expected, 16):
+                yield frame.finding(_FILE, f"{layer}: the id of {name} is not its hash", expected=expected, got=code)
     plant_of = {int(code, 16): int(name.rpartition("_")[2]) for name, code in manifests[_LAYER].items()}
     for plant in sorted(set(plant_of.values()) - set(frame.row_of)):
-        yield frame.finding(FILE, "a named plant is not in plants.parquet", expected="a row of it", plant_id=plant)
+        yield frame.finding(_FILE, "a named plant is not in plants.parquet", expected="a row of it", plant_id=plant)
     ids, share = _ranks(channels)
     if share.shape[:2] != frame.instance.shape:
-        yield frame.finding(FILE, "the picture has another size than frame.exr", got=str(share.shape[1::-1]))
+        yield frame.finding(_FILE, "the picture has another size than frame.exr", got=str(share.shape[1::-1]))
         return
-    if not has_coverage(frame):
+    if not coverage.applies(frame):
         yield from _by_mask(frame, _plants(ids, plant_of), share)
         return
-    told, told_share = frame.ranks
-    at = np.nonzero((ids != 0).any(axis=-1) | (told != 0).any(axis=-1))
+    ranks, rank_share = frame.ranks
+    at = np.nonzero((ids != 0).any(axis=-1) | (ranks != 0).any(axis=-1))
     plants = _plants(ids[at], plant_of)
-    wanted, shares = _without_background(told[at], told_share[at])
+    wanted, shares = _without_background(ranks[at], rank_share[at])
     got_share = np.where(plants != 0, share[at], np.float32(0.0))
     # frame.exr gives one of its ranks to the background, so cryptomatte.exr may hold one plant more.
     differs = (shares > 0) & ((wanted != plants) | ~(np.abs(shares - got_share) <= _TOLERANCE))
-    more = (told_share[at][:, -1:] == 0) & (shares == 0) & (got_share > 0)
+    more = (rank_share[at][:, -1:] == 0) & (shares == 0) & (got_share > 0)
     for wrong, problem in (
         (plants < 0, "an id is not in the manifest"),
         (differs, "plants or shares are not those of frame.exr's coverage"),
@@ -70,10 +66,10 @@ def cryptomatte(frame: FrameData) -> Iterator[Finding]:
         image[at] = wrong.any(axis=-1)
         if image.any():
             row = int(np.argmax(wrong.any(axis=-1)))  # the first: rows are in the order of pixels
-            yield from wrong_pixels(frame, FILE, image, problem, numbers(wanted[row]), numbers(plants[row]))
+            yield Wrong(image, problem, numbers(wanted[row]), numbers(plants[row]))
 
 
-def _by_mask(frame: FrameData, plants: NDArray[np.int64], share: NDArray[np.float32]) -> Iterator[Finding]:
+def _by_mask(frame: FrameData, plants: NDArray[np.int64], share: NDArray[np.float32]) -> Iterator[Wrong]:
     """(H, W, K) plants and shares: known, falling, within 1, and the mask's plant has the largest share, 0 the rest."""
     held = np.where(plants != 0, share, np.float32(0.0))
     total, most = held.sum(axis=-1), held.max(axis=-1)
@@ -86,9 +82,7 @@ def _by_mask(frame: FrameData, plants: NDArray[np.int64], share: NDArray[np.floa
         (falling, "shares do not fall within 0 to 1"),
         (won >= most - _TOLERANCE, "the mask's plant has not the largest share"),
     ):
-        wrong = np.asarray(~right, dtype=np.bool_)
-        if wrong.any():
-            yield from wrong_pixels(frame, FILE, wrong, problem, frame.instance, plants[..., 0])
+        yield Wrong(~np.asarray(right, dtype=np.bool_), problem, frame.instance, plants[..., 0])
 
 
 def _plants(ids: NDArray[np.uint32], plant_of: dict[int, int]) -> NDArray[np.int64]:
@@ -101,30 +95,10 @@ def _plants(ids: NDArray[np.uint32], plant_of: dict[int, int]) -> NDArray[np.int
 
 def standard_id(name: str) -> int:
     """Bits of the standard's float: MurmurHash3 of the name, its exponent kept from 0 and 255."""
-    bits = murmur3(name.encode())
+    import mmh3
+
+    bits = mmh3.hash(name, 0, False)
     return bits ^ (1 << 23) if (bits >> 23) & 0xFF in (0, 0xFF) else bits
-
-
-def murmur3(data: bytes) -> int:
-    """MurmurHash3 (x86, 32 bits) of seed 0."""
-    state, whole = 0, len(data) - len(data) % 4
-    for start in range(0, whole, 4):
-        state ^= _mixed(int.from_bytes(data[start : start + 4], "little"))
-        state = (_turned(state, 13) * 5 + 0xE6546B64) & 0xFFFFFFFF
-    if whole < len(data):
-        state ^= _mixed(int.from_bytes(data[whole:], "little"))
-    state ^= len(data)
-    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
-        state = ((state ^ (state >> shift)) * factor) & 0xFFFFFFFF
-    return state ^ (state >> 16)
-
-
-def _mixed(block: int) -> int:
-    return (_turned((block * 0xCC9E2D51) & 0xFFFFFFFF, 15) * 0x1B873593) & 0xFFFFFFFF
-
-
-def _turned(value: int, by: int) -> int:
-    return ((value << by) | (value >> (32 - by))) & 0xFFFFFFFF
 
 
 def _manifests(header: dict[str, Any]) -> dict[str, dict[str, str]]:
@@ -156,4 +130,4 @@ def _without_background(
     return plants, np.where(plants != 0, np.where(behind, next_share, share), np.float32(0.0))
 
 
-FRAME_CHECKS = (FrameCheck("cryptomatte", "names, plants, shares are frame.exr's", FILE, has_cryptomatte, cryptomatte),)
+FRAME_CHECKS = (cryptomatte,)

@@ -1,34 +1,44 @@
-"""Read a file, or say in one sentence why it cannot be read. The libraries' readers, and none of the writers' code."""
+"""Read a file, or say in one sentence why it cannot be read. The libraries' readers, and none of the writers' code.
+
+A recipe's YAML is long for its species, whose numbers do not matter here; reading all of it takes longer than all other
+checks of an image. So only some of its sections are read. Drawn recipes are written in block style: sections start at
+a line's beginning.
+"""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.errors import DatasetError
 from forestgen.dataset.check.finding import Finding, UnreadableError
-from forestgen.dataset.exr_chunks import check_chunks
-from forestgen.dataset.safe_path import SafePath, check_cells, load_json, one_line
+from forestgen.dataset.exr_chunks import read_whole
+from forestgen.dataset.safe_path import SafePath, load_json, one_line, read_parquet
+from forestgen.recipe.sources import parse_yaml
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
 
 _MOST_YAML, _MOST_LEVELS = 1_000_000, 20
+_SECTION = re.compile(r"(?m)^(?=[A-Za-z_]\w*:)")
+_WANTED = ("labels", "dataset", "wind", "render")
+_OTHERS = "others"  # in a class: all species that no class names
 
 
 def read_bytes(root: Path, name: str) -> bytes:
-    try:
+    with _reading(name):
         return SafePath(root, name).read()
-    except FileNotFoundError as error:
-        raise UnreadableError(Finding(name, "the file is missing")) from error
-    except OSError as error:
-        raise unreadable(name, error) from error
 
 
 def read_text(root: Path, name: str) -> str:
-    try:
-        return read_bytes(root, name).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise unreadable(name, error) from error
+    with _reading(name, UnicodeDecodeError):
+        return SafePath(root, name).read().decode("utf-8")
 
 
 def read_json(root: Path, name: str) -> Any:
@@ -56,37 +66,14 @@ def read_yaml(root: Path, name: str) -> Any:
 
 def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
     """Part -> channel -> (H, W) array in the type it was stored in; and the first part's header."""
-    import OpenEXR
-
-    if not read_head(root, name).startswith(b"\x76\x2f\x31\x01"):  # OpenEXR's magic number
-        raise UnreadableError(Finding(name, "this is no OpenEXR file"))
-    path = SafePath(root, name)
-    try:
-        with path.open() as stream:
-            count = check_chunks(stream)
-        parts = OpenEXR.File(str(path.located()), separate_channels=True).parts
-        if len(parts) != count:
-            raise ValueError(f"{len(parts)} of {count} parts can be read")
-        pixels = {part.name(): {c: np.asarray(v.pixels) for c, v in part.channels.items()} for part in parts}
-        return pixels, dict(parts[0].header)
-    except (OSError, RuntimeError, ValueError, TypeError, MemoryError) as error:
-        raise unreadable(name, error) from error
+    with _reading(name, RuntimeError, ValueError, TypeError, MemoryError):
+        return read_whole(SafePath(root, name))
 
 
 def read_picture(root: Path, name: str) -> NDArray[Any]:
     """(H, W) or (H, W, 3) pixels of a PNG; a palette's indices, not its colours."""
-    import warnings
-
-    from PIL import Image
-
-    read_head(root, name)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of a picture's size
-            with SafePath(root, name).open() as stream, Image.open(stream, formats=("PNG",)) as image:
-                return np.asarray(image)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise unreadable(name, error) from error
+    with _png(root, name) as image:
+        return np.asarray(image)
 
 
 def read_bit_depth(root: Path, name: str) -> int:
@@ -97,43 +84,95 @@ def read_bit_depth(root: Path, name: str) -> int:
 
 def read_palette(root: Path, name: str) -> tuple[list[int], dict[str, str]]:
     """Colours of a palette PNG, red, green, blue, red, ..., and its texts; of another PNG no colours."""
-    from PIL import Image
-
-    read_head(root, name)
-    try:
-        with SafePath(root, name).open() as stream, Image.open(stream, formats=("PNG",)) as image:
-            image.load()
-            texts = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
-            return list(image.getpalette() or []), texts
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise unreadable(name, error) from error
+    with _png(root, name) as image:
+        image.load()
+        texts = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
+        return list(image.getpalette() or []), texts
 
 
 def read_table(root: Path, name: str) -> dict[str, NDArray[Any]]:
     """Columns of a Parquet file; null is NaN, and None among texts."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
-    content = read_bytes(root, name)
-    try:
-        with pq.ParquetFile(pa.BufferReader(content)) as file:
-            check_cells(file.metadata.num_rows, file.metadata.num_columns)
-            table = file.read()
+    with _reading(name, ValueError, TypeError, pa.ArrowException):
+        table = read_parquet(SafePath(root, name))
         return {column: table[column].to_numpy() for column in table.column_names}
-    except (OSError, ValueError, TypeError, pa.ArrowException) as error:
-        raise unreadable(name, error) from error
-
-
-def read_head(root: Path, name: str) -> bytes:
-    """The first bytes of a file, which must be there."""
-    try:
-        with SafePath(root, name).open() as stream:
-            return stream.read(16)
-    except FileNotFoundError as error:
-        raise UnreadableError(Finding(name, "the file is missing")) from error
-    except OSError as error:
-        raise unreadable(name, error) from error
 
 
 def unreadable(name: str, error: Exception) -> UnreadableError:
     return UnreadableError(Finding(name, "the file cannot be read", got=one_line(error)))
+
+
+@contextmanager
+def _reading(name: str, *kinds: type[Exception]) -> Iterator[None]:
+    """In this block an `OSError` and errors of these kinds become `UnreadableError`."""
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise UnreadableError(Finding(name, "the file is missing")) from error
+    except Exception as error:
+        if not isinstance(error, (OSError, *kinds)):
+            raise
+        raise unreadable(name, error) from error
+
+
+@contextmanager
+def _png(root: Path, name: str) -> Iterator[Image]:
+    import warnings
+
+    from PIL import Image
+
+    with _reading(name, ValueError, SyntaxError, Image.DecompressionBombError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of a picture's size
+        with SafePath(root, name).open() as stream, Image.open(stream, formats=("PNG",)) as image:
+            yield image
+
+
+def read_recipe(root: Path, name: str) -> dict[str, Any]:
+    """Sections labels, dataset, wind and render of a drawn recipe, and its species as a list of names in order."""
+    try:
+        recipe = parse_yaml(_excerpt(read_text(root, name)), name, error=DatasetError)[0]
+    except DatasetError as error:
+        raise UnreadableError(Finding(name, error.problem, error.expected or "", error.got or "")) from error
+    if not isinstance(recipe, dict) or not isinstance(recipe.get("species"), dict):
+        raise UnreadableError(Finding(name, "this is no drawn recipe", expected="a mapping with species"))
+    sections = {key: recipe.get(key) or {} for key in _WANTED}
+    for key, section in sections.items():
+        if not isinstance(section, dict):
+            raise UnreadableError(Finding(name, f"{key} is no section", expected="a mapping", got=str(section)[:80]))
+    return {**sections, "species": [str(species) for species in recipe["species"]]}
+
+
+def _excerpt(text: str) -> str:
+    """The wanted sections, and the species' names without what they are."""
+    sections = {block.partition(":")[0]: block for block in _SECTION.split(text)}
+    kept = [sections[key] for key in _WANTED if key in sections]
+    species = sections.get("species", "")
+    if species.startswith("species:\n"):
+        names = re.findall(r"(?m)^  (\S[^:\n]*):", species)
+        species = "species:\n" + "".join(f"  {name}:\n" for name in names)
+    return "".join([species, *kept])
+
+
+def class_names(recipe: Mapping[str, Any]) -> list[str]:
+    """Semantic class number -> name, by a drawn recipe."""
+    own = recipe["labels"].get("classes") or recipe["species"]
+    return ["nothing", "ground", *(str(name) for name in own)]
+
+
+def categories(recipe: Mapping[str, Any]) -> tuple[list[str], dict[str, str]]:
+    """Names of instances' categories in order, and species -> category: its class, that of others, or itself."""
+    species = recipe["species"]
+    classes = recipe["labels"].get("classes") or {name: [name] for name in species}
+    names, found = [], {}
+    for name, members in classes.items():
+        named = [member for member in members if member in species]
+        found.update(dict.fromkeys(named, str(name)))
+        if named or _OTHERS in members:
+            names.append(str(name))
+    rest = [str(name) for name, members in classes.items() if _OTHERS in members and _OTHERS not in species]
+    for one in species:
+        if one not in found:
+            found[one] = rest[0] if rest else one
+            names += [] if rest else [one]
+    return names, found

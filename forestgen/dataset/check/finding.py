@@ -55,9 +55,7 @@ def number(value: Any) -> str:
     """A value of an array in plain figures."""
     if isinstance(value, float | np.floating):
         return f"{float(value):.9g}"
-    if isinstance(value, np.generic):
-        value = value.item()
-    return str(value)
+    return str(value.item() if isinstance(value, np.generic) else value)
 
 
 def numbers(values: Any) -> str:

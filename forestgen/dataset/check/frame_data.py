@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -11,28 +11,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.camera_file import CameraFile, camera_of
-from forestgen.dataset.check.files import read_exr, read_json, read_picture, read_table
+from forestgen.dataset.check.files import categories, read_exr, read_json, read_picture, read_recipe, read_table
 from forestgen.dataset.check.finding import Finding, UnreadableError
-from forestgen.dataset.check.recipe import categories, read_recipe
 from forestgen.dataset.safe_path import SafePath, load_json
+from forestgen.recipe.registries import DEFAULT_PROJECTION
+from forestgen.scene.projection import FileGeometry, Projection, load_projection, projection_of_model
 
 EXR, INSTANCE, SEMANTIC, PLANTS, CAMERA = "frame.exr", "instance.png", "semantic.png", "plants.parquet", "camera.json"
 RECIPE = "recipe.yaml"
-IDENTITY_CHANNELS = ("plant_id", "part", "semantic")
-PLANT_COLUMNS = (
-    *("plant_id", "species", "visible_pixels", "visible_area_px", "box_x", "box_y", "box_w", "box_h", "truncated"),
-)
+_IDENTITY_CHANNELS = ("plant_id", "part", "semantic")
+_BOX = ("box_x", "box_y", "box_w", "box_h")
+_PLANT_COLUMNS = ("plant_id", "species", "visible_pixels", "visible_area_px", *_BOX, "truncated")
 
 
 @dataclass(frozen=True)
 class FrameTask:
-    """What a worker is told about a frame: plain values, so that it can cross to another process."""
+    """What a worker gets of a frame: plain values, so that it can cross to another process."""
 
     root: Path
     name: str  # of the frame's folder
     listed: Mapping[str, Mapping[str, Any]]  # manifest's entries of this frame: path relative to the root -> entry
-    shared: Mapping[str, Any]  # this frame's share of the data set's merged files, by file
+    shared: Mapping[str, Any]  # format -> what its merged files hold of this frame
     following: str | None = None  # folder of the sequence's next frame; None: there is none
 
 
@@ -46,10 +45,6 @@ class FrameData:
     @property
     def name(self) -> str:
         return self.task.name
-
-    @property
-    def folder(self) -> Path:
-        return self.task.root / self.task.name
 
     def file(self, name: str) -> str:
         """A file of this frame, relative to the data set's folder."""
@@ -105,7 +100,7 @@ class FrameData:
     def exr(self) -> dict[str, dict[str, NDArray[Any]]]:
         """Part -> channel -> (H, W), all of one size."""
         parts, _ = self._exr
-        for channel in IDENTITY_CHANNELS:
+        for channel in _IDENTITY_CHANNELS:
             if channel not in parts.get("identity", {}):
                 raise UnreadableError(self.finding(EXR, f"the part identity has no channel {channel}"))
         shape = parts["identity"]["plant_id"].shape
@@ -113,9 +108,7 @@ class FrameData:
             for channel, values in channels.items():
                 if values.shape != shape:
                     problem = f"the channel {part}.{channel} has another size than identity.plant_id"
-                    raise UnreadableError(
-                        self.finding(EXR, problem, expected=_size(shape), got=_size(values.shape)),
-                    )
+                    raise UnreadableError(self.finding(EXR, problem, expected=_size(shape), got=_size(values.shape)))
         return parts
 
     def has_part(self, part: str, *channels: str) -> bool:
@@ -163,7 +156,7 @@ class FrameData:
     def plants(self) -> dict[str, NDArray[Any]]:
         """Columns of plants.parquet; null is NaN."""
         table = read_table(self.task.root, self.file(PLANTS))
-        for column in PLANT_COLUMNS:
+        for column in _PLANT_COLUMNS:
             if column not in table:
                 raise UnreadableError(self.finding(PLANTS, f"the column {column} is missing"))
         return table
@@ -184,11 +177,8 @@ class FrameData:
         """(H, W) or (H, W, 3) of a PNG, of the frame's size."""
         pixels = read_picture(self.task.root, self.file(name))
         if pixels.shape[:2] != self.instance.shape:
-            raise UnreadableError(
-                self.finding(
-                    name, "the picture has another size", expected=_size(self.instance.shape), got=_size(pixels.shape)
-                )
-            )
+            expected, got = _size(self.instance.shape), _size(pixels.shape)
+            raise UnreadableError(self.finding(name, "the picture has another size", expected=expected, got=got))
         return pixels
 
 
@@ -221,3 +211,63 @@ def extents_of(mask: NDArray[np.integer]) -> Extents:
 
 def _size(shape: tuple[int, ...]) -> str:
     return f"{shape[1]} x {shape[0]} pixels" if len(shape) > 1 else str(shape)
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """camera.json, as far as checks use it."""
+
+    geometry: FileGeometry
+    camera_from_world: NDArray[np.float64]  # (4, 4)
+    position_m: NDArray[np.float64]  # (3,) world
+    values: Mapping[str, Any]  # all of it
+
+    @property
+    def projection(self) -> Projection:
+        return self.geometry.projection
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        return self.geometry.size_px
+
+    @property
+    def rotation(self) -> NDArray[np.float64]:
+        return self.camera_from_world[:3, :3]
+
+    def pixel_rays(self, size_px: tuple[int, int]) -> NDArray[np.float64]:
+        """(H, W, 3) world directions through the pixels' centres, of depth 1."""
+        return np.asarray(self.geometry.rays(size_px) @ self.rotation)  # rows times R = R^T times columns: to the world
+
+    def starts(self, size_px: tuple[int, int]) -> NDArray[np.float64]:
+        """(H, W, 3) world, from the camera's place to where the pixels' rays begin."""
+        return np.asarray(self.geometry.starts(size_px) @ self.rotation)
+
+    def pixels_a_metre(self, depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How large things appear at a depth."""
+        away = np.ones_like(depth_m) if self.projection.is_parallel else depth_m
+        return np.asarray(self.geometry.focal_px[0] / away)
+
+
+def camera_of(values: Any, file: str) -> CameraFile:
+    """Read camera.json's fields; what is missing or no matrix raises `UnreadableError`."""
+    try:
+        size = [int(side) for side in values["size_px"]]
+        pose = _matrix(values["camera_from_world"], (4, 4))
+        position = _matrix(values["position_m"], (3,))
+        model = values.get("model", load_projection(DEFAULT_PROJECTION).model)
+        projection = projection_of_model(str(model))
+        if len(size) != 2 or min(size) < 1 or projection is None:
+            raise ValueError("size_px is not a pair, or there is no projection of this model")
+        geometry = projection.read(values, (size[0], size[1]))
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        expected = "size_px, camera_from_world (4 x 4), position_m, and what the model needs, finite numbers"
+        got = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise UnreadableError(Finding(file, "the camera cannot be understood", expected, got)) from error
+    return CameraFile(geometry, pose, position, values)
+
+
+def _matrix(values: Sequence[Any], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    matrix = np.asarray(values, dtype=np.float64)
+    if matrix.shape != shape or not np.isfinite(matrix).all():
+        raise ValueError(f"expected {shape} finite numbers")
+    return matrix

@@ -1,26 +1,37 @@
-"""Light's channels: radiance, albedo, sun, clouds; and the marks of occlusion boundaries."""
+"""Light in frame.exr: radiance with its header, albedo, sun, clouds, occlusion boundaries; and the raw image."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.spectrum import LUMINANCE
-from forestgen.dataset.check.finding import Finding
+from forestgen.dataset.check.check import Wrong, frame_check
+from forestgen.dataset.check.files import read_json, read_palette, read_picture
+from forestgen.dataset.check.finding import Finding, UnreadableError, number
 from forestgen.dataset.check.frame_data import EXR, FrameData
-from forestgen.dataset.check.pixels import wrong_pixels
+from forestgen.dataset.safe_path import load_json
+from forestgen.recipe.registries import PROJECTIONS
+from forestgen.scene.projection import load_projection
 
-_RADIANCE = ("radiance", "radiance.denoised", "radiance.variance")
+_RAW, _PREVIEW = "raw.json", "preview.png"
+_RADIANCE = ("radiance", "radiance.variance", "radiance.denoised")
 _ROUNDED = 1e-3  # of the channels: luminance has four digits
 _MARKS = ("sun", "boundary")  # 0 or 1
+_REC709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
+_LUMINANCE, _RADIANCE_PER_NM = "cd/m2", "W m-2 sr-1 nm-1"
+_SD_OF_A_PIXEL, _SD_OF_A_MEAN = 12.0, 7.0  # what chance does not bring about
 
 
-def radiance(frame: FrameData) -> Iterator[Finding]:
+@frame_check("radiance", "finite, not negative", EXR, when=lambda frame: any(part in frame.exr for part in _RADIANCE))
+def radiance(frame: FrameData) -> Iterator[Wrong]:
     """Radiance and its variance are finite and not negative.
 
-    Two exceptions: of one replicate alone no variance is known, nor a relative error told; and a colour made of
-    wavelengths may lie outside of Rec. 709, when its luminance is not negative.
+    Two exceptions: one replicate alone has neither a variance nor a relative error; and a colour made of wavelengths
+    may lie outside of Rec. 709, when its luminance is not negative.
     """
     spectral = frame.recipe["render"].get("mode") == "spectral" and "forestgen/bands" not in frame.exr_header
     for part in _RADIANCE:
@@ -32,36 +43,146 @@ def radiance(frame: FrameData) -> Iterator[Finding]:
             wrong = ~np.isfinite(one)
             if part == "radiance.variance" or (part == "radiance" and not spectral):
                 wrong |= ~(one >= 0)
-            yield from wrong_pixels(frame, EXR, wrong, f"{part}.{name} is no light", "0 or more, finite", one)
+            yield Wrong(wrong, f"{part}.{name} is no light", "0 or more, finite", one)
         if part == "radiance" and spectral and set(values) == set("RGB"):
             light = np.stack([values[name].astype(np.float64) for name in "RGB"], axis=-1)
             luminance = light @ LUMINANCE
             wrong = luminance < -_ROUNDED * np.abs(light).sum(axis=-1)
-            yield from wrong_pixels(frame, EXR, wrong, "radiance has no luminance", "0 or more cd/m2", luminance)
+            yield Wrong(wrong, "radiance has no luminance", "0 or more cd/m2", luminance)
 
 
-def surfaces(frame: FrameData) -> Iterator[Finding]:
+@frame_check(
+    "light", "sun, albedo, clouds within bounds", EXR,
+    when=lambda frame: "depth" in frame.exr and any(part in frame.exr for part in (*_MARKS, "albedo", "cloud")),
+)  # fmt: skip
+def surfaces(frame: FrameData) -> Iterator[Wrong]:
     """Marks are 0 or 1, the sun shines on surfaces alone, albedo and cloud opacity lie within 0 to 1."""
     sky = np.isinf(frame.exr["depth"]["Z"])
     for part in _MARKS:
         for name, values in frame.exr.get(part, {}).items():
-            yield from wrong_pixels(frame, EXR, values > 1, f"{part}.{name} is no mark", "0 or 1", values)
+            yield Wrong(values > 1, f"{part}.{name} is no mark", "0 or 1", values)
     for name, values in frame.exr.get("sun", {}).items():
-        wrong = sky & (values != 0)
-        yield from wrong_pixels(frame, EXR, wrong, f"sun.{name}: the sun shines on the sky", "0 for the sky", values)
+        yield Wrong(sky & (values != 0), f"sun.{name}: the sun shines on the sky", "0 for the sky", values)
     for name, values in frame.exr.get("albedo", {}).items():
         wrong = ~((values >= 0) & (values <= 1 + 1e-5))
-        yield from wrong_pixels(frame, EXR, wrong, f"albedo.{name} lies outside 0 to 1", "0 to 1", values)
-        wrong = sky & (values != 0)
-        yield from wrong_pixels(frame, EXR, wrong, f"albedo.{name}: the sky has none", "0 for the sky", values)
+        yield Wrong(wrong, f"albedo.{name} lies outside 0 to 1", "0 to 1", values)
+        yield Wrong(sky & (values != 0), f"albedo.{name}: the sky has none", "0 for the sky", values)
     for name, values in frame.exr.get("cloud", {}).items():
-        wrong = ~((values >= 0) & (values <= 1))
-        yield from wrong_pixels(frame, EXR, wrong, f"cloud.{name} lies outside 0 to 1", "0 to 1", values)
+        yield Wrong(~((values >= 0) & (values <= 1)), f"cloud.{name} lies outside 0 to 1", "0 to 1", values)
 
 
-def has_radiance(frame: FrameData) -> bool:
-    return any(part in frame.exr for part in _RADIANCE)
+@frame_check("light units", "units, white, bands, bias are stated", EXR, when=lambda frame: "radiance" in frame.exr)
+def header(frame: FrameData) -> Iterator[Finding]:
+    """Radiance has a unit, colour a white, bands their figures; the biased part is named."""
+
+    def differs(problem: str, expected: object, got: object, file: str = EXR) -> Finding:
+        return frame.finding(file, problem, expected=str(expected), got=str(got))
+
+    about, parts = frame.exr_header, frame.exr
+    channels = list(parts.get("radiance", {}))
+    bands = _bands(about.get("forestgen/bands"))
+    if bands is None:
+        if sorted(channels) != ["B", "G", "R"]:
+            yield differs("channels without bands are no colour", "R G B", " ".join(channels))
+        white = about.get("whiteLuminance")
+        if white is None or white != 1.0:
+            yield differs("whiteLuminance is not that of cd/m2", 1, "none" if white is None else number(white))
+    elif sorted(str(band.get("channel")) for band in bands) != sorted(channels):
+        got = " ".join(str(band.get("channel")) for band in bands)
+        yield differs("forestgen/bands is not of radiance's channels", " ".join(channels), got)
+    chromaticities = np.ravel(about.get("chromaticities", ()))
+    if chromaticities.shape != (8,) or not np.allclose(chromaticities, _REC709, atol=1e-6):
+        got = " ".join(map(number, chromaticities)) or "none"
+        yield differs("chromaticities are not Rec. 709's", " ".join(map(str, _REC709)), got)
+    unit = _LUMINANCE if bands is None else _RADIANCE_PER_NM
+    for part in (one for one in _RADIANCE if one in parts):
+        got = str(about.get(f"forestgen/units.{part}", "none"))
+        expected = f"({unit})^2" if part == "radiance.variance" else unit
+        if not got.startswith(expected):
+            yield differs(f"forestgen/units.{part} is not its unit", expected, got)
+        if list(parts[part]) != channels:
+            yield differs(f"{part} has other channels than radiance", " ".join(channels), " ".join(parts[part]))
+    if frame.has(_PREVIEW):
+        view = read_palette(frame.task.root, frame.file(_PREVIEW))[1].get("view", "none")
+        if view != about.get("forestgen/view"):
+            yield differs("the view is not frame.exr's", about.get("forestgen/view"), view, _PREVIEW)
+    biased = "radiance.denoised" if "radiance.denoised" in parts else None
+    if about.get("forestgen/biased") != biased:
+        yield differs("forestgen/biased does not name the denoised part", biased, about.get("forestgen/biased"))
 
 
-def has_light(frame: FrameData) -> bool:
-    return "depth" in frame.exr and any(part in frame.exr for part in (*_MARKS, "albedo", "cloud"))
+def _bands(text: object) -> list[Mapping[str, Any]] | None:
+    """Rows of the attribute; None where there is none."""
+    if text is None:
+        return None
+    try:
+        rows = load_json(str(text))
+    except ValueError as error:
+        raise UnreadableError(Finding(EXR, "forestgen/bands is no JSON", got=str(error))) from error
+    return [row for row in rows if isinstance(row, dict)]
+
+
+@frame_check(
+    "raw", "numbers are the radiance's and noise", _RAW,
+    when=lambda frame: frame.has(_RAW) or frame.file(_RAW) in frame.task.listed,
+)  # fmt: skip
+def raw(frame: FrameData) -> Iterator[Finding | Wrong]:
+    """Digital numbers lie within their range, and within their noise of the radiance."""
+    facts = read_json(frame.task.root, frame.file(_RAW))
+    black, white, bits, gain = (facts[name] for name in ("black_level", "white_level", "bits", "electrons_per_dn"))
+    if not (0 <= black < white < 2**bits <= 2**16 and gain > 0):
+        got = f"black {black}, white {white}, {bits} bits, {gain} electrons"
+        yield frame.finding(_RAW, "levels contradict each other", expected="0 <= black < white < 2^bits", got=got)
+        return
+    if facts["of"] not in frame.exr:
+        yield frame.finding(_RAW, "the raw image is of a part that frame.exr lacks", got=str(facts["of"]))
+        return
+    light = frame.exr[facts["of"]]
+    for key, name in facts["files"].items():
+        numbers = read_picture(frame.task.root, frame.file(name))
+        if numbers.ndim != 2 or numbers.shape != frame.instance.shape:
+            got = " x ".join(map(str, numbers.shape[::-1]))
+            yield frame.finding(name, "the raw image has another size", expected=str(frame.size_px), got=got)
+            continue
+        yield Wrong(numbers.astype(np.int64) > white, "brighter than white_level", str(white), numbers, name)
+        yield from _noise(frame, name, numbers.astype(np.float64), _expected(frame, facts, light, key), facts)
+
+
+def _noise(
+    frame: FrameData, name: str, numbers: NDArray[np.float64], expected: NDArray[np.float64], facts: Mapping[str, Any]
+) -> Iterator[Finding | Wrong]:
+    """Pixels that are off by more than noise, and their mean."""
+    gain, white = facts["electrons_per_dn"], facts["white_level"]
+    electrons = (expected - facts["black_level"]) * gain
+    variance = (electrons + facts["read_noise_electrons"] ** 2) / gain**2 + 1 / 12
+    slack = _SD_OF_A_PIXEL * (np.sqrt(variance) + 1 / gain)
+    cut = np.minimum(expected, white)
+    yield Wrong(np.abs(numbers - cut) > slack, "a digital number is not the radiance's", cut, numbers, name)
+    inside = expected + _SD_OF_A_MEAN * np.sqrt(variance) < white  # nothing is cut off
+    off = float((numbers - expected)[inside].sum())
+    if abs(off) > _SD_OF_A_MEAN * float(np.sqrt(variance[inside].sum())) + 1e-3 * inside.sum():
+        got = f"{number(off / inside.sum())} digital numbers off"
+        yield frame.finding(name, "the raw image's mean is not the radiance's", got=got)
+
+
+def _expected(
+    frame: FrameData, facts: Mapping[str, Any], light: Mapping[str, NDArray[Any]], key: str
+) -> NDArray[np.float64]:
+    """(H, W) digital numbers without noise, not yet cut off at white."""
+    scale, pattern = facts["radiance_per_dn"], facts["mosaic"]
+    rows, columns = np.indices(frame.instance.shape)
+    if pattern is None:
+        values = light[key].astype(np.float64) / scale[key]
+    else:
+        values = np.zeros(frame.instance.shape)
+        for row, column in np.ndindex(2, 2):
+            own, channel = (rows % 2 == row) & (columns % 2 == column), pattern[row][column]
+            values[own] = light[channel][own] / scale[channel]
+    strength = facts["vignetting"]
+    name = str(facts["projection"])
+    if strength and name in PROJECTIONS and load_projection(name).is_pinhole:
+        width, height = frame.size_px
+        focal = width / 2 / np.tan(np.radians(facts["hfov_deg"]) / 2)
+        slope = np.hypot(columns + 0.5 - width / 2, rows + 0.5 - height / 2) / focal
+        values *= 1 - strength + strength / (1 + slope**2) ** 2
+    return np.asarray(facts["black_level"] + values.clip(0.0))

@@ -1,24 +1,23 @@
-"""The data set's folder as a whole: its frames, the manifest, and the files over all images, read once."""
+"""A data set's folder as its checks read it: the frames, the manifest, and the files over all frames."""
 
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from fnmatch import fnmatchcase
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import RecipeError
-from forestgen.dataset.check.files import read_json
+from forestgen.dataset.check.files import categories, read_json, read_recipe
 from forestgen.dataset.check.finding import Finding, UnreadableError
-from forestgen.dataset.check.recipe import categories, read_recipe
-from forestgen.dataset.safe_path import SafePath, check_folder, is_frame
+from forestgen.dataset.check.frame_data import CAMERA
+from forestgen.dataset.safe_path import check_folder, is_frame
 
-MANIFEST, COCO, PANOPTIC, TRANSFORMS, BOP = "manifest.json", "coco.json", "panoptic.json", "transforms.json", "bop"
-_BOP_FILES = (("camera", "scene_camera.json"), ("gt", "scene_gt.json"), ("info", "scene_gt_info.json"))
+MANIFEST = "manifest.json"
+UNKNOWN = "?"  # a following frame that is not known
 _SCHEMA = "forestgen-manifest/"
 
 
@@ -27,6 +26,7 @@ class Merged:
     """A data set's folder."""
 
     root: Path
+    _lists: dict[str, dict[str, Any]] = field(default_factory=dict, repr=False)  # file -> content
 
     @cached_property
     def frames(self) -> tuple[str, ...]:
@@ -39,10 +39,9 @@ class Merged:
     def listed(self) -> dict[str, dict[str, Any]]:
         """The manifest's files: path -> bytes and sha256; none where there is no manifest to read."""
         try:
-            manifest = self.manifest
+            return dict(self.manifest["files"])
         except UnreadableError:
             return {}
-        return dict(manifest["files"])
 
     @cached_property
     def manifest(self) -> dict[str, Any]:
@@ -74,113 +73,19 @@ class Merged:
         """Of instances, in order, by the recipe."""
         return categories(self.recipe)[0]
 
-    @cached_property
-    def coco(self) -> dict[str, Any]:
-        return self._lists(COCO, "images", "annotations", "categories", "licenses")
-
-    @cached_property
-    def coco_by_frame(self) -> dict[str, dict[str, Any]]:
-        """Frame -> its image and annotations in coco.json."""
-        names = {entry["id"]: entry["name"] for entry in self.coco["categories"]}
-        frames = {
-            folder_of(image["file_name"]): {"image": image, "annotations": [], "categories": names}
-            for image in self.coco["images"]
-        }
-        by_id = {entry["image"]["id"]: entry["annotations"] for entry in frames.values()}
-        for one in self.coco["annotations"]:
-            if one.get("image_id") in by_id:
-                by_id[one["image_id"]].append(one)
-        return frames
-
-    @cached_property
-    def panoptic(self) -> dict[str, Any]:
-        return self._lists(PANOPTIC, "images", "annotations", "categories")
-
-    @cached_property
-    def panoptic_by_frame(self) -> dict[str, dict[str, Any]]:
-        """Frame -> its annotation in panoptic.json, with the categories' names."""
-        names = {entry["id"]: entry["name"] for entry in self.panoptic["categories"]}
-        frames = {entry["id"]: folder_of(entry["file_name"]) for entry in self.panoptic["images"]}
-        return {frames[one["image_id"]]: {**one, "categories": names} for one in self.panoptic["annotations"]}
-
-    @cached_property
-    def transforms_files(self) -> tuple[str, ...]:
-        """transforms.json, or transforms-000000.json and so on."""
-        there = {path.name for path in self.root.iterdir() if fnmatchcase(path.name, "transforms*.json")}
-        listed = {name for name in self.listed if re.fullmatch(r"transforms(-\d+)?\.json", name)}
-        return tuple(sorted(there | listed))
-
-    def transforms(self, file: str) -> dict[str, Any]:
-        return self._lists(file, "frames")
-
-    @cached_property
-    def transforms_by_frame(self) -> dict[str, dict[str, Any]]:
-        """Frame -> its entry in its transforms file."""
-        return {
-            folder_of(frame["file_path"]): {**frame, "file": file}
-            for file in self.transforms_files
-            for frame in self.transforms(file)["frames"]
-        }
-
-    @cached_property
-    def bop_scenes(self) -> tuple[str, ...]:
-        """Folders of scenes, relative to the root."""
-        scenes = {
-            scene.name
-            for split in _folders_in(SafePath(self.root, BOP))
-            for scene in _folders_in(split)
-            if any(fnmatchcase(name, "scene_*.json") for name in scene.names())
-        }
-        listed = {name.rpartition("/")[0] for name in self.listed if re.fullmatch(rf"{BOP}/.*/scene_\w+\.json", name)}
-        return tuple(sorted(scenes | listed))
-
-    @cached_property
-    def bop_by_frame(self) -> dict[str, dict[str, Any]]:
-        """Frame -> its entries in the three files of its scene."""
-        found = {}
-        for scene in self.bop_scenes:
-            files = {key: read_json(self.root, f"{scene}/{name}") for key, name in _BOP_FILES}
-            for image, camera in files["camera"].items():
-                entries = {key: content[image] for key, content in files.items()}
-                found[str(camera["frame"])] = {"scene": scene, "image": image, **entries}
-        return found
-
-    def shared(self, frame: str) -> dict[str, Any]:
-        """A frame's share of the merged files that can be read; the others are reported by their own checks."""
-        return {name: by_frame[frame] for name, by_frame in self._by_frame.items() if frame in by_frame}
-
-    @cached_property
-    def _by_frame(self) -> dict[str, Mapping[str, Any]]:
-        found: dict[str, Mapping[str, Any]] = {}
-        for name, there, attribute in (
-            (COCO, self.has(COCO), "coco_by_frame"),
-            (PANOPTIC, self.has(PANOPTIC), "panoptic_by_frame"),
-            (TRANSFORMS, bool(self.transforms_files), "transforms_by_frame"),
-            (BOP, bool(self.bop_scenes), "bop_by_frame"),
-        ):
-            if not there:
-                continue
-            try:
-                found[name] = getattr(self, attribute)
-            except (UnreadableError, KeyError, TypeError, ValueError, AttributeError, IndexError):
-                continue
-        return found
-
-    def _lists(self, file: str, *keys: str) -> dict[str, Any]:
-        """A JSON mapping with lists of mappings under `keys`."""
-        content = read_json(self.root, file)
-        if not isinstance(content, dict):
-            raise UnreadableError(Finding(file, "this is no data set's description", expected="a JSON mapping"))
-        for key in keys:
-            values = content.get(key)
-            if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-                raise UnreadableError(Finding(file, f"{key} is missing or no list", expected="a list of mappings"))
-        return content
-
-
-def _folders_in(folder: SafePath) -> Iterator[SafePath]:
-    names = folder.names() if folder.is_folder() else []
-    return (one for one in map(folder.__truediv__, names) if one.is_folder())
+    def lists(self, file: str, *keys: str) -> dict[str, Any]:
+        """A JSON mapping with lists of mappings under `keys`, read once."""
+        if file not in self._lists:
+            content = read_json(self.root, file)
+            if not isinstance(content, dict):
+                raise UnreadableError(Finding(file, "this is no data set's description", expected="a JSON mapping"))
+            for key in keys:
+                values = content.get(key)
+                if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+                    problem = f"{key} is missing or no list"
+                    raise UnreadableError(Finding(file, problem, expected="a list of mappings"))
+            self._lists[file] = content
+        return self._lists[file]
 
 
 def folder_of(path: Any) -> str:
@@ -217,3 +122,34 @@ def _what_is_there(merged: Merged, inside: list[str]) -> str:
         return f"a folder of outputs, such as {inside[0]}"
     count = sum(1 for _ in merged.root.iterdir())
     return "nothing" if count == 0 else f"{count} other files or folders"
+
+
+def following_frames(root: Path, frames: Sequence[str]) -> dict[str, str]:
+    """Frame -> the sequence's next, for frames whose camera.json names a sequence; by image, then by time.
+
+    Where a camera.json of an image cannot be read, what follows the others that seem last is `UNKNOWN`, and so is what
+    follows a frame whose neighbour by number is not there.
+    """
+    members: dict[tuple[str, str], list[tuple[float, str]]] = {}
+    unsure: set[str] = set()
+    for frame in frames:
+        image = frame.partition("-")[0]
+        try:
+            camera = read_json(root, f"{frame}/{CAMERA}")
+            sequence = camera.get("sequence")
+            if sequence is not None:
+                time_s = float(camera.get("time_s", 0.0))
+                members.setdefault((image, str(sequence)), []).append((time_s, frame))
+        except (UnreadableError, AttributeError, TypeError, ValueError):
+            unsure.add(image)
+    following = {frame: UNKNOWN for frame in frames if frame.partition("-")[0] in unsure}
+    for way in members.values():
+        pairs = pairwise(name for _, name in sorted(way))
+        following |= {one: UNKNOWN if _is_gap(one, other) else other for one, other in pairs}
+    return following
+
+
+def _is_gap(one: str, other: str) -> bool:
+    """Whether numbers are left out between two frames' names, NAME-0000, NAME-0001, ..."""
+    numbers = [name.rpartition("-")[2] for name in (one, other)]
+    return all(map(str.isdecimal, numbers)) and int(numbers[1]) != int(numbers[0]) + 1

@@ -9,42 +9,34 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.check import FrameCheck
+from forestgen.dataset.check.check import frame_check
 from forestgen.dataset.check.files import read_bytes, unreadable
 from forestgen.dataset.check.finding import Finding, UnreadableError, numbers
 from forestgen.dataset.check.frame_data import FrameData
 
-PLY, LAZ = "points.ply", "points.laz"
+_PLY, _LAZ = "points.ply", "points.laz"
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "ushort": "<u2", "uint": "<u4"}
 _RELATIVE = 1e-5
 _LAZ_M = 1e-3
 _END = b"end_header\n"
 
 
-def has_ply(frame: FrameData) -> bool:
-    return frame.has(PLY)
-
-
-def has_laz(frame: FrameData) -> bool:
-    return frame.has(LAZ) and frame.has(PLY)
-
-
+@frame_check("points.ply", "points are the pixels'", _PLY, files=(_PLY,))
 def ply(frame: FrameData) -> Iterator[Finding]:
     """Each point is its pixel's: position, plant and part of the centre's ray."""
     found = read_ply(frame)
     known = frame.plants["plant_id"]
     plant = found["plant_id"]
-    strange = np.flatnonzero((plant != 0) & ~np.isin(plant, known))
-    for at in _firsts(plant, strange):
-        yield _finding(frame, PLY, found, at, "the plant is not in plants.parquet", "a row of it", "none")
-    if len(strange):
+    strange = (plant != 0) & ~np.isin(plant, known)
+    if strange.any():
+        yield from _first(frame, found, strange, "the plant is not in plants.parquet", "a row of it", "none")
         return
     row, column = found["row"].astype(np.int64), found["column"].astype(np.int64)
     width, height = frame.size_px
     if len(found) and (row.max() >= height or column.max() >= width):
         at = int(np.argmax((row >= height) | (column >= width)))
         got = f"row {row[at]}, column {column[at]}"
-        yield frame.finding(PLY, f"point {at} is outside the image", expected=f"{width} x {height}", got=got)
+        yield frame.finding(_PLY, f"point {at} is outside the image", expected=f"{width} x {height}", got=got)
         return
     yield from _count(frame, row, column)
     for name, channel in (("plant_id", "centre.plant_id"), ("part", "centre.part")):
@@ -66,11 +58,12 @@ def ply(frame: FrameData) -> Iterator[Finding]:
     yield from _first(frame, found, wrong, "the species is not the plant's", own, got)
 
 
+@frame_check("points.laz", "points are points.ply's", _LAZ, files=(_LAZ, _PLY))
 def laz(frame: FrameData) -> Iterator[Finding]:
     """points.laz holds the points of points.ply, in their order."""
     import laspy
 
-    content = read_bytes(frame.task.root, frame.file(LAZ))
+    content = read_bytes(frame.task.root, frame.file(_LAZ))
     try:
         with laspy.open(io.BytesIO(content)) as reader:
             if reader.header.point_count > frame.instance.size:  # before memory is taken for them
@@ -78,22 +71,22 @@ def laz(frame: FrameData) -> Iterator[Finding]:
             cloud = reader.read()
         plant, place = np.asarray(cloud["plant_id"]), np.asarray(cloud.xyz)
     except Exception as error:  # its two backends raise their own kinds, and struct's and NumPy's
-        raise unreadable(frame.file(LAZ), error) from error
+        raise unreadable(frame.file(_LAZ), error) from error
     found = read_ply(frame)
     if len(plant) != len(found):
         problem = "there are not as many points as in points.ply"
-        yield frame.finding(LAZ, problem, expected=str(len(found)), got=str(len(plant)))
+        yield frame.finding(_LAZ, problem, expected=str(len(found)), got=str(len(plant)))
         return
     truth = found["plant_id"]
-    yield from _first(frame, found, truth != plant, "plant_id is not points.ply's", truth, plant, LAZ)
+    yield from _first(frame, found, truth != plant, "plant_id is not points.ply's", truth, plant, _LAZ)
     there = np.stack([found[axis] for axis in "xyz"], axis=-1)
     wrong = ~(np.abs(there - place).max(axis=-1, initial=0.0) <= _LAZ_M)
-    yield from _first(frame, found, wrong, "the point is not points.ply's", there, place, LAZ)
+    yield from _first(frame, found, wrong, "the point is not points.ply's", there, place, _LAZ)
 
 
 def read_ply(frame: FrameData) -> NDArray[Any]:
     """(P,) records of a binary PLY."""
-    content = read_bytes(frame.task.root, frame.file(PLY))
+    content = read_bytes(frame.task.root, frame.file(_PLY))
     end = content.find(_END)
     lines = content[: max(end, 0)].decode("ascii", errors="replace").splitlines()
     try:
@@ -107,9 +100,8 @@ def read_ply(frame: FrameData) -> NDArray[Any]:
             raise ValueError(f"{len(body)} bytes of points where {count * kind.itemsize} belong: cut short?")
         return np.frombuffer(body, dtype=kind, count=count)
     except (ValueError, KeyError, IndexError, StopIteration) as error:
-        raise UnreadableError(
-            frame.finding(PLY, "the file cannot be read", expected="binary PLY", got=str(error))
-        ) from error
+        finding = frame.finding(_PLY, "the file cannot be read", expected="binary PLY", got=str(error))
+        raise UnreadableError(finding) from error
 
 
 def _count(frame: FrameData, row: NDArray[np.int64], column: NDArray[np.int64]) -> Iterator[Finding]:
@@ -124,37 +116,25 @@ def _count(frame: FrameData, row: NDArray[np.int64], column: NDArray[np.int64]) 
     np.add.at(got, (row, column), 1)
     if (got != expected).any():
         y, x = np.argwhere(got != expected)[0].tolist()
-        yield frame.finding(
-            PLY, "the pixel has not its point", expected=str(expected[y, x]), got=str(got[y, x]), pixel=(x, y)
-        )
+        about = {"expected": str(expected[y, x]), "got": str(got[y, x]), "pixel": (x, y)}
+        yield frame.finding(_PLY, "the pixel has not its point", **about)
 
 
 def _first(
-    frame: FrameData, found: NDArray[Any], wrong: Any, problem: str, truth: Any, got: Any, file: str = PLY
+    frame: FrameData, found: NDArray[Any], wrong: Any, problem: str, truth: Any, got: Any, file: str = _PLY
 ) -> Iterator[Finding]:
-    for at in _firsts(found["plant_id"], np.flatnonzero(wrong)):
-        yield _finding(frame, file, found, at, problem, numbers(truth[at]), numbers(got[at]))
+    """Of each plant's wrong points the first one, with its values or the text of all."""
+    wrong_rows = np.flatnonzero(wrong)
+    _, first = np.unique(found["plant_id"][wrong_rows], return_index=True)
+    for at in sorted(wrong_rows[first].tolist()):
+        yield frame.finding(
+            file,
+            f"point {at}: {problem}",
+            expected=truth if isinstance(truth, str) else numbers(truth[at]),
+            got=got if isinstance(got, str) else numbers(got[at]),
+            plant_id=int(found["plant_id"][at]) or None,
+            pixel=(int(found["column"][at]), int(found["row"][at])),
+        )
 
 
-def _firsts(plant: NDArray[Any], at: NDArray[np.intp]) -> list[int]:
-    """Of points `at`, the first of each plant."""
-    return sorted(at[np.unique(plant[at], return_index=True)[1]].tolist())
-
-
-def _finding(
-    frame: FrameData, file: str, found: NDArray[Any], at: int, problem: str, expected: str, got: str
-) -> Finding:
-    return frame.finding(
-        file,
-        f"point {at}: {problem}",
-        expected=expected,
-        got=got,
-        plant_id=int(found["plant_id"][at]) or None,
-        pixel=(int(found["column"][at]), int(found["row"][at])),
-    )
-
-
-FRAME_CHECKS = (
-    FrameCheck("points.ply", "points are the pixels'", PLY, has_ply, ply),
-    FrameCheck("points.laz", "points are points.ply's", LAZ, has_laz, laz),
-)
+FRAME_CHECKS = (ply, laz)

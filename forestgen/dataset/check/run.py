@@ -1,6 +1,6 @@
 """Run all checks over a data set, on several processes; the outcome does not depend on their number.
 
-Findings are ordered: frames by name, each with its checks in the registry's order, then the files over all images.
+Findings are ordered: frames by name, each with its checks in the order of this module, then the files over all images.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ import math
 import os
 import signal
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
+from itertools import chain, repeat
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
@@ -22,16 +24,25 @@ from forestgen.core.errors import ResourceError
 from forestgen.core.processes import without_main
 from forestgen.core.progress import Progress
 from forestgen.core.registry import Registration, register_again, registrations
+from forestgen.dataset.check import geometry, light, manifest, masks, plants
 from forestgen.dataset.check.check import DatasetCheck, FrameCheck
 from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
 from forestgen.dataset.check.frame_data import FrameData, FrameTask
-from forestgen.dataset.check.merged import Merged, open_dataset
-from forestgen.dataset.check.registry import FIRST, HASHES, SHARED_HASHES, dataset_checks, frame_checks
-from forestgen.dataset.check.sequences import UNKNOWN, following_frames
+from forestgen.dataset.check.merged import UNKNOWN, Merged, following_frames, open_dataset
+from forestgen.dataset.formats.format import known_formats
 
 _FRAMES_A_TASK = 4  # in a row, so that a sequence's next frame is read once
 _FEWEST_FOR_PROCESSES = 6  # frames: below, starting a process takes longer than its share of the work
 MOST_NAMED = 1000  # findings of one check that are named; the others are counted
+
+# Of a frame's own labels, in the order in which they run. Those of each registered format follow.
+_FRAME_CHECKS = (
+    manifest.files, geometry.camera, masks.ids, masks.instance_png, masks.parts, masks.semantic, manifest.names,
+    masks.coverage, plants.visible, plants.areas, plants.stems, plants.measures, plants.keypoints, plants.places,
+    plants.amodal, geometry.depth, geometry.sky, geometry.circle, geometry.position, geometry.normals, geometry.centre,
+    masks.branches, light.radiance, light.header, light.raw, light.surfaces, geometry.motion,
+)  # fmt: skip
+_DATASET_CHECKS = (manifest.listing, manifest.legend)
 
 
 @dataclass(frozen=True)
@@ -73,23 +84,18 @@ def check_dataset(
     most: int | None = 1,
     progress: Progress | None = None,
 ) -> Report:
-    """Check a data set's folder.
+    """Check a data set's folder; one that is no data set of forestgen raises `RecipeError`.
 
     Parameters
     ----------
     jobs : worker processes; by default the cores. No result depends on it.
     hashes : compare each file with manifest.json's SHA-256.
     most : findings to name before stopping; None: go through everything, and name up to `MOST_NAMED` of each check.
-
-    Raises
-    ------
-    RecipeError
-        When the folder is no data set of forestgen.
     """
     start = perf_counter()
     merged = open_dataset(root)
     tasks = _tasks(merged)
-    checks = (FIRST, *frame_checks(), *((HASHES,) if hashes else ()))
+    hashed = (manifest.shared_hashes,) if hashes else ()
     ran: Counter[str] = Counter()
     failed: Counter[str] = Counter()
     found: Counter[str] = Counter()
@@ -97,7 +103,7 @@ def check_dataset(
     checked = 0
     limit = math.inf if most is None else most
     results = _frame_results(tasks, _job_count(jobs, len(tasks)), hashes, limit)
-    with _stage(progress, len(tasks)) as advance:
+    with nullcontext(lambda _: None) if progress is None else progress.stage("images", len(tasks)) as advance:
         for result in results:
             checked += 1
             ran.update(result.ran)
@@ -110,15 +116,23 @@ def check_dataset(
                 break
     check_results = [
         CheckResult(one.name, one.holds, ran[one.name], ran[one.name] - failed[one.name], found[one.name])
-        for one in checks
+        for one in _frame_checks(hashes)
     ]
-    for check in (*dataset_checks(), *((SHARED_HASHES,) if hashes else ())):
+    for check in (*_DATASET_CHECKS, *(check for one in known_formats() for check in one.dataset_checks()), *hashed):
         if len(findings) >= limit or not check.applies(merged):
             continue
         own, count = _found_by(check, merged, "")
         findings += own
         check_results.append(CheckResult(check.name, check.holds, 1, 0 if count else 1, count))
     return Report(len(tasks), checked, tuple(check_results), tuple(findings[:most]), perf_counter() - start)
+
+
+def _frame_checks(hashes: bool) -> Iterator[FrameCheck]:
+    yield from _FRAME_CHECKS
+    for one in known_formats():
+        yield from one.frame_checks()
+    if hashes:
+        yield manifest.frame_hashes
 
 
 def check_frame(data: FrameData, hashes: bool, most: float) -> FrameResult:
@@ -129,7 +143,7 @@ def check_frame(data: FrameData, hashes: bool, most: float) -> FrameResult:
     ran: list[str] = []
     findings: list[Finding] = []
     found: Counter[str] = Counter()
-    for check in (FIRST, *frame_checks(), *((HASHES,) if hashes and data.task.listed else ())):
+    for check in _frame_checks(hashes):
         if len(findings) >= most:
             break
         if not _applies(check, data):
@@ -175,7 +189,7 @@ def _found_by(check: FrameCheck | DatasetCheck, data: Any, image: str) -> tuple[
     if isinstance(check, FrameCheck) and check.file and not check.shared:
         file = f"{image}/{check.file}"
     try:
-        for finding in check.find(data):
+        for finding in check.findings(data) if isinstance(check, FrameCheck) else check.find(data):
             count += 1
             if count <= MOST_NAMED:
                 found.append(finding)
@@ -195,9 +209,26 @@ def _tasks(merged: Merged) -> list[FrameTask]:
         if "/" in name and frame in listed:
             listed[frame][name] = entry
     following = following_frames(merged.root, merged.frames)
+    shares = _shares(merged)
     return [
-        FrameTask(merged.root, name, listed[name], merged.shared(name), following.get(name)) for name in merged.frames
+        FrameTask(
+            root=merged.root,
+            name=name,
+            listed=listed[name],
+            shared={format_name: by_frame[name] for format_name, by_frame in shares.items() if name in by_frame},
+            following=following.get(name),
+        )
+        for name in merged.frames
     ]
+
+
+def _shares(merged: Merged) -> dict[str, Mapping[str, Any]]:
+    """Format -> frame -> what can be read of it in the format's merged files; its own checks report the rest."""
+    found = {}
+    for one in known_formats():
+        with suppress(UnreadableError, *MISUNDERSTOOD):
+            found[one.name] = one.frame_shares(merged)
+    return found
 
 
 def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: float) -> Generator[FrameResult]:
@@ -206,19 +237,14 @@ def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: fl
     chunks = [tasks[first : first + size] for first in range(0, len(tasks), size)]
     if jobs == 1:
         for chunk in chunks:
-            yield from _frames(chunk, hashes, most)
+            yield from _chunk(chunk, hashes, most)
         return
     # A process of its own start, not a copy of this one, which has threads and handlers of signals.
     pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_begin, initargs=(registrations(),))
     try:
-        waiting: list[Future[list[FrameResult]]] = []
-        for chunk in chunks:
-            with without_main():  # the first tasks start the processes
-                waiting.append(pool.submit(_chunk, chunk, hashes, most))
-            while len(waiting) > 2 * jobs:  # no more than that are in memory
-                yield from waiting.pop(0).result()
-        for future in waiting:
-            yield from future.result()
+        with without_main():  # this starts the processes
+            results = pool.map(_chunk, chunks, repeat(hashes), repeat(most))
+        yield from chain.from_iterable(results)
     except BrokenProcessPool as error:
         hint = "free some memory, or `workers=1`"
         raise ResourceError("a worker process died, most likely for want of memory", hint=hint) from error
@@ -227,11 +253,8 @@ def _frame_results(tasks: Sequence[FrameTask], jobs: int, hashes: bool, most: fl
 
 
 def _chunk(tasks: Sequence[FrameTask], hashes: bool, most: float) -> list[FrameResult]:
-    return list(_frames(tasks, hashes, most))
-
-
-def _frames(tasks: Sequence[FrameTask], hashes: bool, most: float) -> Iterator[FrameResult]:
     """Check frames in a row; a sequence's next frame is read once."""
+    results = []
     by_name = {task.name: task for task in tasks}
     held: dict[str, FrameData] = {}
     for task in tasks:
@@ -242,15 +265,15 @@ def _frames(tasks: Sequence[FrameTask], hashes: bool, most: float) -> Iterator[F
             data.following = following
             if task.following in by_name:
                 held[task.following] = following
-        result = check_frame(data, hashes, most)
+        results.append(check_frame(data, hashes, most))
         data.following = None
-        yield result
-        if len(result.findings) >= most:
-            return
+        if len(results[-1].findings) >= most:
+            break
+    return results
 
 
 def _begin(registered: tuple[Registration, ...]) -> None:
-    """Know the parent's formats. Ctrl-C ends the parent, which ends its workers."""
+    """Register the parent's formats. Ctrl-C ends the parent, which ends its workers."""
     register_again(registered)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
@@ -260,13 +283,3 @@ def _job_count(jobs: int | None, frames: int) -> int:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         jobs = cores if frames >= _FEWEST_FOR_PROCESSES else 1
     return max(1, min(jobs, frames))
-
-
-def _stage(progress: Progress | None, frames: int) -> Any:
-    from contextlib import nullcontext
-
-    return progress.stage("images", frames) if progress is not None else nullcontext(_ignore)
-
-
-def _ignore(_: int) -> None:
-    pass

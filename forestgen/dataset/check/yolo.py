@@ -6,37 +6,28 @@ between its corners, as OpenCV's fillPoly does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.check import DatasetCheck, FrameCheck
-from forestgen.dataset.check.files import read_text, read_yaml
+from forestgen.dataset.check.check import dataset_check, frame_check
+from forestgen.dataset.check.files import categories, read_text, read_yaml
 from forestgen.dataset.check.finding import Finding, numbers
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.check.merged import Merged
-from forestgen.dataset.check.recipe import categories
 from forestgen.dataset.safe_path import SafePath
 
 _TASKS = ("boxes", "segmentation")
 _TOLERANCE = 1e-6
 _FLOOR_TOLERANCE = 1e-3  # of a pixel
+_LineCheck = Callable[[FrameData, str, int, NDArray[np.float64]], Iterator[Finding]]
 
 
-def has_yolo(merged: Merged) -> bool:
-    return merged.has("yolo/boxes/data.yaml") or merged.has("yolo/segmentation/data.yaml")
-
-
-def has_boxes(frame: FrameData) -> bool:
-    return SafePath(frame.task.root, _file(frame, "boxes")).is_file()
-
-
-def has_outlines(frame: FrameData) -> bool:
-    return SafePath(frame.task.root, _file(frame, "segmentation")).is_file()
-
-
+@dataset_check(
+    "yolo files", "images, labels, names of classes", "yolo",
+    when=lambda merged: any(merged.has(f"yolo/{task}/data.yaml") for task in _TASKS),
+)  # fmt: skip
 def structure(merged: Merged) -> Iterator[Finding]:
     """Each frame has an image and a file of labels in both layouts; data.yaml names the categories."""
     for task in _TASKS:
@@ -45,46 +36,71 @@ def structure(merged: Merged) -> Iterator[Finding]:
                 file = f"yolo/{task}/{kind}/{name}.{end}"
                 if not SafePath(merged.root, file).is_file():
                     yield Finding(file, "the file is missing", expected="one for each frame", image=name)
-        names = _class_names(read_yaml(merged.root, f"yolo/{task}/data.yaml"))
-        if names != merged.category_names:
-            file, expected = f"yolo/{task}/data.yaml", ", ".join(merged.category_names)
-            yield Finding(file, "names are not the recipe's categories", expected, ", ".join(names))
+        file, expected = f"yolo/{task}/data.yaml", merged.category_names
+        numbered = read_yaml(merged.root, file)["names"]
+        names = [str(numbered[key]) for key in sorted(numbered)]
+        if names != expected:
+            yield Finding(file, "names are not the recipe's categories", ", ".join(expected), ", ".join(names))
 
 
+@frame_check("yolo boxes", "boxes are the masks'", "yolo", when=lambda frame: _has_lines(frame, "boxes"), shared=True)
 def boxes(frame: FrameData) -> Iterator[Finding]:
     """A line a plant of the mask, by rising id: class, centre and size of its box as shares of the image."""
-    file, width, height = _file(frame, "boxes"), *frame.size_px
-    for row, values in _lines(frame, "boxes"):
-        if isinstance(values, Finding):
-            yield values
-            continue
-        if row >= len(frame.extents.plant_id):
-            break
-        yield from _class(frame, file, row, values[0])
-        x, y, w, h = frame.extents.box_px[row].tolist()
-        expected = np.array([(x + w / 2) / width, (y + h / 2) / height, w / width, h / height])
-        if len(values) != 5 or not (np.abs(values[1:] - expected) <= _TOLERANCE).all():
-            yield _finding(frame, file, row, "the box is not the mask's", numbers(expected), numbers(values[1:]))
-    yield from _count(frame, "boxes")
+    yield from _lines(frame, "boxes", _box_line)
 
 
+def _box_line(frame: FrameData, file: str, row: int, values: NDArray[np.float64]) -> Iterator[Finding]:
+    width, height = frame.size_px
+    x, y, w, h = frame.extents.box_px[row].tolist()
+    expected = np.array([(x + w / 2) / width, (y + h / 2) / height, w / width, h / height])
+    if len(values) != 5 or not (np.abs(values[1:] - expected) <= _TOLERANCE).all():
+        yield _finding(frame, file, row, "the box is not the mask's", numbers(expected), numbers(values[1:]))
+
+
+@frame_check(
+    "yolo outlines", "rings fill to the masks", "yolo",
+    when=lambda frame: _has_lines(frame, "segmentation"), shared=True,
+)  # fmt: skip
 def outlines(frame: FrameData) -> Iterator[Finding]:
     """Each ring lies in its box and fills to whole pieces of its plant's mask, and to bridges between them."""
-    file, size = _file(frame, "segmentation"), np.array(frame.size_px, dtype=np.float64)
-    for row, values in _lines(frame, "segmentation"):
-        if isinstance(values, Finding):
-            yield values
+    yield from _lines(frame, "segmentation", _outline_line)
+
+
+def _outline_line(frame: FrameData, file: str, row: int, values: NDArray[np.float64]) -> Iterator[Finding]:
+    if len(values) < 7 or len(values) % 2 == 0:
+        yield _finding(frame, file, row, "the line is no ring", "class and 3 or more points", f"{len(values)} numbers")
+        return
+    size = np.array(frame.size_px, dtype=np.float64)
+    ring = np.floor(values[1:].reshape(-1, 2) * size + _FLOOR_TOLERANCE).astype(np.int64)
+    yield from _ring(frame, file, row, ring)
+
+
+def _has_lines(frame: FrameData, task: str) -> bool:
+    return SafePath(frame.task.root, _file(frame, task)).is_file()
+
+
+def _lines(frame: FrameData, task: str, check_line: _LineCheck) -> Iterator[Finding]:
+    """Check each line of a file of labels: numbers, the class of its plant, and what `check_line` finds."""
+    file, plants = _file(frame, task), frame.extents.plant_id
+    names, _ = categories(frame.recipe)
+    lines = read_text(frame.task.root, file).splitlines()
+    for row, line in enumerate(lines):
+        try:
+            values = np.array(line.split(), dtype=np.float64)
+            if not len(values) or not np.isfinite(values).all():
+                raise ValueError
+        except ValueError:
+            yield _finding(frame, file, row, f"line {row + 1} is not numbers alone", "", line[:60])
             continue
-        if row >= len(frame.extents.plant_id):
+        if row >= len(plants):
             break
-        yield from _class(frame, file, row, values[0])
-        if len(values) < 7 or len(values) % 2 == 0:
-            got = f"{len(values)} numbers"
-            yield _finding(frame, file, row, "the line is no ring", "class and 3 or more points", got)
-            continue
-        ring = np.floor(values[1:].reshape(-1, 2) * size + _FLOOR_TOLERANCE).astype(np.int64)
-        yield from _ring(frame, file, row, ring)
-    yield from _count(frame, "segmentation")
+        own = frame.categories.get(int(plants[row]))
+        if own not in names or values[0] != names.index(own):
+            yield _finding(frame, file, row, "the class is not that of the plant's species", str(own), str(values[0]))
+        yield from check_line(frame, file, row, values)
+    if len(lines) != len(plants):
+        problem = "there is not a line for each plant of the mask"
+        yield Finding(file, problem, str(len(plants)), str(len(lines)), frame.name)
 
 
 def _ring(frame: FrameData, file: str, row: int, ring: NDArray[np.int64]) -> Iterator[Finding]:
@@ -166,37 +182,6 @@ def fill(ring: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.bool
     return np.asarray(np.cumsum(turns[:, :width], axis=1) % 2 == 1)
 
 
-def _lines(frame: FrameData, task: str) -> Iterator[tuple[int, NDArray[np.float64] | Finding]]:
-    for row, line in enumerate(read_text(frame.task.root, _file(frame, task)).splitlines()):
-        try:
-            values = np.array(line.split(), dtype=np.float64)
-            if not len(values) or not np.isfinite(values).all():
-                raise ValueError
-        except ValueError:
-            yield row, _finding(frame, _file(frame, task), row, f"line {row + 1} is not numbers alone", "", line[:60])
-            continue
-        yield row, values
-
-
-def _count(frame: FrameData, task: str) -> Iterator[Finding]:
-    lines = len(read_text(frame.task.root, _file(frame, task)).splitlines())
-    if lines != len(frame.extents.plant_id):
-        problem = "there is not a line for each plant of the mask"
-        yield Finding(_file(frame, task), problem, str(len(frame.extents.plant_id)), str(lines), frame.name)
-
-
-def _class(frame: FrameData, file: str, row: int, number: float) -> Iterator[Finding]:
-    names, _ = categories(frame.recipe)
-    own = frame.categories.get(int(frame.extents.plant_id[row]))
-    if own not in names or number != names.index(own):
-        yield _finding(frame, file, row, "the class is not that of the plant's species", str(own), str(number))
-
-
-def _class_names(content: Any) -> list[str]:
-    names = content["names"]
-    return [str(names[key]) for key in sorted(names)]
-
-
 def _file(frame: FrameData, task: str) -> str:
     return f"yolo/{task}/labels/{frame.name}.txt"
 
@@ -206,8 +191,4 @@ def _finding(frame: FrameData, file: str, row: int, problem: str, expected: str,
     return Finding(file, problem, expected, got, frame.name, plant)
 
 
-FRAME_CHECKS = (
-    FrameCheck("yolo boxes", "boxes are the masks'", "yolo", has_boxes, boxes, True),
-    FrameCheck("yolo outlines", "rings fill to the masks", "yolo", has_outlines, outlines, True),
-)
-DATASET_CHECKS = (DatasetCheck("yolo files", "images, labels, names of classes", "yolo", has_yolo, structure),)
+FRAME_CHECKS, DATASET_CHECKS = (boxes, outlines), (structure,)

@@ -46,19 +46,11 @@ from forestgen.dataset.camera import camera_from_world
 from forestgen.dataset.files import make_folder
 from forestgen.dataset.formats.depth_png import BEYOND, encode_depth
 from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import (
-    in_order,
-    json_text,
-    place,
-    read_shard,
-    whole_file,
-    write_shard,
-)
+from forestgen.dataset.formats.shards import in_order, json_text, place, read_shard, whole_file, write_shard
 from forestgen.dataset.png import write_grey
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.labels.amodal import AmodalMasks
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.labels.masks import rows_of
+from forestgen.labels.masks import AmodalMasks, rows_of
 from forestgen.scene.projection import Projection, projection_of
 
 FOLDER_NAME, SPLIT_NAME, SHARD_NAME = "bop", "train_pbr", "shard.json"
@@ -83,28 +75,18 @@ class Bop(DatasetFormat):
         return projection.is_pinhole
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-        """Write the frame's poses and pictures into its folder.
-
-        Raises
-        ------
-        OutputError
-            When there are no amodal masks, before anything is written, or when a file cannot be written.
-        """
-        amodal = labelled.amodal
+        """Write the frame's poses and pictures into its folder; without amodal masks it raises `OutputError`."""
+        amodal, home, visible = labelled.amodal, folder / FOLDER_NAME, labelled.views.visible
         if amodal is None:
-            raise OutputError(
-                NEEDS_AMODAL,
-                where=str(folder / FOLDER_NAME),
-                hint="add amodal to labels.channels, or leave bop out of dataset.formats",
-            )
-        home = folder / FOLDER_NAME
+            hint = "add amodal to labels.channels, or leave bop out of dataset.formats"
+            raise OutputError(NEEDS_AMODAL, where=str(home), hint=hint)
         for name in MASK_FOLDERS:
             make_folder(home / name)
         steps = encode_depth(labelled.frame.surface.depth_m, settings.depth_unit_m)
         steps[steps == BEYOND] = 0
         write_grey(home / "depth.png", steps)
 
-        rows = np.flatnonzero(labelled.views.visible.has_box)
+        rows = np.flatnonzero(visible.has_box)
         plants = labelled.population.plant_id[rows]
         info = []
         for number, (row, own) in enumerate(zip(rows, rows_of(plants, amodal.plant_id), strict=True)):
@@ -115,26 +97,19 @@ class Bop(DatasetFormat):
             info.append(
                 {
                     "bbox_obj": amodal.box_px[own].tolist(),
-                    "bbox_visib": labelled.views.visible.box_px[row].tolist(),
+                    "bbox_visib": visible.box_px[row].tolist(),
                     "px_count_all": int(amodal.pixels[own]),
                     "px_count_valid": int((whole & (steps > 0)).sum()),
-                    "px_count_visib": int(labelled.views.visible.visible_pixels[row]),
-                    "visib_fract": float(labelled.views.visible.visible_pixels[row] / amodal.pixels[own]),
+                    "px_count_visib": int(visible.visible_pixels[row]),
+                    "visib_fract": float(visible.visible_pixels[row] / amodal.pixels[own]),
                 }
             )
         camera = _camera_entry(labelled, settings.depth_unit_m)
-        write_shard(
-            home / SHARD_NAME, {"scene_camera": camera, "scene_gt": _poses(labelled, rows), "scene_gt_info": info}
-        )
+        shard = {"scene_camera": camera, "scene_gt": _poses(labelled, rows), "scene_gt_info": info}
+        write_shard(home / SHARD_NAME, shard)
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-        """Write the scenes' files over all frames, and place the frames' pictures.
-
-        Raises
-        ------
-        OutputError
-            When a frame's file is missing or damaged, or cannot be placed.
-        """
+        """Write the scenes' files over all frames, and place the frames' pictures; see `DatasetFormat.merge`."""
         scenes = groupby(in_order(folders), key=lambda folder: folder.partition("-")[0])
         for number, (_, members) in enumerate(scenes):
             _merge_scene(root, root / FOLDER_NAME / SPLIT_NAME / f"{number:06d}", list(members))

@@ -37,7 +37,7 @@ Lin et al. 2014, "Microsoft COCO: Common Objects in Context"; the data format pa
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,21 +46,20 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.rle import encode_amodal, encode_masks
 from forestgen.dataset.formats.shards import (
-    JsonList,
     finite,
     in_order,
     json_text,
     numbering,
     read_frame,
     whole_file,
+    write_list,
     write_shard,
 )
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.tables import STATUS_NAMES
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.labels.masks import rows_of
+from forestgen.labels.masks import AmodalMasks, rows_of
 from forestgen.labels.plants_table import KEYPOINTS
 
 SHARD_NAME = "annotations.json"
@@ -88,13 +87,7 @@ class Coco(DatasetFormat):
         write_shard(folder / SHARD_NAME, shard)
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-        """Write coco.json over all frames.
-
-        Raises
-        ------
-        OutputError
-            When a shard is missing or damaged, when frames differ in species or classes, or the file cannot be written.
-        """
+        """Write coco.json over all frames; see `DatasetFormat.merge`."""
         shards = ((folder, read_frame(root / folder / SHARD_NAME, _SHARD, settings)) for folder in in_order(folders))
         numbers = itertools.count(1)
         write_merged(
@@ -122,44 +115,29 @@ def write_merged(
     categories: list[dict[str, Any]],
     settings: DatasetSettings,
 ) -> None:
-    """Write a COCO file over all frames.
+    """Write a COCO file over all frames. No date in it: equal data sets have equal files.
 
     Parameters
     ----------
     shards : each frame's folder and share, in the order of the images.
     annotations_of : the annotations of such a frame, without their `image_id`.
     """
-    images = []
+    images: list[dict[str, Any]] = []
+    licences = [{"id": 1, "name": settings.licence_name, "url": settings.licence_url}] if settings.licence_name else []
+
+    def annotations() -> Iterator[dict[str, Any]]:
+        for image_id, (folder, shard) in enumerate(shards, start=1):
+            paths = {"camera": f"{folder}/camera.json", "file_name": f"{folder}/preview.png"}
+            images.append({**shard["image"], **paths, "id": image_id, **({"license": 1} if licences else {})})
+            yield from ({**one, "image_id": image_id} for one in annotations_of(folder, shard))
+
+    info = {"contributor": settings.contributor, "description": settings.description, "version": "1"}
     with whole_file(path) as stream:
         stream.write('{"annotations":')
-        annotations = JsonList(stream)
-        for image_id, (folder, shard) in enumerate(shards, start=1):
-            images.append({**shard["image"], **image_entry(folder, image_id, settings)})
-            for one in annotations_of(folder, shard):
-                annotations.add({**one, "image_id": image_id})
-        annotations.close()
+        write_list(stream, annotations())
         stream.write(',\n"categories":' + json_text(categories) + ',\n"images":')
-        listed = JsonList(stream)
-        for image in images:
-            listed.add(image)
-        listed.close()
-        for key, value in head(settings).items():
-            stream.write(f",\n{json_text(key)}:{json_text(value)}")
-        stream.write("}\n")
-
-
-def head(settings: DatasetSettings) -> dict[str, Any]:
-    """COCO's `info` and `licenses`. No date: equal data sets have equal files."""
-    info = {"contributor": settings.contributor, "description": settings.description, "version": "1"}
-    if not settings.licence_name:
-        return {"info": info, "licenses": []}
-    return {"info": info, "licenses": [{"id": 1, "name": settings.licence_name, "url": settings.licence_url}]}
-
-
-def image_entry(folder: str, image_id: int, settings: DatasetSettings) -> dict[str, Any]:
-    """What COCO says of an image beside its size; paths are relative to the data set's folder."""
-    entry = {"camera": f"{folder}/camera.json", "file_name": f"{folder}/preview.png", "id": image_id}
-    return {**entry, "license": 1} if settings.licence_name else entry
+        write_list(stream, images)
+        stream.write(f',\n"info":{json_text(info)},\n"licenses":{json_text(licences)}}}\n')
 
 
 def frame_annotations(labelled: LabelledFrame) -> list[dict[str, Any]]:
@@ -212,7 +190,7 @@ def _amodal_fields(labelled: LabelledFrame, rows: NDArray[np.intp]) -> list[dict
     left, top, right, bottom = amodal.full_box_px[own].T
     full = np.stack([left, top, right - left, bottom - top], axis=1)
     fields = {
-        "amodal_segmentation": [encode_amodal(amodal, row, size_px) for row in own.tolist()],
+        "amodal_segmentation": [_encode_amodal(amodal, row, size_px) for row in own.tolist()],
         "amodal_bbox": amodal.box_px[own].astype(np.float64).tolist(),
         "amodal_area": amodal.pixels[own].tolist(),
         "visible_fraction": _finite(views.visible_fraction[rows]),
@@ -242,3 +220,46 @@ def _records(fields: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
 def _categories(names: Sequence[str]) -> list[dict[str, Any]]:
     keypoints = {"keypoints": list(KEYPOINTS), "skeleton": [list(pair) for pair in SKELETON]}
     return [{"id": i, "name": name, "supercategory": "plant", **keypoints} for i, name in enumerate(names, start=1)]
+
+
+def encode_masks(instance: NDArray[np.uint32]) -> dict[int, dict[str, Any]]:
+    """Run-length codes of the plants of a mask (H, W) in one pass, plant_id -> {"size": [H, W], "counts": str}."""
+    height, width = instance.shape
+    flat = instance.T.ravel()
+    first = np.concatenate([[0], np.flatnonzero(flat[1:] != flat[:-1]) + 1])
+    owner = flat[first]
+    end = np.concatenate([first[1:], [flat.size]])
+    order = np.argsort(owner, kind="stable")
+    ids, begin = np.unique(owner[order], return_index=True)
+    groups = np.split(order, begin[1:])
+    return {
+        int(plant): _compress(first[runs], end[runs], height, width)
+        for plant, runs in zip(ids, groups, strict=True)
+        if plant != 0
+    }
+
+
+def _encode_amodal(amodal: AmodalMasks, row: int, size_px: tuple[int, int]) -> dict[str, Any]:
+    """Run-length code, over the whole image of width and height `size_px`, of a row's amodal mask."""
+    width, height = size_px
+    left, top, _, _ = amodal.box_px[row].tolist()
+    column, line = np.nonzero(amodal.mask_of(row).T)
+    pixel = (column + left) * height + line + top
+    if len(pixel) == 0:
+        return _compress(pixel, pixel, height, width)
+    breaks = np.flatnonzero(np.diff(pixel) != 1)
+    first = pixel[np.concatenate([[0], breaks + 1])]
+    end = pixel[np.concatenate([breaks, [len(pixel) - 1]])] + 1
+    return _compress(first, end, height, width)
+
+
+def _compress(first: NDArray[np.intp], end: NDArray[np.intp], height: int, width: int) -> dict[str, Any]:
+    """RLE of runs [first, end) of ones: alternating lengths of zeros and ones, zeros first."""
+    from pycocotools import mask
+
+    edges = np.stack([first, end], axis=1).ravel()
+    counts = np.diff(edges, prepend=0)
+    if len(edges) == 0 or edges[-1] != height * width:
+        counts = np.append(counts, height * width - (edges[-1] if len(edges) else 0))
+    rle = mask.frPyObjects({"size": [height, width], "counts": counts.tolist()}, height, width)
+    return {"size": [height, width], "counts": rle["counts"].decode("ascii")}

@@ -27,15 +27,9 @@ _TOP = 0
 
 
 def polygons(instance: NDArray[np.uint32]) -> dict[int, Corners]:
-    """The polygon of every plant of a mask.
+    """plant_id -> (N, 2) pixels x, y of its polygon, of a mask (H, W); ids rise, and the last pixel joins the first.
 
-    Parameters
-    ----------
-    instance : (H, W) uint32; 0 is no plant.
-
-    Returns
-    -------
-    plant_id -> (N, 2) int32 pixels x, y, ids rising; the last joins the first. One or two pixels have one or two.
+    A plant of one or two pixels has one or two corners.
     """
     from scipy.ndimage import find_objects
 

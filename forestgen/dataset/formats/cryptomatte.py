@@ -114,13 +114,7 @@ def crypto_layers(labelled: LabelledFrame) -> tuple[CryptoLayer, CryptoLayer, Cr
 
 
 def plant_names(species: Sequence[str], plant_id: NDArray[np.uint32]) -> list[str]:
-    """Names of a whole population's plants, whose ids all differ; see the module's words on names.
-
-    Parameters
-    ----------
-    species : (N,) name of each plant's species.
-    plant_id : (N,) uint32, sorted.
-    """
+    """(N,) names of a whole population's plants, ids sorted, whose hashes all differ; see the module."""
     names = [f"{name}_{number:07d}" for name, number in zip(species, plant_id.tolist(), strict=True)]
     ids = crypto_ids(names)
     order = np.argsort(ids, kind="stable")

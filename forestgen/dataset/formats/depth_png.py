@@ -44,13 +44,7 @@ class DepthPng(DatasetFormat):
         write_shard(folder / SCALE_NAME, scale)
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-        """Check that every frame has its depth; there is no file over all frames.
-
-        Raises
-        ------
-        OutputError
-            When a frame's scale is missing or damaged.
-        """
+        """Check that every frame has its depth; there is no file over all frames. See `DatasetFormat.merge`."""
         for folder in in_order(folders):
             read_shard(root / folder / SCALE_NAME, {"unit_m": float})
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from forestgen.scene.projection import Projection, load_projection
 
 if TYPE_CHECKING:
     from forestgen.dataset.check.check import DatasetCheck, FrameCheck
+    from forestgen.dataset.check.merged import Merged
 
 
 class DatasetFormat:
@@ -32,15 +33,13 @@ class DatasetFormat:
     bytes_per_pixel: int = 0  # upper estimate of what a frame's files and its share of the merged ones take on the disk
     bytes_per_plant: int = 0  # of each plant in view, the same
     label_channels: Mapping[str, str] = {}  # of labels.channels, those that it needs -> why
-    check_module: str | None = None  # with FRAME_CHECKS and DATASET_CHECKS, imported when a data set is verified
+    check_module: str | None = None  # with FRAME_CHECKS, DATASET_CHECKS, frame_shares: imported by verify
     split_file_names: tuple[str, ...] = ()  # all names that `split_files` may have
 
     def check(self, drawn: DrawnRecipe) -> None:
-        """Refuse a recipe that the format cannot hold, before anything is simulated.
+        """Refuse a recipe that the format cannot hold, with a `RecipeError`, before anything is simulated.
 
-        Raises
-        ------
-        RecipeError : with the key's place; a label channel is missing, or it does not hold a camera's projection.
+        A label channel is missing, or the format does not hold a camera's projection.
         """
         recipe = drawn.recipe
         for channel, why in self.label_channels.items():
@@ -70,40 +69,28 @@ class DatasetFormat:
         return True
 
     def check_ids(self, plant_id: NDArray[np.uint32], where: str) -> None:
-        """Refuse plant ids that the format cannot hold, before the light is traced.
+        """Refuse plant ids (H, W, S) of the samples that the format cannot hold, before the light is traced.
 
-        Parameters
-        ----------
-        plant_id : (H, W, S) of each sample of each pixel; 0: no plant.
-        where : name of the camera, for the error.
-
-        Raises
-        ------
-        OutputError : an id that would be written does not fit.
+        An id that would be written and does not fit raises `OutputError` with `where`, the camera's name.
         """
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
         """Write the frame's share, the shard, into its folder, where no other format has a file of the same name.
 
-        Raises
-        ------
-        OutputError : what cannot be written, or cannot be held.
+        What cannot be written, or cannot be held, raises `OutputError`.
         """
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
         """Write a split's files over all of its frames, and place frames' pictures elsewhere (`shards.place`).
 
         Of a frame's files, those that end in .json or .txt may be read; all others may be placed only, for frames of
-        an object store stay there.
+        an object store stay there. A share that is missing, damaged, or of other species or classes, and a file that
+        cannot be written, raise `OutputError`.
 
         Parameters
         ----------
         root : the split's folder.
         folders : the frames' folders or their names, in any order.
-
-        Raises
-        ------
-        OutputError : a share is missing or damaged, or a file cannot be written.
         """
 
     def split_files(self, splits: Sequence[str], settings: DatasetSettings) -> dict[str, bytes]:
@@ -112,16 +99,19 @@ class DatasetFormat:
 
     def frame_checks(self) -> tuple[FrameCheck, ...]:
         """What `forestgen verify` checks of each frame that has the format's files."""
-        checks: tuple[FrameCheck, ...] = self._checks("FRAME_CHECKS")
-        return checks
+        return cast("tuple[FrameCheck, ...]", getattr(self._checks(), "FRAME_CHECKS", ()))
 
     def dataset_checks(self) -> tuple[DatasetCheck, ...]:
         """What `forestgen verify` checks of a split's merged files."""
-        checks: tuple[DatasetCheck, ...] = self._checks("DATASET_CHECKS")
-        return checks
+        return cast("tuple[DatasetCheck, ...]", getattr(self._checks(), "DATASET_CHECKS", ()))
 
-    def _checks(self, name: str) -> Any:
-        return () if self.check_module is None else getattr(import_module(self.check_module), name, ())
+    def frame_shares(self, merged: Merged) -> Mapping[str, Any]:
+        """Frame -> what a split's merged files hold of it, as plain values: `FrameData.task.shared` of its checks."""
+        frame_shares = getattr(self._checks(), "frame_shares", None)
+        return {} if frame_shares is None else cast("Mapping[str, Any]", frame_shares(merged))
+
+    def _checks(self) -> Any:
+        return None if self.check_module is None else import_module(self.check_module)
 
     def card(self) -> str:
         """How to open the format, in Markdown on one line, for the data card; empty: nothing is said."""

@@ -54,26 +54,20 @@ class Nerfstudio(DatasetFormat):
     """Cameras for radiance fields and splats."""
 
     name = "nerfstudio"
-    check_module = "forestgen.dataset.check.cameras"
+    check_module = "forestgen.dataset.check.nerfstudio"
 
     def holds(self, projection: Projection) -> bool:
         return projection.exchange is not None
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-        """Write the transforms of each image.
-
-        Raises
-        ------
-        OutputError
-            When a camera.json is missing or damaged, or a file cannot be written.
-        """
+        """Write the transforms of each image; see `DatasetFormat.merge`."""
         images: dict[str, list[str]] = {}
         for folder in in_order(folders):
             images.setdefault(folder.partition("-")[0], []).append(folder)
         for image, own in images.items():
             models: dict[str, list[str]] = {}
             for folder in own:
-                models.setdefault(_camera(root, folder)["model"], []).append(folder)
+                models.setdefault(read_shard(root / folder / CAMERA_NAME, _SHARD)["model"], []).append(folder)
             first = "transforms" if len(images) == 1 else f"transforms-{image}"
             for number, (model, folders_of_model) in enumerate(models.items()):
                 name = f"{first}.json" if number == 0 else f"{first}-{model}.json"
@@ -83,49 +77,33 @@ class Nerfstudio(DatasetFormat):
 FORMAT = Nerfstudio()
 
 
-def _camera(root: Path, folder: str) -> dict[str, Any]:
-    """A frame's camera.json."""
-    path = root / folder / CAMERA_NAME
-    camera = read_shard(path, _SHARD)
-    if _exchange(camera["model"]) is None:
-        raise OutputError(
-            f"nerfstudio has no {camera['model']} cameras",
-            where=str(path),
-            hint="leave nerfstudio out of dataset.formats",
-        )
-    return camera
-
-
-def _exchange(model: str) -> Exchange | None:
-    """What nerfstudio calls a model of camera.json; None: it has no such cameras."""
+def _exchange(path: Path, model: str) -> Exchange:
+    """What nerfstudio calls a model of camera.json."""
     projection = projection_of_model(model)
-    return None if projection is None else projection.exchange
+    if projection is None or projection.exchange is None:
+        hint = "leave nerfstudio out of dataset.formats"
+        raise OutputError(f"nerfstudio has no {model} cameras", where=str(path), hint=hint)
+    return projection.exchange
 
 
 def _transforms(root: Path, model: str, folders: Sequence[str], settings: DatasetSettings) -> dict[str, Any]:
-    exchange = _exchange(model)
-    assert exchange is not None
-    content: dict[str, Any] = {
-        "camera_model": exchange.camera_model,
-        "frames": [_checked_frame(root, folder, settings) for folder in folders],
-    }
+    exchange = _exchange(root / folders[0] / CAMERA_NAME, model)
+    frames = []
+    for folder in folders:
+        try:
+            frames.append(_frame(root, folder, exchange, settings))
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:  # numbers that make no camera
+            raise damaged(root / folder / CAMERA_NAME, f"{type(error).__name__}: {error}"[:200]) from error
+    content: dict[str, Any] = {"camera_model": exchange.camera_model, "frames": frames}
     if DEPTH.name in settings.formats:
         content["depth_unit_scale_factor"] = settings.depth_unit_m
     return content
 
 
-def _checked_frame(root: Path, folder: str, settings: DatasetSettings) -> dict[str, Any]:
-    """`_frame`; numbers that make no camera raise `OutputError`."""
-    try:
-        return _frame(root, folder, settings)
-    except (KeyError, IndexError, TypeError, ValueError, OverflowError) as error:
-        raise damaged(root / folder / CAMERA_NAME, f"{type(error).__name__}: {error}"[:200]) from error
-
-
-def _frame(root: Path, folder: str, settings: DatasetSettings) -> dict[str, Any]:
-    camera, path = _camera(root, folder), root / folder / CAMERA_NAME
-    (width, height), exchange = camera["size_px"], _exchange(camera["model"])
-    assert exchange is not None
+def _frame(root: Path, folder: str, exchange: Exchange, settings: DatasetSettings) -> dict[str, Any]:
+    path = root / folder / CAMERA_NAME
+    camera = read_shard(path, _SHARD)
+    width, height = camera["size_px"]
     opencv_from_opengl = np.diag([1.0, -1.0, -1.0, 1.0])
     focal = (width / 2.0, float(height))
     if exchange.has_k:
@@ -134,12 +112,8 @@ def _frame(root: Path, folder: str, settings: DatasetSettings) -> dict[str, Any]
     frame = {
         "file_path": f"{folder}/preview.png",
         "transform_matrix": (np.asarray(camera["world_from_camera"]) @ opencv_from_opengl).tolist(),
-        "fl_x": focal[0],
-        "fl_y": focal[1],
-        "cx": width / 2.0,
-        "cy": height / 2.0,
-        "w": width,
-        "h": height,
+        **dict(zip(("fl_x", "fl_y"), focal, strict=True)),
+        **{"cx": width / 2.0, "cy": height / 2.0, "w": width, "h": height},
         **dict.fromkeys(exchange.distortion, 0.0),
     }
     if DEPTH.name in settings.formats:

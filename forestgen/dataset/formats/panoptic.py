@@ -35,13 +35,7 @@ from forestgen.core.parts import Part
 from forestgen.dataset import png
 from forestgen.dataset.formats.coco import write_merged
 from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import (
-    in_order,
-    numbering,
-    place,
-    read_frame,
-    write_shard,
-)
+from forestgen.dataset.formats.shards import in_order, numbering, place, read_frame, write_shard
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import instance_mask
@@ -63,13 +57,7 @@ class Panoptic(DatasetFormat):
     bytes_per_pixel, bytes_per_plant = 6, 400
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-        """Write the frame's picture and segments into its folder.
-
-        Raises
-        ------
-        OutputError
-            When a plant's id does not fit, before anything is written, or when a file cannot be written.
-        """
+        """Write the frame's picture and segments into its folder; a plant's id that does not fit is refused before."""
         instance = labelled.pixels.instance
         _require_fitting(instance, str(folder / PICTURE_NAME))
         segments = segment_ids(instance, labelled.pixels.part)
@@ -83,13 +71,7 @@ class Panoptic(DatasetFormat):
         write_shard(folder / SHARD_NAME, shard)
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-        """Write panoptic.json over all frames, and place their pictures beside it.
-
-        Raises
-        ------
-        OutputError
-            When a shard is missing or damaged, frames differ in species or classes, or a file cannot be written.
-        """
+        """Write panoptic.json over all frames, and place their pictures beside it; see `DatasetFormat.merge`."""
 
         def annotations_of(folder: str, shard: Mapping[str, Any]) -> list[dict[str, Any]]:
             name = f"{folder}.png"

@@ -39,17 +39,9 @@ def write_shard(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read_shard(path: Path, types: Mapping[str, type]) -> dict[str, Any]:
-    """A frame's share of a format.
+    """A frame's share of a format; a file that is missing, cut short, or none of this format raises `OutputError`.
 
-    Parameters
-    ----------
-    path : of a file of `write_shard`.
-    types : key -> type of the value that it must hold: dict, int, list[dict], list[str].
-
-    Raises
-    ------
-    OutputError
-        When the file is missing, cut short, or not a shard of this format.
+    `types` are those of the values that it must hold, by key: dict, int, list[dict], list[str].
     """
     try:
         content = load_json(read_bytes(path))
@@ -57,13 +49,8 @@ def read_shard(path: Path, types: Mapping[str, type]) -> dict[str, Any]:
         raise damaged(path, str(error)) from error
     for key, kind in types.items():
         if not isinstance(content, dict) or not _is_a(content.get(key), kind):
-            raise OutputError(
-                "a frame's labels are not of this format",
-                where=str(path),
-                expected=f"{key}: {kind}",
-                got=json_text(content)[:80],
-                hint=_REMEDY,
-            )
+            texts = {"expected": f"{key}: {kind}", "got": json_text(content)[:80], "hint": _REMEDY}
+            raise OutputError("a frame's labels are not of this format", where=str(path), **texts)
     return dict(content)
 
 
@@ -108,12 +95,8 @@ def read_frame(path: Path, types: Mapping[str, type], settings: DatasetSettings)
     for key, what in (("species", "species"), ("categories", "labels.classes")):
         expected, got = wanted.get(key, wanted["species"]), shard.get(key, shard["species"])
         if got != expected:
-            raise OutputError(
-                f"frames of one dataset must share their {what}",
-                where=str(path),
-                expected=", ".join(expected),
-                got=", ".join(map(str, got)),
-            )
+            texts = {"expected": ", ".join(expected), "got": ", ".join(map(str, got))}
+            raise OutputError(f"frames of one dataset must share their {what}", where=str(path), **texts)
     return shard
 
 
@@ -134,32 +117,17 @@ def whole_file(path: Path) -> Iterator[IO[str]]:
         raise
 
 
-class JsonList:
-    """Items of a JSON list, written as they come, one a line."""
-
-    def __init__(self, stream: IO[str]) -> None:
-        self._stream = stream
-        self._count = 0
-        stream.write("[")
-
-    def add(self, item: Any) -> None:
-        """Write one more item."""
-        self._stream.write(("\n" if self._count == 0 else ",\n") + json_text(item))
-        self._count += 1
-
-    def close(self) -> None:
-        """Write the list's end."""
-        self._stream.write("\n]" if self._count else "]")
+def write_list(stream: IO[str], items: Iterable[Any]) -> None:
+    """Write items as they come as a JSON list, one a line."""
+    start = "["
+    for item in items:
+        stream.write(start + "\n" + json_text(item))
+        start = ","
+    stream.write("[]" if start == "[" else "\n]")
 
 
 def place(source: Path, target: Path) -> None:
-    """Give a file a second place: a hard link, or a copy where the file system has no links.
-
-    Raises
-    ------
-    OutputError
-        When the file is missing or cannot be placed.
-    """
+    """Give a file a second place: a hard link, or a copy where the file system has no links; see `OutputError`."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         target.unlink(missing_ok=True)

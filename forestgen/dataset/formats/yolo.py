@@ -63,13 +63,7 @@ class Yolo(DatasetFormat):
             write_bytes(folder / f"yolo_{task}.txt", "".join(line + "\n" for line in lines).encode())
 
     def merge(self, root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
-        """Place images and labels of all frames where trainers look for them, and write data.yaml.
-
-        Raises
-        ------
-        OutputError
-            When a frame's file is missing or cut short, or cannot be placed.
-        """
+        """Place images and labels of all frames where trainers look for them, and write data.yaml."""
         frames = in_order(folders)
         for task in TASKS:
             home = root / FOLDER_NAME / task

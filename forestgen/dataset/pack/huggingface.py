@@ -1,26 +1,38 @@
 """A folder that Hugging Face's `datasets` opens: Parquet files with the pictures inside, and a README that lists them.
 
-Rows are written in groups of bounded size, so that a reader streams and memory stays flat.
+Rows are written in groups of bounded size, so that a reader streams and memory stays flat. The library keeps its types
+as JSON in a Parquet file's metadata, so that a column of pictures opens as pictures.
 """
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.formats.shards import json_text
-from forestgen.dataset.pack.columns import Column, arrow_type, columns_of, yaml_type
-from forestgen.dataset.pack.pack import Contents, Pack
-from forestgen.dataset.pack.samples import Sample, Shard
+from forestgen.dataset.pack.pack import Contents, Pack, Shard
+from forestgen.dataset.pack.source import Channel, Sample, Source
+from forestgen.dataset.safe_path import load_json
 
 _FOLDER = "data"
 _GROUP_BYTES, _GROUP_ROWS = 32 << 20, 100
 _CELL_BYTES = 256  # a leaf's share of the footer and of page headers, a group
 _VALUE_BYTES = 32  # what a value takes beside its own bytes: length and levels
+# Of the index, what each frame's columns say in another way.
+_LEFT_OUT = ("frame", "folder", "split")
+_RENAMED = {"image": "image_number"}  # `image` is the picture
+
+# Field of `objects`, as of an annotation -> type: lists with a value a plant in view.
+_OBJECT_FIELDS = {
+    "plant_id": "int64", "area": "int64", "truncated": "bool", "species": "string", "distance_m": "float64",
+    "height_m": "float64", "visible_fraction": "float64", "amodal_area": "int64",
+}  # fmt: skip
 
 
 class HuggingFace(Pack):
@@ -35,13 +47,13 @@ class HuggingFace(Pack):
 
     def write_split(self, folder: Path, split: str, samples: Iterator[Sample], contents: Contents) -> list[Shard]:
         """Write a split's files: data/SPLIT-00000-of-00003.parquet and so on."""
-        columns = columns_of(contents.source, contents.channels)
+        columns = _columns_of(contents.source, contents.channels)
         (folder / _FOLDER).mkdir(exist_ok=True)
         schema = _schema(columns)
         counts: list[int] = []
         held = next(samples, None)
         while held is not None:
-            with _File(folder / _FOLDER / _part_name(split, len(counts)), schema, columns) as file:
+            with _File(folder / _FOLDER / f"{split}-{len(counts):05d}.part", schema, columns) as file:
                 while held is not None:
                     size_bytes = _row_bytes(held, columns)
                     if file.frames and file.bytes_with(size_bytes) > contents.shard_bytes:
@@ -49,7 +61,12 @@ class HuggingFace(Pack):
                     file.add(held, size_bytes)
                     held = next(samples, None)
             counts.append(file.frames)
-        return [_named(folder, split, number, counts) for number in range(len(counts))]
+        shards = []
+        for number, frames in enumerate(counts):
+            name = f"{_FOLDER}/{split}-{number:05d}-of-{len(counts):05d}.parquet"
+            path = (folder / _FOLDER / f"{split}-{number:05d}.part").rename(folder / name)
+            shards.append(Shard(name, frames, path.stat().st_size))
+        return shards
 
     def opening_code(self, target: str, split: str, shards: Sequence[Shard]) -> tuple[str, str]:
         return "import datasets", f'{split} = datasets.load_dataset("{target}", split="{split}")'
@@ -58,17 +75,13 @@ class HuggingFace(Pack):
         self, contents: Contents, splits: Mapping[str, Sequence[Shard]], of_card: Mapping[str, Any]
     ) -> str:
         """What the library reads: where the splits lie, and the types of the columns."""
-        columns = columns_of(contents.source, contents.channels)
-        features = [{"name": column.name, **yaml_type(column.feature)} for column in columns]
+        columns = _columns_of(contents.source, contents.channels)
+        features = [{"name": column.name, **_yaml_type(column.feature)} for column in columns]
+        files = [{"split": name, "path": f"{_FOLDER}/{name}-*.parquet"} for name in splits]
         sizes = {name: sum(one.size_bytes for one in shards) for name, shards in splits.items()}
         content = {
             **of_card,
-            "configs": [
-                {
-                    "config_name": "default",
-                    "data_files": [{"split": name, "path": f"{_FOLDER}/{name}-*.parquet"} for name in splits],
-                }
-            ],
+            "configs": [{"config_name": "default", "data_files": files}],
             "dataset_info": {
                 "features": features,
                 "splits": [
@@ -97,23 +110,12 @@ def _yaml(content: Any) -> str:
     return stream.getvalue()
 
 
-def _part_name(split: str, number: int) -> str:
-    return f"{split}-{number:05d}.part"
-
-
-def _named(folder: Path, split: str, number: int, counts: Sequence[int]) -> Shard:
-    """Give a file its name, which says how many there are."""
-    name = f"{_FOLDER}/{split}-{number:05d}-of-{len(counts):05d}.parquet"
-    path = (folder / _FOLDER / _part_name(split, number)).rename(folder / name)
-    return Shard(name, counts[number], path.stat().st_size)
-
-
 def _schema(columns: Sequence[Column]) -> Any:
     import pyarrow as pa
 
     features = {column.name: column.feature for column in columns}
     text = json.dumps({"info": {"features": features}})
-    fields = [(column.name, arrow_type(column.feature)) for column in columns]
+    fields = [(column.name, _arrow_type(column.feature)) for column in columns]
     return pa.schema(fields, metadata={"huggingface": text})
 
 
@@ -175,7 +177,7 @@ class _File:
 
 
 def _cell(column: Column, sample: Sample) -> Any:
-    """A frame's value of a column; what the data set's files do not tell in their format raises `DatasetError`."""
+    """A frame's value of a column; what the data set's files do not hold in their format raises `DatasetError`."""
     try:
         return column.cell(sample)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
@@ -188,7 +190,7 @@ def _array(column: Column, values: Sequence[Any]) -> Any:
     import pyarrow as pa
 
     try:
-        return pa.array(values, arrow_type(column.feature))
+        return pa.array(values, _arrow_type(column.feature))
     except (TypeError, ValueError, OverflowError, pa.ArrowException) as error:
         got = " ".join(str(error).split())[:200]
         raise DatasetError("frames have values of a wrong type", where=f"column {column.name}", got=got) from error
@@ -201,3 +203,146 @@ def _leaves(schema: Any) -> int:
         return sum(count(kind.field(i).type) for i in range(kind.num_fields)) if kind.num_fields else 1
 
     return sum(count(one.type) for one in schema)
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of the data set."""
+
+    name: str
+    feature: Any  # as the library writes it to JSON
+    cell: Callable[[Sample], Any]  # plain value of a frame
+
+
+def _columns_of(source: Source, channels: Sequence[Channel]) -> list[Column]:
+    """All columns of a pack: the channels', the camera, what the index says."""
+    categories = list(source.classes["categories"].values())
+    columns = [Column("frame", _value("string"), lambda sample: sample.name)]
+    columns += [_of_channel(channel, categories) for channel in channels]
+    columns.append(Column("camera_parameters", _value("string"), lambda sample: json_text(sample.camera)))
+    if any(channel.name == "depth" for channel in channels):
+        columns.append(Column("depth_unit_m", _value("float64"), lambda sample: sample.depth_unit_m))
+    return columns + _of_index(source)
+
+
+def _value(dtype: str) -> dict[str, Any]:
+    return {"dtype": dtype, "_type": "Value"}
+
+
+def _sequence(feature: Any) -> dict[str, Any]:
+    """A list; by the older of its two names, which every version of the library knows."""
+    return {"feature": feature, "_type": "Sequence"}
+
+
+def _kind(feature: Any) -> str | None:
+    """The name of a feature's type; None: a struct."""
+    return feature.get("_type") if isinstance(feature.get("_type"), str) else None
+
+
+def _arrow_type(feature: Any) -> Any:
+    """Type in which a feature is stored."""
+    import pyarrow as pa
+
+    kind = _kind(feature)
+    if kind is None:
+        return pa.struct([(name, _arrow_type(one)) for name, one in feature.items()])
+    if kind == "Image":
+        return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+    if kind == "Sequence":
+        return pa.list_(_arrow_type(feature["feature"]))
+    if kind == "ClassLabel":
+        return pa.int64()
+    return pa.type_for_alias(feature["dtype"])
+
+
+def _yaml_type(feature: Any) -> dict[str, Any]:
+    """The feature as a README's `dataset_info` has it."""
+    kind = _kind(feature)
+    if kind is None:
+        return {"struct": [{"name": name, **_yaml_type(one)} for name, one in feature.items()]}
+    if kind == "Image":
+        return {"dtype": "image"}
+    if kind == "Sequence":
+        inner = _yaml_type(feature["feature"])
+        return {"list": inner["dtype"] if list(inner) == ["dtype"] else inner}
+    if kind == "ClassLabel":
+        return {"dtype": {"class_label": {"names": {str(i): name for i, name in enumerate(feature["names"])}}}}
+    return {"dtype": feature["dtype"]}
+
+
+def _of_channel(channel: Channel, categories: Sequence[str]) -> Column:
+    name = channel.name
+    if channel.kind == "picture":
+        return Column(
+            channel.column,
+            {"_type": "Image"},
+            lambda sample: {"bytes": sample.contents[name], "path": f"{sample.name}.{channel.extension}"},
+        )
+    if channel.kind == "objects":
+        return Column(channel.column, _objects_feature(categories), lambda sample: _objects(sample.contents[name]))
+    return Column(channel.column, _value("binary"), lambda sample: sample.contents[name])
+
+
+def _objects_feature(categories: Sequence[str]) -> dict[str, Any]:
+    return {
+        "bbox": _sequence(_sequence(_value("float32"))),
+        "category": _sequence({"names": list(categories), "_type": "ClassLabel"}),
+        **{name: _sequence(_value(dtype)) for name, dtype in _OBJECT_FIELDS.items()},
+        "amodal_rle": _sequence(_value("string")),
+    }
+
+
+def _objects(content: bytes) -> dict[str, list[Any]]:
+    """The plants in view, field by field."""
+    plants = load_json(content)["annotations"]
+    return {
+        "bbox": [one["bbox"] for one in plants],
+        "category": [one["category_id"] - 1 for one in plants],
+        **{name: [one.get(name) for one in plants] for name in _OBJECT_FIELDS},
+        "amodal_rle": [one.get("amodal_segmentation", {}).get("counts") for one in plants],
+    }
+
+
+def _of_index(source: Source) -> list[Column]:
+    import pyarrow as pa
+
+    columns = []
+    for field in source.index.schema:
+        if field.name in _LEFT_OUT:
+            continue
+        if pa.types.is_map(field.type):
+            columns += _of_map(field.name, source.index[field.name])
+        elif (feature := _plain(field.type)) is not None:
+            name = _RENAMED.get(field.name, field.name)
+            columns.append(Column(name, feature, partial(_cell_of_row, field.name)))
+    return columns
+
+
+def _cell_of_row(key: str, sample: Sample) -> Any:
+    return sample.row[key]
+
+
+def _plain(kind: Any) -> dict[str, Any] | None:
+    """Feature of a column of numbers, texts, or lists of them."""
+    import pyarrow as pa
+
+    if pa.types.is_list(kind):
+        inner = _plain(kind.value_type)
+        return None if inner is None else _sequence(inner)
+    names = {"double": "float64", "float": "float32"}
+    dtype = names.get(str(kind), str(kind))
+    known = ("bool", "string", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
+    return _value(dtype) if dtype in (*known, "float32", "float64") else None
+
+
+def _of_map(name: str, column: Any) -> list[Column]:
+    """Numbers by name as a field a name, which is 0 where the map leaves it out."""
+    keys = sorted({key for chunk in column.chunks for key in chunk.keys.unique().to_pylist()})
+    if not keys:
+        return []
+
+    def cell(sample: Sample) -> dict[str, int | None]:
+        counts = sample.row[name]
+        return {key: None if counts is None else counts.get(key, 0) for key in keys}
+
+    return [Column(name, {key: _value("int64") for key in keys}, cell)]

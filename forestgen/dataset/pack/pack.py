@@ -1,15 +1,47 @@
-"""What a pack is: a form of data sets that training programs' own loaders read."""
+"""Pack a data set for a training program's own loader: what a form of packs is, the work, and the pack's README."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from forestgen.dataset.pack.channels import Channel
-from forestgen.dataset.pack.samples import Sample, Shard
-from forestgen.dataset.pack.source import Source
+from forestgen.core.arguments import MOST_SEEDS, whole_of
+from forestgen.core.errors import DatasetError, ForestgenError, OutputError, RecipeError
+from forestgen.core.figures import parse_bytes
+from forestgen.core.progress import Progress
+from forestgen.dataset.card import markdown_template
+from forestgen.dataset.files import write_bytes, write_json
+from forestgen.dataset.folder import OutputFolder
+from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
+from forestgen.dataset.pack.source import (
+    Channel,
+    Sample,
+    Source,
+    choose_channels,
+    in_order,
+    measure_frame,
+    open_source,
+    read_file,
+    read_json,
+    read_samples,
+)
+from forestgen.dataset.safe_path import SafePath
+from forestgen.recipe.registries import PACKS
+from forestgen.recipe.sources import parse_yaml
+
+_PACK_FILE = "pack.json"
+_SCHEMA = "forestgen-pack/1"
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A file of a pack."""
+
+    name: str
+    frames: int
+    size_bytes: int
 
 
 @dataclass(frozen=True)
@@ -45,3 +77,170 @@ class Pack:
     ) -> str:
         """What README.md begins with, before what people read; `of_card` is the same of the data set's card."""
         return ""
+
+
+@dataclass(frozen=True)
+class Packing:
+    """What to pack, and how."""
+
+    format: str  # name of a pack in the registry
+    shard_bytes: int = 500_000_000
+    channels: tuple[str, ...] | None = None  # None: the usual ones that the data set has
+    splits: tuple[str, ...] = ()  # those to pack; none: all
+    seed: int | None = 0  # of the order of the frames; None: by name
+
+
+def packing_of(
+    form: str, shard_size: int | str, channels: Sequence[str] | None, splits: Sequence[str], seed: int | None
+) -> Packing:
+    """What to pack, from plain values; `shard_size` is bytes, or a text such as 500MB.
+
+    Raises
+    ------
+    RecipeError : no such format, size or seed.
+    """
+    if seed is not None:
+        whole_of(seed, "seed", 0, MOST_SEEDS)
+    PACKS.check(form, parameter="format")
+    names = None if channels is None else tuple(channels)
+    return Packing(form, parse_bytes(shard_size, "shard_size"), names, tuple(splits), seed)
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What was packed."""
+
+    folder: Path
+    splits: Mapping[str, Sequence[Shard]]
+    channels: tuple[str, ...]
+    code: tuple[str, str]  # two lines of Python that open it
+
+
+def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False, progress: Progress) -> Packed:
+    """Write a data set as a training program's own loader reads it.
+
+    The folder `target` appears when everything in it is complete, or not at all, and has the same bytes whenever the
+    same data set is packed in the same way. One frame is in memory at a time; of Parquet a group of rows.
+
+    Raises
+    ------
+    DatasetError : a file of the data set is missing or damaged.
+    RecipeError : the data set has no such channel or split.
+    OutputError : the pack cannot be written.
+    """
+    form: Pack = PACKS.load(packing.format)
+    source = open_source(root, packing.splits)
+    _check_apart(root, target)
+    folders = source.folders
+    channels = choose_channels(folders, packing.channels)
+    names, contents = _split_names(source, form), Contents(source, channels, packing.shard_bytes)
+    needed = len(folders) * (form.frame_bytes + len(channels) * form.channel_bytes)
+    with progress.stage("looking", len(folders)) as advance:
+        for frame in folders:
+            needed += measure_frame(frame, channels)
+            advance(1)
+    with OutputFolder(target, overwrite=overwrite, required_bytes=needed, is_ours=is_pack) as folder:
+        shards: dict[str, list[Shard]] = {}
+        with progress.stage("packing", len(folders)) as advance:
+            for split in source.splits:
+                samples = read_samples(source, split, in_order(split, packing.seed), channels, advance)
+                shards[names[split.name]] = form.write_split(folder, names[split.name], samples, contents)
+        _write_rest(folder, form, contents, packing, shards)
+    names_packed = tuple(channel.name for channel in channels)
+    return Packed(target, shards, names_packed, _opening_code(form, target, shards))
+
+
+def is_pack(folder: Path) -> bool:
+    """Whether a folder is a pack of ours: only such a folder may be replaced."""
+    try:
+        return str(read_json(SafePath(folder, _PACK_FILE)).get("schema", "")).startswith("forestgen-pack/")
+    except DatasetError:
+        return False
+
+
+def _opening_code(form: Pack, target: Path | str, shards: Mapping[str, Sequence[Shard]]) -> tuple[str, str]:
+    """Two lines of Python that open the pack's first split."""
+    split = "train" if "train" in shards else next(iter(shards))
+    return form.opening_code(str(target), split, shards[split])
+
+
+def _check_apart(root: Path, target: Path) -> None:
+    try:
+        inside = target.resolve().is_relative_to(root.resolve())
+    except (OSError, RuntimeError):
+        return  # OutputFolder reports what is wrong with the path
+    if inside:
+        problem = "the pack would lie inside the data set"
+        raise OutputError(problem, where=str(target), hint=f"choose a folder beside {root}")
+
+
+def _split_names(source: Source, form: Pack) -> dict[str, str]:
+    """Split -> its name in the pack."""
+    names = {split.name: form.split_name(split.name) for split in source.splits}
+    if len(set(names.values())) < len(names):
+        raise RecipeError(
+            "two splits would have the same name, for hyphens become underscores",
+            parameter="splits",
+            got=", ".join(names),
+            hint="pack them one by one",
+        )
+    return names
+
+
+def _write_rest(
+    folder: Path, form: Pack, contents: Contents, packing: Packing, shards: Mapping[str, Sequence[Shard]]
+) -> None:
+    """classes.json, README.md, pack.json."""
+    source, names = contents.source, [channel.name for channel in contents.channels]
+    write_bytes(folder / CLASSES_FILE, read_file(source.splits[0].folder / CLASSES_FILE))
+    of_card, chapter = _card_of(source.root)
+    code = _opening_code(form, "PATH", shards)
+    text = readme_body(form.title, code, shards, source.classes, names) + chapter
+    write_bytes(folder / "README.md", (form.front_matter(contents, shards, of_card) + text).encode())
+    content = {
+        "schema": _SCHEMA,
+        "format": packing.format,
+        "channels": names,
+        "order_seed": packing.seed,
+        "shard_bytes": packing.shard_bytes,
+        "splits": {name: [asdict(one) for one in listed] for name, listed in shards.items()},
+    }
+    write_json(folder / _PACK_FILE, content)
+
+
+def readme_body(
+    title: str,
+    code: Sequence[str],
+    splits: Mapping[str, Sequence[Shard]],
+    classes: Mapping[str, Any],
+    channels: Sequence[str],
+) -> str:
+    """What people read in README.md; `code` opens the pack, and only its `channels` are described."""
+    template = markdown_template(Path(__file__).with_name("readme.md.jinja"))
+    return str(template.render(title=title, code=code, splits=splits, classes=classes, channels=channels))
+
+
+def _card_of(root: Path) -> tuple[dict[str, Any], str]:
+    """The data set's own README.md: its front matter, and its text as a chapter; empty where there is none."""
+    try:
+        text = SafePath(root, "README.md").read().decode("utf-8")
+    except (OSError, UnicodeDecodeError):
+        return {}, ""
+    head = ""
+    if text.startswith("---\n"):
+        head, _, text = text.removeprefix("---\n").partition("\n---\n")
+    try:
+        content, _ = parse_yaml(head, "README.md", lines=False)
+    except ForestgenError:
+        content = None  # people have made something else of it
+    chapter = "\n## The data set that was packed\n\n" + _lower_headings(text.strip()) + "\n"
+    return content if isinstance(content, dict) else {}, chapter
+
+
+def _lower_headings(text: str) -> str:
+    """Headings two levels down; lines in fences are left alone."""
+    lines, fenced = [], False
+    for line in text.split("\n"):
+        fenced ^= line.startswith("```")
+        lines.append(f"##{line}" if line.startswith("#") and not fenced else line)
+    return "\n".join(lines)

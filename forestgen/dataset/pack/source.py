@@ -1,21 +1,75 @@
-"""The data set to pack: its splits, the frames that its index.parquet lists, and their classes."""
+"""The data set to pack: its splits, the frames that its index.parquet lists, and the channels that are packed of each.
+
+A channel is a file of the frame's folder, byte for byte as it lies there, or an array of frame.exr as a .npy file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+import numpy as np
 
 from forestgen.core.errors import DatasetError, RecipeError
-from forestgen.dataset.index import INDEX_NAME, whole_index
-from forestgen.dataset.index_values import plain_rows
+from forestgen.core.randomness import child_rng
+from forestgen.dataset.exr_chunks import read_whole
+from forestgen.dataset.formats.depth_png import SCALE_NAME
+from forestgen.dataset.formats.shards import json_text
+from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
 from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
 from forestgen.dataset.legend import read_legend
-from forestgen.dataset.pack.channels import read_json
-from forestgen.dataset.safe_path import SafePath
+from forestgen.dataset.safe_path import SafePath, load_json, unreadable
 
-LAST_FILE = "dataset.json"  # that a run writes
+_LAST_FILE = "dataset.json"  # that a run writes
+_EXR_FILE, _CAMERA_FILE = "frame.exr", "camera.json"
+_REMEDY = "forestgen verify finds what is damaged, the command that made the data set makes it again with `resume=True`"
+# How a whole file of a kind begins and ends.
+_ENDS = {
+    "png": (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"),
+    "json": (b"{", b"}\n"),
+    "parquet": (b"PAR1", b"PAR1"),
+    "exr": (b"\x76\x2f\x31\x01", b""),
+}
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Something that each frame has."""
+
+    name: str
+    file: str  # of the frame's folder
+    extension: str  # in a shard of WebDataset, behind the frame's name and a dot
+    column: str  # in a Parquet file
+    kind: Literal["picture", "objects", "bytes"] = "bytes"  # of the column
+    part: str = ""  # of frame.exr, if it is an array
+    layers: tuple[str, ...] = ()  # of that part
+
+
+def _picture(name: str, column: str | None = None) -> Channel:
+    return Channel(name, f"{name}.png", f"{name}.png", column or name, "picture")
+
+
+def _array(name: str, part: str, *layers: str) -> Channel:
+    return Channel(name, _EXR_FILE, f"{name}.npy", name, "bytes", part, layers)
+
+
+_ALL = (
+    _picture("preview", "image"),
+    *map(_picture, ("semantic", "instance", "depth", "overlay", "raw")),
+    Channel("annotations", "annotations.json", "annotations.json", "objects", "objects"),
+    Channel("plants", "plants.parquet", "plants.parquet", "plants_parquet"),
+    Channel("exr", _EXR_FILE, "exr", "exr"),
+    _array("depth_m", "depth", "Z"),
+    _array("normal", "normal", *"XYZ"),
+    _array("albedo", "albedo", *"RGB"),
+    _array("motion", "motion", "forward.u", "forward.v"),
+    _array("radiance", "radiance", *"RGB"),
+)
+CHANNELS = {channel.name: channel for channel in _ALL}
+_DEFAULT = ("preview", "semantic", "instance", "depth", "annotations")  # those of them that the data set has
 
 
 @dataclass(frozen=True)
@@ -38,12 +92,20 @@ class Source:
     row_numbers: Mapping[str, int]  # frame -> row of the index
 
     @property
-    def frames(self) -> int:
-        return sum(len(split.frames) for split in self.splits)
+    def folders(self) -> list[SafePath]:
+        """Of all frames."""
+        return [split.folder / frame for split in self.splits for frame in split.frames]
 
-    def row(self, frame: str) -> dict[str, Any]:
-        """A frame's row of the index."""
-        return plain_rows(self.index.slice(self.row_numbers[frame], 1), self.root / INDEX_NAME)[0]
+
+@dataclass(frozen=True)
+class Sample:
+    """A frame."""
+
+    name: str
+    contents: Mapping[str, bytes]  # by channel
+    row: Mapping[str, Any]  # of the index
+    camera: Mapping[str, Any]  # camera.json
+    depth_unit_m: float | None  # metres of a step of the channel depth; None where it is not packed
 
 
 def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
@@ -61,19 +123,15 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     """
     index = whole_index(root / INDEX_NAME)
     names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
-    told = read_json(SafePath(root, LAST_FILE)).get("splits")
-    order = list(told) if isinstance(told, dict) else []  # the recipe's
+    listed = read_json(SafePath(root, _LAST_FILE)).get("splits")
+    order = list(listed) if isinstance(listed, dict) else []  # the recipe's
     frames: dict[str, list[str]] = {}
     for split, frame in names:
         frames.setdefault(split, []).append(frame)
     for name in splits:
         if name not in frames:
-            raise RecipeError(
-                "the data set has no such split",
-                parameter="splits",
-                expected="of " + ", ".join(sorted(frames)),
-                got=name,
-            )
+            expected = "of " + ", ".join(sorted(frames))
+            raise RecipeError("the data set has no such split", parameter="splits", expected=expected, got=name)
     chosen = sorted(set(splits) or frames, key=lambda name: (order.index(name) if name in order else len(order), name))
     found = tuple(Split(name, SafePath(root, name), tuple(sorted(frames[name]))) for name in chosen)
     if not found:
@@ -93,3 +151,160 @@ def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
                 hint="pack them one by one, with `splits`",
             )
     return classes
+
+
+def choose_channels(folders: Sequence[SafePath], wanted: Sequence[str] | None) -> tuple[Channel, ...]:
+    """The channels to pack, in their own order.
+
+    Parameters
+    ----------
+    folders : of all frames; the first decides which channels there are to name.
+    wanted : names; None: those of the usual ones that any frame has.
+
+    Raises
+    ------
+    RecipeError : no channel has such a name, or the data set lacks it.
+    """
+    if wanted is None:
+        usual = [CHANNELS[name] for name in _DEFAULT]
+        return tuple(one for one in usual if any((folder / one.file).is_file() for folder in folders))
+    if not wanted:
+        raise RecipeError("no channel is named", parameter="channels", expected=", ".join(CHANNELS))
+    folder = folders[0]
+    # A part of frame.exr is looked for only where an array is asked for: to read the file takes a while.
+    needs_exr = any(name not in CHANNELS or CHANNELS[name].part for name in wanted)
+    exr = _read_exr(folder / _EXR_FILE) if needs_exr and (folder / _EXR_FILE).is_file() else {}
+    for name in wanted:
+        if name not in CHANNELS or not (_has(folder, CHANNELS[name], exr) or _any_has(folders[1:], CHANNELS[name])):
+            exr = exr or _read_exr(folder / _EXR_FILE)
+            known = [one for one in CHANNELS if _has(folder, CHANNELS[one], exr)]
+            hint = "take depth_m, or make the data set with dataset.formats: [depth_png]" if name == "depth" else None
+            problem = "the data set has no such channel" if name in CHANNELS else "there is no such channel"
+            expected = "of " + ", ".join(known)
+            raise RecipeError(problem, parameter="channels", expected=expected, got=name, hint=hint)
+    return tuple(channel for name, channel in CHANNELS.items() if name in wanted)
+
+
+def _has(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]]) -> bool:
+    there = (folder / channel.file).is_file()
+    return there and (not channel.part or all(one in exr.get(channel.part, {}) for one in channel.layers))
+
+
+def _any_has(folders: Sequence[SafePath], channel: Channel) -> bool:
+    """Whether another frame has the file, so that the first one lacks it. Arrays are judged by the first alone."""
+    return not channel.part and any((folder / channel.file).is_file() for folder in folders)
+
+
+def measure_frame(folder: SafePath, channels: Sequence[Channel]) -> int:
+    """Bytes that a frame's channels take; a file that is missing raises `DatasetError`."""
+    total = 0
+    for channel in channels:
+        size_bytes = _size(folder / channel.file)
+        if channel.part:
+            size_px = read_json(folder / _CAMERA_FILE).get("size_px")
+            if not isinstance(size_px, list) or len(size_px) != 2 or not all(type(side) is int for side in size_px):
+                where = str(folder / _CAMERA_FILE)
+                raise DatasetError("the camera has no size", where=where, expected="size_px: [W, H]")
+            size_bytes = 128 + 4 * int(size_px[0]) * int(size_px[1]) * len(channel.layers)  # a header, and floats
+        total += size_bytes
+    return total
+
+
+def in_order(split: Split, seed: int | None) -> Sequence[str]:
+    """The split's frames in a random order of that seed, or by name where there is none.
+
+    A shard is read from front to back: in order of names it would hold the cameras of one scene after another.
+    """
+    if seed is None:
+        return split.frames
+    order = child_rng(seed, "pack", split.name).permutation(len(split.frames))
+    return [split.frames[number] for number in order.tolist()]
+
+
+def read_samples(
+    source: Source, split: Split, frames: Sequence[str], channels: Sequence[Channel], advance: Callable[[int], None]
+) -> Iterator[Sample]:
+    """The frames, in that order, one in memory at a time; what is missing or damaged raises `DatasetError`."""
+    for frame in frames:
+        folder = split.folder / frame
+        exr = _read_exr(folder / _EXR_FILE) if any(channel.part for channel in channels) else {}
+        contents = {one.name: _npy(folder, one, exr) if one.part else _whole(folder / one.file) for one in channels}
+        unit_m = _depth_unit_m(folder) if "depth" in contents else None
+        row = plain_rows(source.index.slice(source.row_numbers[frame], 1), source.root / INDEX_NAME)[0]
+        camera = read_json(folder / _CAMERA_FILE)
+        try:
+            json_text([row, camera])
+        except (TypeError, ValueError) as error:  # a date, or a number that is none: a stranger's column
+            got = f"{type(error).__name__}: {error}"[:200]
+            raise DatasetError("the frame's row of the index is no JSON", where=str(folder), got=got) from error
+        yield Sample(frame, contents, row, camera, unit_m)
+        advance(1)
+
+
+def _depth_unit_m(folder: SafePath) -> float:
+    unit_m = read_json(folder / SCALE_NAME).get("unit_m")
+    if isinstance(unit_m, bool) or not isinstance(unit_m, int | float):
+        where = str(folder / SCALE_NAME)
+        raise DatasetError("a file is not what its name says", where=where, expected="unit_m: metres")
+    return float(unit_m)
+
+
+def _npy(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]]) -> bytes:
+    """(H, W) or (H, W, C) float32 of frame.exr."""
+    part = exr.get(channel.part, {})
+    if not all(layer in part for layer in channel.layers):
+        raise DatasetError(
+            f"a frame lacks the channel {channel.name}",
+            where=str(folder / channel.file),
+            hint="frames differ in what they hold: leave the channel out",
+        )
+    layers = [part[layer] for layer in channel.layers]
+    buffer = io.BytesIO()
+    np.save(buffer, layers[0] if len(layers) == 1 else np.stack(layers, axis=-1))
+    return buffer.getvalue()
+
+
+def _whole(path: SafePath) -> bytes:
+    content = read_file(path)
+    head, tail = _ENDS[path.name.rpartition(".")[2]]
+    if not (content.startswith(head) and content.endswith(tail)):
+        raise _damaged(path)
+    return content
+
+
+def _read_exr(path: SafePath) -> dict[str, dict[str, Any]]:
+    _size(path)
+    try:
+        return read_whole(path)[0]
+    except Exception as error:  # the library raises whatever its C++ threw
+        raise _damaged(path) from error
+
+
+def read_file(path: SafePath) -> bytes:
+    """A file's bytes; failures are `DatasetError`."""
+    try:
+        return path.read()
+    except OSError as error:
+        raise unreadable(path, error, _REMEDY) from error
+
+
+def read_json(path: SafePath) -> dict[str, Any]:
+    """An object of JSON; what is none raises `DatasetError`."""
+    try:
+        content = load_json(read_file(path))
+    except ValueError as error:
+        raise _damaged(path) from error
+    if not isinstance(content, dict):
+        raise DatasetError("a file is not what its name says", where=str(path), expected="a JSON object")
+    return content
+
+
+def _size(path: SafePath) -> int:
+    try:
+        return path.size_bytes()
+    except OSError as error:
+        raise unreadable(path, error, _REMEDY) from error
+
+
+def _damaged(path: SafePath) -> DatasetError:
+    return DatasetError("a file is cut short or damaged", where=str(path), hint=_REMEDY)

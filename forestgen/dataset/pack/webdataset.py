@@ -6,7 +6,7 @@ A frame's files are named FRAME.EXTENSION: a file a channel, and FRAME.json with
      "depth_unit_m": metres of a step of FRAME.depth.png}
 
 Beside the shards SPLIT.json lists them, with frames and bytes, in the form that WebDataset's indexed reader takes.
-Nothing in the files tells when, where and by whom they were made.
+The files do not say when, where and by whom they were made.
 """
 
 from __future__ import annotations
@@ -19,9 +19,8 @@ from pathlib import Path
 
 from forestgen.dataset.files import write_json
 from forestgen.dataset.formats.shards import json_text
-from forestgen.dataset.pack.channels import Channel
-from forestgen.dataset.pack.pack import Contents, Pack
-from forestgen.dataset.pack.samples import Sample, Shard
+from forestgen.dataset.pack.pack import Contents, Pack, Shard
+from forestgen.dataset.pack.source import Channel, Sample
 
 _BLOCK, _END = tarfile.BLOCKSIZE, 2 * tarfile.BLOCKSIZE
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,18 +15,22 @@ LEFT, RIGHT, TOP, BOTTOM = 42.0, 312.0, 10.0, 132.0  # of the plot, in the viewB
 _MOST_BINS = 24
 _LEAST = 1e-30  # what is nearer to 0 is 0
 _BINS_A_DECADE = (20, 10, 5, 4, 3, 2, 1)
+_QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+_ROW, _ROWS_TOP = 34.0, 22.0  # of ranges: height of a row, and what is above the first, in the viewBox
+SUN_SIZE = 320.0
+SUN_CENTRE, SUN_RADIUS = SUN_SIZE / 2, 122.0
+_AZIMUTH_STEP_DEG, _ELEVATION_STEP_DEG = 15, 10
+_MOST_DOTS = 300  # single suns are drawn up to so many
 
 
-@dataclass(frozen=True)
-class Tick:
+class Tick(NamedTuple):
     """A mark of an axis."""
 
     at: float  # in the viewBox
     text: str
 
 
-@dataclass(frozen=True)
-class Bar:
+class Bar(NamedTuple):
     """A bar of a histogram, in the viewBox."""
 
     x: float
@@ -49,21 +54,30 @@ class Chart:
     note: str = ""  # below the chart, such as what the recipe asked for
 
 
-def histogram(
-    values: ArrayLike,
-    title: str,
-    x_title: str,
-    *,
-    log: bool = False,
-    y_title: str = "frames",
-    note: str = "",
-) -> Chart | None:
-    """A histogram of numbers; NaN counts as unknown, and on a log axis so does what is not positive.
+@dataclass(frozen=True)
+class Axis:
+    """A horizontal axis over the plot's width."""
 
-    Returns
-    -------
-    Chart : None if nothing is known.
-    """
+    low: float
+    high: float
+    log: bool
+
+    def at(self, value: float) -> float:
+        """Where a value lies, in the viewBox."""
+        scale = math.log if self.log else float
+        first, last = scale(self.low), scale(self.high)
+        return _round(LEFT + (RIGHT - LEFT) * (scale(value) - first) / (last - first))
+
+    @property
+    def ticks(self) -> tuple[Tick, ...]:
+        values = (_log_ticks if self.log else _even_ticks)(self.low, self.high)
+        return tuple(Tick(self.at(value), text) for text, value in {short(value): value for value in values}.items())
+
+
+def histogram(
+    values: ArrayLike, title: str, x_title: str, *, log: bool = False, y_title: str = "frames", note: str = ""
+) -> Chart | None:
+    """A histogram of numbers, None if nothing is known; NaN, and on a log axis what is not positive, is unknown."""
     known = np.asarray(values, dtype=np.float64).ravel()
     known = known[np.isfinite(known)]
     known = np.where(np.abs(known) < _LEAST, 0.0, known)
@@ -79,55 +93,20 @@ def histogram(
 
 
 def bars(
-    counts: ArrayLike,
-    edges: ArrayLike,
-    title: str,
-    x_title: str,
-    *,
-    summary: str,
-    log: bool = False,
-    y_title: str = "frames",
-    note: str = "",
-) -> Chart:
+    counts: ArrayLike, edges: ArrayLike, title: str, x_title: str, *,
+    summary: str, log: bool = False, y_title: str = "frames", note: str = "",
+) -> Chart:  # fmt: skip
     """A histogram that is counted already: (N,) counts between (N + 1,) edges."""
     heights, ends = np.asarray(counts, dtype=np.float64), np.asarray(edges, dtype=np.float64)
     y_ticks, top = _y_ticks(float(heights.max(initial=0.0)))
-    axis = _axis(float(ends[0]), float(ends[-1]), log=log)
+    axis = Axis(float(ends[0]), float(ends[-1]), log)
     drawn = []
     for low, high, height in zip(ends[:-1], ends[1:], heights, strict=True):
         tall, x = _round((BOTTOM - TOP) * height / top), axis.at(low)
-        text = f"{short(low)} to {short(high)}: {height:,.0f}"
         if height:
+            text = f"{short(low)} to {short(high)}: {height:,.0f}"
             drawn.append(Bar(x, _round(BOTTOM - tall), _round(axis.at(high) - x), tall, text))
     return Chart(title, summary, x_title, y_title, axis.ticks, y_ticks, tuple(drawn), note)
-
-
-@dataclass(frozen=True)
-class Axis:
-    """A horizontal axis over the plot's width."""
-
-    low: float
-    high: float
-    log: bool
-    ticks: tuple[Tick, ...] = ()
-
-    def at(self, value: float) -> float:
-        """Where a value lies, in the viewBox."""
-        scale = math.log if self.log else float
-        first, last = scale(self.low), scale(self.high)
-        return _round(LEFT + (RIGHT - LEFT) * (scale(value) - first) / (last - first))
-
-
-def _axis(low: float, high: float, *, log: bool) -> Axis:
-    bare = Axis(low, high, log)
-    texts = {short(value): value for value in (_log_ticks(low, high) if log else _even_ticks(low, high))}
-    return replace(bare, ticks=tuple(Tick(bare.at(value), text) for text, value in texts.items()))
-
-
-def log_axis(values: NDArray[np.float64]) -> Axis:
-    """A logarithmic axis around positive values."""
-    edges = _log_edges(values)
-    return _axis(float(edges[0]), float(edges[-1]), log=True)
 
 
 def _even_edges(known: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -206,12 +185,20 @@ def short(value: float) -> str:
     return f"{value:.2g}"
 
 
+def percent(share: float) -> str:
+    """A share of 1 for people; what is more than nothing never reads 0%."""
+    if 0 < share < 0.0001:
+        return "<0.01%"
+    if 0.9995 <= share < 1:
+        return ">99.9%"
+    return f"{100 * share:.3g}%" if share >= 0.001 or share == 0 else f"{100 * share:.2f}%"
+
+
 def _round(value: float) -> float:
     return round(float(value), 1)
 
 
-@dataclass(frozen=True)
-class Share:
+class Share(NamedTuple):
     """A row of a list of shares."""
 
     name: str
@@ -226,21 +213,122 @@ def shares(
     """Rows of counts with their share of all, or of `of`; none left out."""
     numbers = np.asarray(counts, dtype=np.float64)
     whole, most = float(numbers.sum()) if of is None else of, float(numbers.max(initial=0.0))
-    return tuple(
-        Share(
-            name,
-            f"{percent(number / whole if whole else 0.0)} · {number:,.0f}",
-            number / most if most else 0.0,
-            colours[k] if colours else "",
-        )
-        for k, (name, number) in enumerate(zip(names, numbers, strict=True))
+    texts = [f"{percent(number / whole if whole else 0.0)} · {number:,.0f}" for number in numbers]
+    lengths = [number / most if most else 0.0 for number in numbers]
+    return tuple(map(Share, names, texts, lengths, colours or [""] * len(names)))
+
+
+class Range(NamedTuple):
+    """A row of ranges: five quantiles, in the viewBox."""
+
+    name: str
+    text: str
+    y: float
+    spots: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Ranges side by side on one logarithmic axis: what most frames have, and what few have."""
+
+    title: str
+    summary: str
+    x_title: str
+    x_ticks: tuple[Tick, ...]
+    rows: tuple[Range, ...]
+    height: float
+    note: str = "Thick: the middle half of the frames; thin: nine in ten; the line and the number: the median."
+
+
+def ranges(values: Mapping[str, NDArray[np.float64]], title: str, x_title: str, unit: str) -> Ranges | None:
+    """Quantiles of several quantities, a row each; None if nothing is known of any.
+
+    Parameters
+    ----------
+    values : name -> (N,) positive numbers; NaN and what is not positive count as unknown.
+    unit : of the numbers beside the rows.
+    """
+    known = {name: column[np.isfinite(column) & (column > 0)] for name, column in values.items()}
+    found = {name: np.quantile(column, _QUANTILES) for name, column in known.items() if len(column)}
+    if not found:
+        return None
+    edges = _log_edges(np.concatenate(list(found.values())))
+    axis = Axis(float(edges[0]), float(edges[-1]), log=True)
+    rows = tuple(
+        Range(name, f"{q[2]:.3g} {unit}", _ROWS_TOP + _ROW * k, tuple(axis.at(one) for one in q))
+        for k, (name, q) in enumerate(found.items())
     )
+    texts = [f"{name}: {short(q[0])} to {short(q[4])} {unit}, median {short(q[2])}" for name, q in found.items()]
+    summary = f"{title}. {'; '.join(texts)}"
+    return Ranges(title, summary, x_title, axis.ticks, rows, _ROWS_TOP + _ROW * len(rows))
 
 
-def percent(share: float) -> str:
-    """A share of 1 for people; what is more than nothing never reads 0%."""
-    if 0 < share < 0.0001:
-        return "<0.01%"
-    if 0.9995 <= share < 1:
-        return ">99.9%"
-    return f"{100 * share:.3g}%" if share >= 0.001 or share == 0 else f"{100 * share:.2f}%"
+class Wedge(NamedTuple):
+    """A cell of the sky."""
+
+    path: str
+    strength: float  # share of the fullest cell's count, 0 to 1
+    title: str
+
+
+@dataclass(frozen=True)
+class Polar:
+    """Where the sun stood, by cells of the sky: north up, east right, the zenith in the middle, the horizon outside."""
+
+    title: str
+    summary: str
+    wedges: tuple[Wedge, ...]
+    dots: tuple[tuple[float, float], ...]  # x, y of each sun
+    rings: tuple[tuple[float, str], ...]  # radius and the elevation there
+    note: str = ""
+
+
+def sun_plot(azimuth_deg: NDArray[np.float64], elevation_deg: NDArray[np.float64]) -> Polar | None:
+    """Suns above the horizon, counted by cell; None if no sun is known.
+
+    Parameters
+    ----------
+    azimuth_deg : (N,) clockwise from north; NaN where a frame has no sun.
+    elevation_deg : (N,) above the horizon.
+    """
+    known = np.isfinite(azimuth_deg) & np.isfinite(elevation_deg)
+    if not known.any():
+        return None
+    azimuth, elevation = azimuth_deg[known] % 360.0, elevation_deg[known]
+    up = elevation >= 0
+    column = (azimuth[up] // _AZIMUTH_STEP_DEG).astype(int) % (360 // _AZIMUTH_STEP_DEG)
+    row = np.minimum(elevation[up] // _ELEVATION_STEP_DEG, 90 // _ELEVATION_STEP_DEG - 1).astype(int)
+    counts = np.zeros((90 // _ELEVATION_STEP_DEG, 360 // _AZIMUTH_STEP_DEG), dtype=np.int64)
+    np.add.at(counts, (row, column), 1)
+    wedges = tuple(_wedge(i, j, counts) for i, j in np.argwhere(counts))
+    dots = tuple(map(_spot, azimuth[up], elevation[up])) if up.sum() <= _MOST_DOTS else ()
+    rings = tuple((_radius(degrees), f"{degrees}°") for degrees in (0, 30, 60))
+    below = int((~up).sum())
+    summary = (
+        f"The sun's place in the sky in {int(up.sum()):,} frames: elevations from {elevation.min():.0f} to "
+        f"{elevation.max():.0f} degrees, {len(wedges)} of {counts.size} cells of the sky have one"
+    )
+    cells = f"Cells of {_AZIMUTH_STEP_DEG}° of azimuth by {_ELEVATION_STEP_DEG}° of elevation"
+    note = f"{f'{below:,} below the horizon, not shown. ' if below else ''}{cells}; the stronger, the more frames."
+    return Polar("Where the sun stands", summary, wedges, dots, rings, note)
+
+
+def _radius(elevation_deg: float) -> float:
+    return SUN_RADIUS * (90.0 - elevation_deg) / 90.0
+
+
+def _spot(azimuth_deg: float, elevation_deg: float) -> tuple[float, float]:
+    """x and y of a direction; x grows eastward, y downward."""
+    angle, radius = math.radians(azimuth_deg), _radius(elevation_deg)
+    return round(SUN_CENTRE + radius * math.sin(angle), 1), round(SUN_CENTRE - radius * math.cos(angle), 1)
+
+
+def _wedge(row: int, column: int, counts: NDArray[np.int64]) -> Wedge:
+    low, high = row * _ELEVATION_STEP_DEG, (row + 1) * _ELEVATION_STEP_DEG
+    left, right = column * _AZIMUTH_STEP_DEG, (column + 1) * _AZIMUTH_STEP_DEG
+    (a, b), (c, d), (e, f), (g, h) = _spot(left, low), _spot(right, low), _spot(right, high), _spot(left, high)
+    outer, inner = round(_radius(low), 1), round(_radius(high), 1)
+    path = f"M{a} {b}A{outer} {outer} 0 0 1 {c} {d}L{e} {f}A{inner} {inner} 0 0 0 {g} {h}Z"
+    count = int(counts[row, column])
+    title = f"azimuth {left}° to {right}°, elevation {low}° to {high}°: {count:,}"
+    return Wedge(path, round(count / int(counts.max()), 3), title)

@@ -26,8 +26,9 @@ MOST_FRAMES = 60
 SHOWN_AT_ONCE = 24  # the others behind "more"
 BUDGET_BYTES = 3_200_000  # of all pictures; base64 makes a third more of it
 LONG_SIDE_PX, _LEAST_SIDE_PX = 640, 32
+_NEAREST, _LANCZOS = 0, 1  # Pillow's numbers
 _ELEVATION_STEP_DEG = 20.0
-_MOST_CLASSES = 6  # told in a frame's caption
+_MOST_CLASSES = 6  # in a frame's caption
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class Picture:
 
 
 @dataclass(frozen=True)
-class Exhibit:
+class GalleryItem:
     """A frame in the gallery."""
 
     frame: str
@@ -52,21 +53,16 @@ class Exhibit:
 
 def choose(frames: Frames, splits: Sequence[str], most: int = MOST_FRAMES) -> list[int]:
     """Rows to show: turn by turn one of each split, and within a split one of each stratum."""
-    queues = {split: _stratified(rows) for split, rows in _by_split(frames).items()}
+    elevation = frames.numbers("sun_elevation_deg") // _ELEVATION_STEP_DEG
+    strata = zip(*(frames.texts(name) for name in ("season", "clouds", "camera")), elevation, strict=True)
+    by_split: dict[str, dict[str, list[int]]] = {}  # split -> stratum -> rows
+    for row, (split, stratum) in enumerate(zip(frames.split, strata, strict=True)):
+        by_split.setdefault(split, {}).setdefault(repr(stratum), []).append(row)
+    queues = {split: _stratified(rows) for split, rows in by_split.items()}
     order = [split for split in splits if split in queues]
     turns = max((len(rows) for rows in queues.values()), default=0)
     dealt = [queues[split][turn] for turn in range(min(turns, most)) for split in order if turn < len(queues[split])]
     return dealt[:most]
-
-
-def _by_split(frames: Frames) -> dict[str, dict[str, list[int]]]:
-    """Split -> stratum -> rows."""
-    elevation = frames.numbers("sun_elevation_deg") // _ELEVATION_STEP_DEG
-    strata = zip(*(frames.texts(name) for name in ("season", "clouds", "camera")), elevation, strict=True)
-    found: dict[str, dict[str, list[int]]] = {}
-    for row, (split, stratum) in enumerate(zip(frames.split, strata, strict=True)):
-        found.setdefault(split, {}).setdefault(repr(stratum), []).append(row)
-    return found
 
 
 def _stratified(strata: dict[str, list[int]]) -> list[int]:
@@ -83,42 +79,32 @@ def _spread(things: Sequence[T]) -> list[T]:
     return [things[at[k]] for k in order]
 
 
-def gallery(folder: Path, frames: Frames, splits: Sequence[str]) -> tuple[Exhibit, ...]:
+def gallery(folder: Path, frames: Frames, splits: Sequence[str]) -> list[GalleryItem]:
     """The chosen frames with their pictures; a frame none of whose pictures can be read is shown without."""
     rows = choose(frames, splits)
     quota = BUDGET_BYTES // max(1, 3 * len(rows))
-    names, folders, splits_of = (frames.texts(column) for column in ("frame", "folder", "split"))
-    captions, shares = _Captions(frames), frames.counts("class_pixels")
-    return tuple(
-        Exhibit(
-            names[row],
-            splits_of[row],
-            captions.of(row),
-            _content(shares[row]),
-            _pictures(folder, folders[row] or f"{frames.split[row]}/{names[row]}", names[row], quota),
-        )
-        for row in rows
-    )
+    names = ("frame", "folder", "season", "clouds", "camera")
+    columns = list(zip(*(frames.texts(name) for name in names), strict=True))
+    sun, plants = frames.numbers("sun_elevation_deg"), frames.numbers("plants_in_view")
+    pixels = frames.counts("class_pixels")
+    items = []
+    for row in rows:
+        (name, path, season, clouds, camera), split = columns[row], frames.split[row]
+        caption = _caption(season, clouds, camera, float(sun[row]), float(plants[row]))
+        pictures = _pictures(folder, path or f"{split}/{name}", name, quota)
+        items.append(GalleryItem(name, split, caption, _content(pixels[row]), pictures))
+    return items
 
 
-class _Captions:
-    """What is told of a frame in a line."""
-
-    def __init__(self, frames: Frames) -> None:
-        self._numbers = {name: frames.numbers(name) for name in ("sun_elevation_deg", "plants_in_view")}
-        self._texts = {name: frames.texts(name) for name in ("season", "clouds", "camera")}
-
-    def of(self, row: int) -> str:
-        sun, plants = (float(column[row]) for column in self._numbers.values())
-        season, clouds, camera = (column[row] for column in self._texts.values())
-        words = [
-            f"camera {camera}" if camera else "",
-            season,
-            f"sun at {sun:.0f}°" if np.isfinite(sun) else "",
-            {"": "", "none": "no clouds"}.get(clouds, f"clouds: {clouds}"),
-            ("1 plant" if plants == 1 else f"{plants:,.0f} plants") if np.isfinite(plants) else "",
-        ]
-        return ", ".join(filter(None, words))
+def _caption(season: str, clouds: str, camera: str, sun_elevation_deg: float, plants: float) -> str:
+    words = [
+        f"camera {camera}" if camera else "",
+        season,
+        f"sun at {sun_elevation_deg:.0f}°" if np.isfinite(sun_elevation_deg) else "",
+        {"": "", "none": "no clouds"}.get(clouds, f"clouds: {clouds}"),
+        ("1 plant" if plants == 1 else f"{plants:,.0f} plants") if np.isfinite(plants) else "",
+    ]
+    return ", ".join(filter(None, words))
 
 
 def _content(pixels: dict[str, int] | None) -> str:
@@ -159,16 +145,16 @@ def _encoded(root: Path, path: str, encode: Callable[[Image, int], bytes], quota
 
 def _photo(image: Image, quota: int) -> bytes:
     """WebP of at most `quota` bytes: less quality first, then fewer pixels."""
-    content = _webp(_scaled(image, LONG_SIDE_PX, resample=1), quality=80, method=4)
+    content = _webp(image, LONG_SIDE_PX, _LANCZOS, quality=80, method=4)
     if len(content) <= quota:
         return content
-    return _fitting(image, quota, lambda side_px: _webp(_scaled(image, side_px, resample=1), quality=60, method=4))
+    return _fitting(image, quota, lambda side_px: _webp(image, side_px, _LANCZOS, quality=60, method=4))
 
 
 def _mask(image: Image, quota: int) -> bytes:
     """Lossless WebP of at most `quota` bytes, pixels picked and never mixed: every colour is a class's."""
     settings = {"lossless": True, "quality": 40, "method": 3}
-    return _fitting(image, quota, lambda side_px: _webp(_scaled(image, side_px, resample=0), **settings))
+    return _fitting(image, quota, lambda side_px: _webp(image, side_px, _NEAREST, **settings))
 
 
 def _fitting(image: Image, quota: int, encode: Callable[[int], bytes]) -> bytes:
@@ -181,14 +167,10 @@ def _fitting(image: Image, quota: int, encode: Callable[[int], bytes]) -> bytes:
     return content
 
 
-def _scaled(image: Image, long_side_px: int, *, resample: int) -> Image:
-    """At most so long; never enlarged. `resample` is Pillow's: 0 nearest, 1 Lanczos."""
+def _webp(image: Image, long_side_px: int, resample: int, **settings: int | bool) -> bytes:
+    """WebP, at most so long and never enlarged."""
     factor = min(1.0, long_side_px / max(image.size))
     size = max(1, round(image.width * factor)), max(1, round(image.height * factor))
-    return image if size == image.size else image.resize(size, resample)
-
-
-def _webp(image: Image, **settings: int | bool) -> bytes:
     buffer = io.BytesIO()
-    image.save(buffer, "WEBP", **settings)
+    (image if size == image.size else image.resize(size, resample)).save(buffer, "WEBP", **settings)
     return buffer.getvalue()

@@ -1,44 +1,88 @@
-"""Sections of the page on what the labels hold: classes, instances, species, depth."""
+"""Sections of the page on what the labels hold: classes, instances, species, depth; split by split where it matters."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.balance import RARE, Balance, balance
-from forestgen.dataset.report.charts import Chart, bars, percent, shares
-from forestgen.dataset.report.columns import numbers
-from forestgen.dataset.report.layout import Cell, Fact, Row, Section, ShareList, Table, facts_in, figures_in, listed
-from forestgen.dataset.report.ranges import ranges
+from forestgen.dataset.report.charts import Chart, bars, percent, ranges, shares
+from forestgen.dataset.report.frames import numbers
+from forestgen.dataset.report.layout import Cell, Fact, Row, Section, ShareList, Table, listed
 from forestgen.dataset.report.source import Legend, Source
 
-NOTHING, SKY = "nothing", "nothing (sky)"
+RARE = 0.001  # share of a split's pixels, or of its instances, below which a class is hard to learn
+_NOTHING, _SKY = "nothing", "nothing (sky)"
 _MOST_ROWS = 60  # of a table
+
+
+@dataclass(frozen=True)
+class Balance:
+    """Counts of what has a name (pixels of classes, instances of categories), by split."""
+
+    names: tuple[str, ...]  # in the legend's order; what the legend lacks comes last
+    splits: tuple[str, ...]
+    counts: NDArray[np.int64]  # (names, splits)
+    frames: NDArray[np.int64]  # (names, splits) that show any
+
+    @property
+    def shares(self) -> NDArray[np.float64]:
+        """(names, splits) of 1; 0 in a split that counts nothing."""
+        total = self.counts.sum(axis=0, keepdims=True)
+        return np.asarray(self.counts / np.maximum(total, 1), dtype=np.float64)
+
+    def lacking(self) -> list[tuple[str, str]]:
+        """(name, split) of all that a split lacks."""
+        return self._where(self.counts == 0)
+
+    def rare(self) -> list[tuple[str, str]]:
+        """(name, split) of all that a split shows, but less than `RARE` of."""
+        return self._where((self.counts > 0) & (self.shares < RARE))
+
+    def _where(self, chosen: NDArray[np.bool_]) -> list[tuple[str, str]]:
+        return [(self.names[i], self.splits[j]) for i, j in np.argwhere(chosen)]
+
+
+def balance(
+    counted: Sequence[Mapping[str, int] | None], split: Sequence[str], names: Sequence[str], splits: Sequence[str]
+) -> Balance:
+    """Sum counts by name and split.
+
+    Parameters
+    ----------
+    counted : name -> count for each frame; None where nothing is known of a frame.
+    split : of each frame.
+    names : all that can occur, such as the legend's classes; others that do are added.
+    splits : all splits, in the order to show them.
+    """
+    occurring = {name for one in counted if one for name in one}
+    known = tuple(dict.fromkeys([*names, *sorted(occurring)]))
+    row_of = {name: row for row, name in enumerate(known)}
+    column_of = {name: column for column, name in enumerate(splits)}
+    counts = np.zeros((len(known), len(splits)), dtype=np.int64)
+    frames = np.zeros_like(counts)
+    for one, part in zip(counted, split, strict=True):
+        for name, count in (one or {}).items():
+            counts[row_of[name], column_of[part]] += count
+            frames[row_of[name], column_of[part]] += count > 0
+    return Balance(known, tuple(splits), counts, frames)
 
 
 def class_section(source: Source) -> Section:
     """Pixels by semantic class and instances by category, split by split."""
-    pixels = _balance(source, "class_pixels", source.legend.classes)
-    instances = _balance(source, "category_instances", source.legend.categories)
-    notes = _missing_and_rare(pixels, "pixels") + _missing_and_rare(instances, "instances")
-    tables = [
-        _balance_table(one, source.legend, title, head)
-        for one, title, head in (
-            (pixels, "Pixels by class", "class"),
-            (instances, "Instances by category", "category"),
-        )
-        if one.counts.any()
-    ]
-    return Section(
-        "classes",
-        "Class balance",
-        "Shares of each split's pixels, and of its plants in view. Bars are to the scale of the largest share.",
-        tables=tuple(tables),
-        notes=tuple(notes),
-        absent="No classes are counted here.",
-    )
+    tables, notes = [], []
+    for column, names, what, title, head in (
+        ("class_pixels", source.legend.classes, "pixels", "Pixels by class", "class"),
+        ("category_instances", source.legend.categories, "instances", "Instances by category", "category"),
+    ):
+        counted = _balance(source, column, names)
+        if counted.counts.any():
+            notes += _missing_and_rare(counted, what)
+            tables.append(_balance_table(counted, source.legend, title, head))
+    lead = "Shares of each split's pixels, and of its plants in view. Bars are to the scale of the largest share."
+    return Section("classes", "Class balance", "No classes are counted here.", lead, tables=tables, notes=notes)
 
 
 def _balance(source: Source, column: str, names: Sequence[str]) -> Balance:
@@ -47,17 +91,15 @@ def _balance(source: Source, column: str, names: Sequence[str]) -> Balance:
 
 def _missing_and_rare(counted: Balance, what: str) -> list[str]:
     """Warnings; of what no split has, one for all splits. Sky need not be in view."""
-    if not counted.counts.any():
-        return []
     shown = {name: bool(row.any()) for name, row in zip(counted.names, counted.counts, strict=True)}
-    nowhere = [name for name in counted.names if not shown[name] and name != NOTHING]
+    nowhere = [name for name in counted.names if not shown[name] and name != _NOTHING]
     notes = [f"No frame has {what} of {listed(nowhere)}."] if nowhere else []
     for split, total in zip(counted.splits, counted.counts.sum(axis=0), strict=True):
         if not total:
             notes.append(f"{split} has no {what} at all.")
             continue
-        lacking = [name for name, part in counted.lacking() if part == split and shown[name] and name != NOTHING]
-        rare = [name for name, part in counted.rare() if part == split and name != NOTHING]
+        lacking = [name for name, part in counted.lacking() if part == split and shown[name] and name != _NOTHING]
+        rare = [name for name, part in counted.rare() if part == split and name != _NOTHING]
         if lacking:
             notes.append(f"{split} has no {what} of {listed(lacking)}.")
         if rare:
@@ -68,26 +110,21 @@ def _missing_and_rare(counted: Balance, what: str) -> list[str]:
 def _balance_table(counted: Balance, legend: Legend, title: str, head: str) -> Table:
     share, most = counted.shares, max(float(counted.shares.max(initial=0.0)), 1e-12)
     rows = []
-    for i, name in enumerate(counted.names[:_MOST_ROWS]):
-        cells = tuple(
-            Cell(
-                percent(share[i, j]) if counted.counts[i, j] else "none",
-                float(share[i, j] / most),
-                warn=bool(share[i, j] < RARE),
-                soft=f"{counted.counts[i, j]:,}",
-            )
-            for j in range(len(counted.splits))
-        )
-        rows.append(Row(SKY if name == NOTHING else name, cells, legend.colour(name)))
+    for name, counts, parts in zip(counted.names[:_MOST_ROWS], counted.counts, share, strict=False):
+        cells = [
+            Cell(percent(part) if count else "none", float(part / most), warn=bool(part < RARE), soft=f"{count:,}")
+            for count, part in zip(counts, parts, strict=True)
+        ]
+        rows.append(Row(_SKY if name == _NOTHING else name, cells, legend.colour(name)))
     unlisted = len(counted.names) - len(rows)
     note = f"{unlisted:,} more are not listed." if unlisted else ""
-    return Table(title, (head, *counted.splits), tuple(rows), note)
+    return Table(title, (head, *counted.splits), rows, note)
 
 
 def instance_section(source: Source) -> Section:
     """Sizes of the plants in view."""
     frames = source.frames
-    counts = log_counts(frames.values("instance_pixels_histogram"))
+    counts = _log_counts(frames.values("instance_pixels_histogram"))
     total, small = int(counts.sum()), int(counts[:4].sum())
     parts = (
         Fact(f"{total:,}", "plants in view") if total else None,
@@ -99,8 +136,7 @@ def instance_section(source: Source) -> Section:
         ),
     )
     lead = "A plant is in view if it wins at least one pixel of the instance mask."
-    absent = "No instances are counted here."
-    return Section("instances", "Instances", lead, facts_in(parts), figures_in(parts), absent=absent)
+    return Section("instances", "Instances", "No instances are counted here.", lead, parts)
 
 
 def _sizes(counts: NDArray[np.int64]) -> Chart:
@@ -109,7 +145,7 @@ def _sizes(counts: NDArray[np.int64]) -> Chart:
     return bars(counts, edges, "Size of instances", "visible pixels", log=True, y_title="plants", summary=summary)
 
 
-def log_counts(rows: Sequence[Sequence[int] | None]) -> NDArray[np.int64]:
+def _log_counts(rows: Sequence[Sequence[int] | None]) -> NDArray[np.int64]:
     """Sum of histograms of different lengths: how many have 1, 2-3, 4-7, 8-15, ... pixels."""
     counts = np.zeros(max((len(row) for row in rows if row), default=0), dtype=np.int64)
     for row in rows:
@@ -119,7 +155,7 @@ def log_counts(rows: Sequence[Sequence[int] | None]) -> NDArray[np.int64]:
 
 
 def species_section(source: Source) -> Section:
-    """Who is seen, how often, and how large."""
+    """Which species are seen, how often, and how large."""
     species = _balance(source, "species_instances", ())
     pixels = _balance(source, "species_pixels", species.names)
     frames = species.frames.sum(axis=1)
@@ -135,7 +171,7 @@ def species_section(source: Source) -> Section:
     if len(source.frames) and frames.any():
         rows = shares(names, frames[order], colours, of=len(source.frames))
         figures.append(ShareList("Frames that show a species", rows, "share of all frames · frames"))
-    return Section("species", "Species", figures=tuple(figures), absent="No species are counted here.")
+    return Section("species", "Species", "No species are counted here.", parts=figures)
 
 
 def depth_section(source: Source) -> Section:
@@ -148,5 +184,4 @@ def depth_section(source: Source) -> Section:
         numbers(frames, "sky_share", "Sky in a frame", "share of pixels, %", unit="%", factor=100),
     )
     lead = "Along each pixel's ray to what it shows, sky left out."
-    absent = "No depths are recorded here."
-    return Section("depth", "Depth", lead, facts_in(parts), figures_in(parts), absent=absent)
+    return Section("depth", "Depth", "No depths are recorded here.", lead, parts)

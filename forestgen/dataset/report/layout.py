@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from forestgen.dataset.report.charts import Chart, Share
-from forestgen.dataset.report.polar import Polar
-from forestgen.dataset.report.ranges import Ranges
+from forestgen.dataset.report.charts import Chart, Polar, Ranges, Share
 
 
 @dataclass(frozen=True)
@@ -27,8 +26,7 @@ class ShareList:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Cell:
+class Cell(NamedTuple):
     """A table's cell: text, and a bar of `share` of the column's width if that is given."""
 
     text: str
@@ -37,27 +35,26 @@ class Cell:
     soft: str = ""  # more text, smaller
 
 
-@dataclass(frozen=True)
-class Row:
+class Row(NamedTuple):
     """A table's row."""
 
     name: str
-    cells: tuple[Cell, ...]
+    cells: Sequence[Cell]
     colour: str = ""  # of its name's swatch and its bars; "" for none
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """A table whose rows have names."""
 
     title: str
     heads: tuple[str, ...]  # of the name, then of each cell
-    rows: tuple[Row, ...]
+    rows: Sequence[Row]
     note: str = ""
     words: bool = False  # whether cells are sentences rather than numbers
 
 
 Figure = Chart | ShareList | Polar | Ranges
+Part = Figure | Fact
 
 
 @dataclass(frozen=True)
@@ -66,29 +63,23 @@ class Section:
 
     id: str  # in links
     title: str
+    absent: str  # what to say where there is nothing to show
     lead: str = ""
-    facts: tuple[Fact, ...] = ()
-    figures: tuple[Figure, ...] = ()
-    tables: tuple[Table, ...] = ()
-    notes: tuple[str, ...] = ()  # warnings
-    absent: str = ""  # what to say where there is nothing to show
+    parts: Sequence[Part | None] = ()
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()  # warnings
+
+    @property
+    def facts(self) -> list[Fact]:
+        return [one for one in self.parts if isinstance(one, Fact)]
+
+    @property
+    def figures(self) -> list[Figure]:
+        return [one for one in self.parts if one is not None and not isinstance(one, Fact)]
 
     @property
     def empty(self) -> bool:
         return not (self.facts or self.figures or self.tables)
-
-
-Part = Figure | Fact
-
-
-def facts_in(parts: Sequence[Part | None]) -> tuple[Fact, ...]:
-    """Those parts that are facts."""
-    return tuple(one for one in parts if isinstance(one, Fact))
-
-
-def figures_in(parts: Sequence[Part | None]) -> tuple[Figure, ...]:
-    """Those parts that are figures."""
-    return tuple(one for one in parts if one is not None and not isinstance(one, Fact))
 
 
 def listed(words: Sequence[str], most: int = 8) -> str:

@@ -6,41 +6,34 @@ import base64
 import hashlib
 import os
 import secrets
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from forestgen.dataset.files import output_error
-from forestgen.dataset.report.charts import BOTTOM, HEIGHT, LEFT, RIGHT, TOP, WIDTH, short
-from forestgen.dataset.report.gallery import SHOWN_AT_ONCE, Exhibit, gallery
-from forestgen.dataset.report.label_sections import (
-    class_section,
-    depth_section,
-    instance_section,
-    species_section,
-)
+from forestgen.dataset.report import charts, label_sections, run_sections, scene_sections
+from forestgen.dataset.report.gallery import SHOWN_AT_ONCE, GalleryItem, gallery
 from forestgen.dataset.report.layout import Fact, Section, listed
-from forestgen.dataset.report.polar import CENTRE, RADIUS, SIZE
-from forestgen.dataset.report.run_sections import failure_section, provenance_section, size_text, timing_section
-from forestgen.dataset.report.scene_sections import camera_section, draw_section, sun_section, weather_section
 from forestgen.dataset.report.source import Source, open_source
-from forestgen.dataset.report.told import gaps_text
 from forestgen.dataset.settings import DatasetSettings
 
 REPORT_NAME = "report.html"
+_TEMPLATES = Path(__file__).with_name("templates")
 _UNNAMED = DatasetSettings.description  # of recipes that say nothing
 _SECTIONS = (
-    class_section, instance_section, species_section, depth_section, sun_section, weather_section, camera_section,
-    draw_section, failure_section, timing_section, provenance_section,
+    label_sections.class_section, label_sections.instance_section, label_sections.species_section,
+    label_sections.depth_section, scene_sections.sun_section, scene_sections.weather_section,
+    scene_sections.camera_section, scene_sections.draw_section, run_sections.failure_section,
+    run_sections.timing_section, run_sections.provenance_section,
 )  # fmt: skip
-_PLOT = {"width": WIDTH, "height": HEIGHT, "left": LEFT, "right": RIGHT, "top": TOP, "bottom": BOTTOM}
-_POLAR = {"size": SIZE, "centre": CENTRE, "radius": RADIUS}
+_PLOT = {name: getattr(charts, name.upper()) for name in ("width", "height", "left", "right", "top", "bottom")}
+_POLAR = {name: getattr(charts, f"SUN_{name.upper()}") for name in ("size", "centre", "radius")}
 
 
 @dataclass(frozen=True)
@@ -49,23 +42,18 @@ class Page:
 
     title: str
     lead: str
-    facts: tuple[Fact, ...]
-    notes: tuple[str, ...]  # warnings of the whole
-    exhibits: tuple[Exhibit, ...]
-    legend: tuple[tuple[str, str], ...]  # class and colour of the masks
-    sections: tuple[Section, ...]
+    facts: Sequence[Fact]
+    notes: Sequence[str]  # warnings of the whole
+    gallery: Sequence[GalleryItem]
+    legend: Sequence[tuple[str, str]]  # class and colour of the masks
+    sections: Sequence[Section]
     shown_at_once: int = SHOWN_AT_ONCE
 
 
 def write_report(folder: Path, target: Path) -> None:
-    """Write the report on a data set; the file appears whole, and replaces what has its name.
+    """Write the report on the data set of `folder`; the file `target` appears whole, and replaces what has its name.
 
     The page is a function of the folder's files: no date, no path and no name of this machine is in it.
-
-    Parameters
-    ----------
-    folder : that `forestgen render`, `forestgen batch` or `forestgen merge` wrote.
-    target : the page's file.
 
     Raises
     ------
@@ -85,48 +73,36 @@ def write_report(folder: Path, target: Path) -> None:
 
 
 def page_of(source: Source) -> Page:
-    """Gather what is told of a data set."""
-    sections = tuple(section(source) for section in _SECTIONS)
-    told = source.told.description
-    name = told if told not in ("", _UNNAMED) else source.folder.resolve().name
+    """Gather what is known of a data set."""
+    description = source.metadata.description
+    name = description if description not in ("", _UNNAMED) else source.folder.resolve().name
     return Page(
         title=name[:200],
         lead=_lead(source),
         facts=_headline(source),
         notes=_notes(source),
-        exhibits=gallery(source.folder, source.frames, source.splits),
-        legend=tuple((one, source.legend.colour(one)) for one in source.legend.classes),
-        sections=sections,
+        gallery=gallery(source.folder, source.frames, source.splits),
+        legend=[(one, source.legend.colour(one)) for one in source.legend.classes],
+        sections=[section(source) for section in _SECTIONS],
     )
 
 
 def render_page(page: Page) -> str:
     """The page as HTML. Every text is escaped by the template's engine; style and script are ours alone."""
-    style, script = _file("page.css"), _file("page.js")
-    return (
-        _environment()
-        .get_template("page.html")
-        .render(
-            page=page,
-            style=Markup(style),
-            script=Markup(script),
-            style_hash=_hash(style),
-            script_hash=_hash(script),
-            plot=_PLOT,
-            polar=_POLAR,
-        )
-    )
+    style, script = ((_TEMPLATES / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
+    inline = {"style": Markup(style), "script": Markup(script)}
+    hashes = {"style_hash": _hash(style), "script_hash": _hash(script)}
+    return _template().render(page=page, plot=_PLOT, polar=_POLAR, **inline, **hashes)
 
 
 def _lead(source: Source) -> str:
-    counts = {split: source.frames.split.count(split) for split in source.splits}
     if not len(source.frames):
         return "No frames yet."
-    words = [f"{split} {count:,}" for split, count in counts.items()]
+    words = [f"{split} {source.frames.split.count(split):,}" for split in source.splits]
     return f"Frames by split: {listed(words, 20)}."
 
 
-def _headline(source: Source) -> tuple[Fact, ...]:
+def _headline(source: Source) -> list[Fact]:
     frames = source.frames
     species = {name for one in frames.counts("species_instances") for name in one or ()}
     plants = frames.numbers("plants_in_view")
@@ -137,53 +113,40 @@ def _headline(source: Source) -> tuple[Fact, ...]:
         _counted(len(source.splits), "split"),
     ]
     if np.isfinite(plants).any() or not len(frames):
-        facts += [
-            Fact(f"{len(species):,}", "species in view"),
-            Fact(f"{int(np.nansum(plants)):,}", "plants labelled"),
-        ]
+        facts.append(Fact(f"{len(species):,}", "species in view"))
+        facts.append(Fact(f"{int(np.nansum(plants)):,}", "plants labelled"))
     if np.isfinite(pixels).any():
-        facts.append(Fact(f"{short(np.nansum(pixels))}", "pixels labelled"))
-    if source.told.bytes:
-        facts.append(Fact(size_text(source.told.bytes), "on disk"))
-    return tuple(facts)
+        facts.append(Fact(charts.short(np.nansum(pixels)), "pixels labelled"))
+    if source.metadata.bytes:
+        facts.append(Fact(run_sections.size_text(source.metadata.bytes), "on disk"))
+    return facts
 
 
 def _counted(number: int, one: str) -> Fact:
     return Fact(f"{number:,}", one if number == 1 else f"{one}s")
 
 
-def _notes(source: Source) -> tuple[str, ...]:
-    """Warnings of the whole: what lacks, and what the frames' own notes say."""
-    notes = list(source.notes)
-    missing = sum(last - first + 1 for first, last in source.told.missing)
+def _notes(source: Source) -> list[str]:
+    """Warnings of the whole: images that are missing, and frames without plants."""
+    notes, frames = list(source.notes), source.frames
+    missing = sum(last - first + 1 for first, last in source.metadata.missing)
     if missing:
         verb = "image is" if missing == 1 else "images are"
-        notes.append(f"{missing:,} {verb} missing: {gaps_text(source.told.missing)}.")
-    bare = [
-        name
-        for name, plants in zip(source.frames.texts("frame"), source.frames.numbers("plants_in_view"), strict=True)
-        if plants == 0
-    ]
+        notes.append(f"{missing:,} {verb} missing: {run_sections.gaps_text(source.metadata.missing)}.")
+    plants = frames.numbers("plants_in_view")
+    bare = [name for name, count in zip(frames.texts("frame"), plants, strict=True) if count == 0]
     if bare:
-        notes.append(f"{len(bare):,} of {len(source.frames):,} frames show no plant: {listed(bare, 6)}.")
-    return tuple(notes)
+        notes.append(f"{len(bare):,} of {len(frames):,} frames show no plant: {listed(bare, 6)}.")
+    return notes
 
 
 @cache
-def _environment() -> Environment:
-    return Environment(
-        loader=PackageLoader("forestgen.dataset.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+def _template() -> Template:
+    loader = FileSystemLoader(_TEMPLATES)
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-
-
-def _file(name: str) -> str:
-    """A file beside the templates, on which nothing is replaced."""
-    text: Any = _environment().loader.get_source(_environment(), name)[0]  # type: ignore[union-attr]
-    return str(text)
+    return environment.get_template("page.html")
 
 
 def _hash(text: str) -> str:

@@ -1,4 +1,4 @@
-"""How a batch went, from run/log.jsonl and run/jobs.parquet: a line and a job at a time."""
+"""How a batch went, from run/log.jsonl and run/jobs.parquet: a line and a job at a time. What is damaged is counted."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ import pyarrow.parquet as pq
 
 from forestgen.dataset.safe_path import SafePath, check_cells, load_json
 
-LOG, JOBS = "run/log.jsonl", "run/jobs.parquet"
+_LOG, _JOBS = "run/log.jsonl", "run/jobs.parquet"
 _LONGEST_LINE = 1_000_000  # bytes
 MOST_MESSAGES = 40  # different ones that are kept
 _MOST_CHARACTERS = 600  # of a message
-_MOST_IMAGES = 12  # named beside a message
 _MOST_ATTEMPTS = 10_000  # of which the images are remembered
 
 
@@ -53,7 +52,7 @@ class RunLog:
 
     @property
     def images_per_hour(self) -> float | None:
-        """Over all runs; None if the log does not tell."""
+        """Over all runs; None if the log does not say."""
         return 3600.0 * len(self.finished_s) / self.running_s if self.running_s > 0 and self.finished_s else None
 
     @property
@@ -63,13 +62,12 @@ class RunLog:
 
 
 def read_run(folder: Path) -> RunLog | None:
-    """All that is known of the runs on a data set; None where it has no run/ folder. What is damaged is counted."""
-    lines, table = SafePath(folder, LOG), SafePath(folder, JOBS)
+    """All that is known of the runs on a data set; None where it has no run/ folder."""
+    lines, table = SafePath(folder, _LOG), SafePath(folder, _JOBS)
     if not lines.is_file() and not table.is_file():
         return None
     log = RunLog()
-    jobs: dict[int, Mapping[str, Any]] = {}
-    _Lines(log, jobs).read(lines)
+    jobs = _read_lines(lines, log)
     for row in _job_rows(table, log):
         if (image := _whole(row.get("image"))) is not None:
             jobs[image] = row
@@ -79,74 +77,44 @@ def read_run(folder: Path) -> RunLog | None:
     return log
 
 
-class _Lines:
-    """The log, line by line."""
-
-    def __init__(self, log: RunLog, jobs: dict[int, Mapping[str, Any]]) -> None:
-        self._log, self._jobs = log, jobs
-        self._failures: dict[tuple[str, str], Failure] = {}
-        self._before_s = 0.0  # running time of the earlier runs
-        self._start_s: float | None = None  # of this run, of the clock
-        self._take = {"start": self._started, "job_done": self._job_done, "job_failed": self._job_failed,
-                      "worker_lost": self._worker_lost}  # fmt: skip
-
-    def read(self, path: SafePath) -> None:
-        try:
-            with path.open() as lines:
-                for line in iter(lambda: lines.readline(_LONGEST_LINE), b""):
-                    if line.strip():
-                        self._line(line)
-        except OSError:
-            return  # there is none; jobs.parquet tells the rest
-        self._log.failures = sorted(self._failures.values(), key=lambda one: (-one.attempts, one.kind, one.message))
-
-    def _line(self, line: bytes) -> None:
+def _read_lines(path: SafePath, log: RunLog) -> dict[int, Mapping[str, Any]]:
+    """Take the log's lines into account; the events of finished jobs by image."""
+    jobs: dict[int, Mapping[str, Any]] = {}
+    failures: dict[tuple[str, str], Failure] = {}
+    before_s, start_s = 0.0, None  # running time of the earlier runs; start of this one, of the clock
+    for line in _lines(path):
         event = _event(line)
         if event is None:
-            self._log.damaged_lines += 1
-            return
-        self._log.lines += 1
-        take = self._take.get(str(event["event"]))
-        at_s = _seconds_of(event.get("time"))
-        if event["event"] == "start":
-            self._before_s, self._start_s = self._log.running_s, at_s
+            log.damaged_lines += 1
+            continue
+        log.lines += 1
+        at_s, kind, image = _seconds_of(event.get("time")), event["event"], _whole(event.get("image"))
+        if kind == "start":
+            before_s, start_s = log.running_s, at_s
+            log.runs += 1
         if at_s is not None:
-            self._start_s = at_s if self._start_s is None else self._start_s
-            self._log.running_s = max(self._log.running_s, self._before_s + at_s - self._start_s)
-        if take is not None:
-            take(event)
-
-    def _started(self, _: Mapping[str, Any]) -> None:
-        self._log.runs += 1
-
-    def _job_done(self, event: Mapping[str, Any]) -> None:
-        image = _whole(event.get("image"))
-        if image is None:
-            self._log.damaged_lines += 1
-            return
-        self._log.finished_s.append(self._log.running_s)
-        self._jobs[image] = event
-
-    def _worker_lost(self, _: Mapping[str, Any]) -> None:
-        self._log.workers_lost += 1
-
-    def _job_failed(self, event: Mapping[str, Any]) -> None:
-        self._log.failed_attempts += 1
-        key = str(event.get("kind", "?"))[:40], str(event.get("message", ""))[:_MOST_CHARACTERS]
-        if key not in self._failures and len(self._failures) >= MOST_MESSAGES:
-            self._log.unlisted_attempts += 1
-            return
-        failure = self._failures.setdefault(key, Failure(*key))
-        failure.attempts += 1
-        image = _whole(event.get("image"))
-        if image is not None and (image in failure.images or self._log.failed_attempts <= _MOST_ATTEMPTS):
-            failure.images[image] = _whole(event.get("attempt")) or 1
+            start_s = at_s if start_s is None else start_s
+            log.running_s = max(log.running_s, before_s + at_s - start_s)
+        if kind == "job_done":
+            if image is None:
+                log.damaged_lines += 1
+                continue
+            log.finished_s.append(log.running_s)
+            jobs[image] = event
+        elif kind == "worker_lost":
+            log.workers_lost += 1
+        elif kind == "job_failed":
+            _add_failure(log, failures, event, image)
+    log.failures = sorted(failures.values(), key=lambda one: (-one.attempts, one.kind, one.message))
+    return jobs
 
 
-def named_images(failure: Failure) -> tuple[list[int], int]:
-    """The images to name beside a failure, and how many more there are."""
-    images = sorted(failure.images)
-    return images[:_MOST_IMAGES], max(0, len(images) - _MOST_IMAGES)
+def _lines(path: SafePath) -> Iterator[bytes]:
+    try:
+        with path.open() as stream:
+            yield from filter(bytes.strip, iter(lambda: stream.readline(_LONGEST_LINE), b""))
+    except OSError:
+        return  # there is none; jobs.parquet has the rest
 
 
 def _event(line: bytes) -> dict[str, Any] | None:
@@ -155,6 +123,20 @@ def _event(line: bytes) -> dict[str, Any] | None:
     except ValueError:
         return None
     return event if isinstance(event, dict) and isinstance(event.get("event"), str) else None
+
+
+def _add_failure(
+    log: RunLog, failures: dict[tuple[str, str], Failure], event: Mapping[str, Any], image: int | None
+) -> None:
+    log.failed_attempts += 1
+    key = str(event.get("kind", "?"))[:40], str(event.get("message", ""))[:_MOST_CHARACTERS]
+    if key not in failures and len(failures) >= MOST_MESSAGES:
+        log.unlisted_attempts += 1
+        return
+    failure = failures.setdefault(key, Failure(*key))
+    failure.attempts += 1
+    if image is not None and (image in failure.images or log.failed_attempts <= _MOST_ATTEMPTS):
+        failure.images[image] = _whole(event.get("attempt")) or 1
 
 
 def _job_rows(path: SafePath, log: RunLog) -> Iterator[Mapping[str, Any]]:
@@ -177,16 +159,11 @@ def _add_job(log: RunLog, job: Mapping[str, Any]) -> None:
         log.peak_memory_bytes.append(memory)
     if job.get("worker"):
         log.workers.add(str(job["worker"]))
-    for stage, value in _pairs(job.get("timings_s")):
-        if (took := _number(value)) is not None:
-            log.stage_s[str(stage)] = log.stage_s.get(str(stage), 0.0) + took
-
-
-def _pairs(timings: Any) -> list[tuple[Any, Any]]:
-    """Stage and seconds: of an object in the log, or of a map in the table."""
-    if isinstance(timings, dict):
-        return list(timings.items())
-    return [one for one in timings if isinstance(one, tuple)] if isinstance(timings, list) else []
+    timings = job.get("timings_s")  # an object in the log, a map in the table
+    pairs = timings.items() if isinstance(timings, dict) else timings if isinstance(timings, list) else ()
+    for one in pairs:
+        if isinstance(one, tuple) and (took := _number(one[1])) is not None:
+            log.stage_s[str(one[0])] = log.stage_s.get(str(one[0]), 0.0) + took
 
 
 def _number(value: Any) -> float | None:

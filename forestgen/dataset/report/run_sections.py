@@ -1,73 +1,84 @@
-"""Sections of the page on how it was made: failures, time and memory, where it comes from."""
+"""Sections of the page on how it was made: failures, time and memory, where it comes from. Texts of sizes and times."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from forestgen.dataset.report.charts import Chart, bars, histogram, nice_step, shares
-from forestgen.dataset.report.layout import Cell, Fact, Row, Section, ShareList, Table, figures_in
-from forestgen.dataset.report.run_log import Failure, RunLog, named_images
-from forestgen.dataset.report.source import Source
-from forestgen.dataset.report.told import RecipeTold, gaps_text
+from forestgen.dataset.report.layout import Cell, Fact, Row, Section, ShareList, Table
+from forestgen.dataset.report.run_log import Failure, RunLog
+from forestgen.dataset.report.source import RecipeMetadata, Source
 
 _MOST_STAGES, _MOST_WINDOWS = 16, 48
+_MOST_IMAGES = 12  # named beside a message
+_NO_RUN = "There is no log of a run: merged data sets have none."
 
 
 def failure_section(source: Source) -> Section:
     """What went wrong, by message, and what became of it."""
     run = source.run
     if run is None or not run.lines:
-        return Section("failures", "Failures", absent="There is no log of a run: merged data sets have none.")
-    given_up = run.given_up
+        return Section("failures", "Failures", _NO_RUN)
+    given_up = set(run.given_up)
     facts = (
         Fact(f"{run.failed_attempts:,}", "failed attempts"),
         Fact(f"{len(given_up):,}", "images given up"),
         Fact(f"{run.workers_lost:,}", "workers lost"),
     )
-    rows = tuple(_failure_row(one, set(given_up)) for one in run.failures)
-    note = (
-        f"{run.unlisted_attempts:,} attempts with other messages are in run/log.jsonl." if run.unlisted_attempts else ""
-    )
-    heads = ("kind", "message", "attempts", "images")
-    tables = (Table("By message", heads, rows, note, words=True),) if rows else ()
+    rows = [_failure_row(one, given_up) for one in run.failures]
+    unlisted = run.unlisted_attempts
+    note = f"{unlisted:,} attempts with other messages are in run/log.jsonl." if unlisted else ""
+    tables = [Table("By message", ("kind", "message", "attempts", "images"), rows, note, words=True)] if rows else []
     lead = "An attempt that failed leaves nothing in the data set; what may pass is tried again."
     if not rows:
         lead = "No attempt failed."
     if run.damaged_lines:
         lead += f" {run.damaged_lines:,} of the log's lines cannot be read; a kill may cut one short."
-    return Section("failures", "Failures", lead, facts=facts, tables=tables)
+    return Section("failures", "Failures", "", lead, facts, tables)
 
 
 def _failure_row(failure: Failure, given_up: set[int]) -> Row:
-    images, more = named_images(failure)
+    images = sorted(failure.images)
     named = ", ".join(
-        f"{image} (attempt {failure.images[image]}{', given up' if image in given_up else ''})" for image in images
+        f"{image} (attempt {failure.images[image]}{', given up' if image in given_up else ''})"
+        for image in images[:_MOST_IMAGES]
     )
-    lost = len(given_up.intersection(failure.images))
-    cells = (
-        Cell(failure.message),
-        Cell(f"{failure.attempts:,}"),
-        Cell(
-            named + (f" and {more:,} more" if more else ""), soft="" if lost else "all made in the end", warn=lost > 0
-        ),
-    )
-    return Row(failure.kind, cells)
+    more = f" and {len(images) - _MOST_IMAGES:,} more" if len(images) > _MOST_IMAGES else ""
+    is_lost = not given_up.isdisjoint(images)
+    listed = Cell(named + more, soft="" if is_lost else "all made in the end", warn=is_lost)
+    return Row(failure.kind, [Cell(failure.message), Cell(f"{failure.attempts:,}"), listed])
 
 
 def timing_section(source: Source) -> Section:
     """Where the time went."""
     run = source.run
     if run is None:
-        return Section("timings", "Time and memory", absent="There is no log of a run: merged data sets have none.")
+        return Section("timings", "Time and memory", _NO_RUN)
     memory_mib = [one / 2**20 for one in run.peak_memory_bytes]
     parts = (
+        *_timing_facts(run),
         _stages(run),
         histogram(run.job_s, "Time of an image", "seconds", log=True, y_title="images"),
         _pace(run),
         histogram(memory_mib, "Peak memory of a worker", "MiB", y_title="images") if len(memory_mib) > 1 else None,
     )
-    facts, absent = _timing_facts(run), "The log tells no times."
-    return Section("timings", "Time and memory", "", facts, figures_in(parts), absent=absent)
+    return Section("timings", "Time and memory", "The log has no times.", parts=parts)
+
+
+def _timing_facts(run: RunLog) -> list[Fact]:
+    facts = []
+    if run.images_per_hour is not None:
+        rate = run.images_per_hour
+        facts.append(Fact(f"{rate:,.0f}" if rate >= 100 else f"{rate:.3g}", "images per hour"))
+    if run.job_s:
+        facts.append(Fact(duration(float(np.median(run.job_s))), "an image, by the median"))
+    if run.running_s > 0:
+        facts.append(Fact(duration(run.running_s), "in all" if run.runs < 2 else f"in all, over {run.runs} runs"))
+    if run.workers:
+        facts.append(Fact(f"{len(run.workers):,}", "worker processes, over all runs"))
+    if any(run.peak_memory_bytes):
+        facts.append(Fact(f"{max(run.peak_memory_bytes) / 2**20:,.0f} MiB", "peak memory of a worker"))
+    return facts
 
 
 def _stages(run: RunLog) -> ShareList | None:
@@ -80,21 +91,6 @@ def _stages(run: RunLog) -> ShareList | None:
     rows = shares([name for name, _ in stages], [seconds for _, seconds in stages], of=whole)
     note = "share of the workers' time · seconds"
     return ShareList("Where the time goes, by stage", rows, note) if rows else None
-
-
-def _timing_facts(run: RunLog) -> tuple[Fact, ...]:
-    facts = []
-    if run.images_per_hour is not None:
-        facts.append(Fact(_few_digits(run.images_per_hour), "images per hour"))
-    if run.job_s:
-        facts.append(Fact(duration(float(np.median(run.job_s))), "an image, by the median"))
-    if run.running_s > 0:
-        facts.append(Fact(duration(run.running_s), "in all" if run.runs < 2 else f"in all, over {run.runs} runs"))
-    if run.workers:
-        facts.append(Fact(f"{len(run.workers):,}", "worker processes, over all runs"))
-    if any(run.peak_memory_bytes):
-        facts.append(Fact(f"{max(run.peak_memory_bytes) / 2**20:,.0f} MiB", "peak memory of a worker"))
-    return tuple(facts)
 
 
 def _pace(run: RunLog) -> Chart | None:
@@ -110,33 +106,37 @@ def _pace(run: RunLog) -> Chart | None:
     counts, _ = np.histogram(np.asarray(run.finished_s) / scale, edges)
     width_h = np.minimum(np.diff(edges), span - edges[:-1]) * scale / 3600.0  # the last window ends with the run
     rate = counts / np.maximum(width_h, 1e-9)
-    summary = f"Images per hour over the run: least {rate.min():.3g}, most {rate.max():.3g}"
-    return bars(
-        rate, edges, "Images per hour over the run", f"running time, {unit}", y_title="images/h", summary=summary
-    )
+    title = "Images per hour over the run"
+    summary = f"{title}: least {rate.min():.3g}, most {rate.max():.3g}"
+    return bars(rate, edges, title, f"running time, {unit}", y_title="images/h", summary=summary)
 
 
 def provenance_section(source: Source) -> Section:
     """What the data set was made from, and with."""
-    told = source.told
+    metadata = source.metadata
     values = [
-        ("description", told.description),
-        ("contributor", told.contributor),
-        ("licence", told.licence or "none stated"),
-        ("size on disk", size_text(told.bytes) if told.bytes else ""),
-        *((one.file or "recipe", _recipe_text(one)) for one in told.recipes),
-        *(("made with", versions) for versions in told.made_with),
-        ("missing images", gaps_text(told.missing, 100) or "none"),
+        ("description", metadata.description),
+        ("contributor", metadata.contributor),
+        ("licence", metadata.licence or "none stated"),
+        ("size on disk", size_text(metadata.bytes) if metadata.bytes else ""),
+        *((one.file or "recipe", _recipe_text(one)) for one in metadata.recipes),
+        *(("made with", versions) for versions in metadata.made_with),
+        ("missing images", gaps_text(metadata.missing, 100) or "none"),
     ]
-    rows = tuple(Row(name, (Cell(text),)) for name, text in values if text)
-    return Section(
-        "provenance", "Provenance", tables=(Table("Where it comes from", ("what", "value"), rows, words=True),)
-    )
+    rows = [Row(name, [Cell(text)]) for name, text in values if text]
+    table = Table("Where it comes from", ("what", "value"), rows, words=True)
+    return Section("provenance", "Provenance", "", tables=[table])
 
 
-def _recipe_text(recipe: RecipeTold) -> str:
+def _recipe_text(recipe: RecipeMetadata) -> str:
     parts = [("recipe hash", recipe.hash), ("seed", recipe.root_seed), ("images asked for", f"{recipe.images:,}")]
     return ", ".join(f"{name} {value}" for name, value in parts if value)
+
+
+def gaps_text(gaps: list[tuple[int, int]], most: int = 12) -> str:
+    """Gaps for people: 3, 17 to 19, ..."""
+    named = [str(first) if first == last else f"{first} to {last}" for first, last in gaps[:most]]
+    return ", ".join([*named, *(["..."] if len(gaps) > most else [])])
 
 
 def size_text(size_bytes: int) -> str:
@@ -157,7 +157,3 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600:,} h {whole % 3600 // 60:02d} min"
-
-
-def _few_digits(value: float) -> str:
-    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from forestgen.dataset.report.columns import named, names, numbers, unit_of
-from forestgen.dataset.report.correlations import hints
-from forestgen.dataset.report.layout import Cell, Part, Row, Section, Table, facts_in, figures_in
-from forestgen.dataset.report.polar import sun_plot
+from forestgen.dataset.report.charts import sun_plot
+from forestgen.dataset.report.frames import correlations, named, names, numbers, unit_of
+from forestgen.dataset.report.layout import Cell, Part, Row, Section, Table
 from forestgen.dataset.report.source import Source
 from forestgen.dataset.settings import DRAW
 
@@ -25,7 +24,7 @@ def sun_section(source: Source) -> Section:
         numbers(frames, "sun_azimuth_deg", "Azimuth of the sun", "degrees clockwise from north", unit="°"),
         numbers(frames, "sunlit_share", "Sunlit pixels", "share of what is not sky, %", unit="%", factor=100),
     )
-    return _section("sun", "Sun", "", parts, "No sun is recorded here.")
+    return Section("sun", "Sun", "No sun is recorded here.", parts=parts)
 
 
 def weather_section(source: Source) -> Section:
@@ -41,54 +40,39 @@ def weather_section(source: Source) -> Section:
         numbers(frames, "visibility_m", "Visibility in haze", "m", unit="m", log=True),
         numbers(frames, "wind_m_per_s", "Wind", "m/s", unit="m/s"),
     )
-    return _section("weather", "Weather and season", "", parts, "No weather is recorded here.")
+    return Section("weather", "Weather and season", "No weather is recorded here.", parts=parts)
 
 
 def camera_section(source: Source) -> Section:
     """How the cameras look."""
     frames = source.frames
-    sizes = [
-        f"{width:.0f} x {height:.0f} px"
-        for width, height in zip(frames.numbers("width_px"), frames.numbers("height_px"), strict=True)
-        if width > 0 and height > 0
-    ]
+    sides = zip(frames.numbers("width_px"), frames.numbers("height_px"), strict=True)
     parts = (
         names(frames, "camera_kind", "Kind"),
         names(frames, "camera", "Camera"),
-        named(sizes, "Size"),
+        named([f"{width:.0f} x {height:.0f} px" for width, height in sides if width > 0 and height > 0], "Size"),
         numbers(frames, "camera_height_m", "Height above the ground", "m", unit="m"),
         numbers(frames, "camera_pitch_deg", "Pitch", "degrees above the horizon", unit="°"),
         numbers(frames, "camera_azimuth_deg", "Direction of view", "degrees clockwise from north", unit="°"),
         numbers(frames, "hfov_deg", "Horizontal field of view", "degrees", unit="°"),
     )
-    return _section("cameras", "Cameras", "", parts, "No cameras are recorded here.")
-
-
-def _section(name: str, title: str, lead: str, parts: Sequence[Part | None], absent: str) -> Section:
-    return Section(name, title, lead, facts=facts_in(parts), figures=figures_in(parts), absent=absent)
+    return Section("cameras", "Cameras", "No cameras are recorded here.", parts=parts)
 
 
 def draw_section(source: Source) -> Section:
     """What the recipe's distributions gave, and what goes together."""
     drawn = [name for name in source.frames.names if name.startswith(DRAW)]
-    parts = [_draw(source, name, source.told.draws) for name in drawn[:_MOST_DRAWS]]
-    lead = "What the recipe's distributions gave; below each, what the recipe asks for."
+    lead = "What the recipe's distributions gave; below each, what the recipe asks for." if drawn else ""
     if len(drawn) > _MOST_DRAWS:
         lead += f" The first {_MOST_DRAWS} of {len(drawn):,}; the index has all."
-    return Section(
-        "draws",
-        "Drawn values",
-        lead if drawn else "",
-        facts=facts_in(parts),
-        figures=figures_in(parts),
-        tables=_correlations(source, drawn),
-        absent="No draws are recorded here: the recipe has no distributions, or the folder has no index.",
-    )
+    absent = "No draws are recorded here: the recipe has no distributions, or the folder has no index."
+    parts = [_draw(source, name, source.metadata.draws) for name in drawn[:_MOST_DRAWS]]
+    return Section("draws", "Drawn values", absent, lead, parts, _correlations(source, drawn))
 
 
-def _draw(source: Source, name: str, asked: Mapping[str, Any]) -> Part | None:
+def _draw(source: Source, name: str, distributions: Mapping[str, Any]) -> Part | None:
     key, frames = name.removeprefix(DRAW), source.frames
-    text = _flow(asked[key]) if key in asked else ""
+    text = _flow(distributions[key]) if key in distributions else ""
     note = text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 4]} ..."
     if frames.is_number(name):
         unit = unit_of(key)
@@ -105,16 +89,16 @@ def _flow(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _correlations(source: Source, drawn: Sequence[str]) -> tuple[Table, ...]:
-    rows = tuple(
+def _correlations(source: Source, drawn: Sequence[str]) -> list[Table]:
+    rows = [
         Row(
             f"{one.first.removeprefix(DRAW)} and {one.second.removeprefix(DRAW)}",
-            (Cell(f"{one.rank:+.2f}", abs(one.rank)),),
+            [Cell(f"{one.rank:+.2f}", abs(one.rank))],
         )
-        for one in hints(source.frames, drawn)
-    )
+        for one in correlations(source.frames, drawn)
+    ]
     note = (
         "Spearman's rank correlation over the images. Of two things that always come together, a model may learn one "
         "for the other. What the recipe correlates on purpose is here too."
     )
-    return (Table("What goes together", ("pair", "correlation"), rows, note),) if rows else ()
+    return [Table("What goes together", ("pair", "correlation"), rows, note)] if rows else []

@@ -1,4 +1,4 @@
-"""Label channel `amodal`: masks of each plant as if nothing stood before it; see labels/amodal.py.
+"""Label channel `amodal`: masks of each plant as if nothing stood before it; see labels/masks.py.
 
 It has no part in frame.exr: plants.parquet and the formats hold the masks.
 """

@@ -58,20 +58,20 @@ def occlusion_boundaries(surface: Surface, camera: Camera) -> NDArray[np.bool_]:
         pixel_m = camera.width_m / camera.size_px[0]
         steps = np.ascontiguousarray(camera.world_from_camera.T * [[pixel_m], [pixel_m], [1.0]], dtype=np.float64)
         least = _PIXEL_TOLERANCE * pixel_m
-        _mark_parallel(surface.depth_m, surface.normal, steps, _STEEPER, _DEPTH_TOLERANCE, least, found)
+        _mark_parallel(surface.depth_m, surface.normal, steps, _DEPTH_TOLERANCE, least, found)
         return found
     if not projection.is_pinhole:
         rays = world_rays(camera)
         direction, wraps = np.ascontiguousarray(rays.direction), projection.wraps_x
-        _mark_around(surface.distance_m, surface.normal, direction, rays.valid, wraps, _STEEPER, _TOLERANCE, found)
+        _mark_around(surface.distance_m, surface.normal, direction, rays.valid, wraps, _TOLERANCE, found)
         return found
     rotation = np.ascontiguousarray(camera.world_from_camera, dtype=np.float64)
-    _mark(surface.depth_m, surface.normal, rotation, camera.focal_px, _STEEPER, _TOLERANCE, found)
+    _mark(surface.depth_m, surface.normal, rotation, camera.focal_px, _TOLERANCE, found)
     return found
 
 
 @compiled
-def _mark(depth_m, normal, rotation, focal_px, steeper, tolerance, found):  # type: ignore[no-untyped-def]
+def _mark(depth_m, normal, rotation, focal_px, tolerance, found):  # type: ignore[no-untyped-def]
     height, width = depth_m.shape
     for y in range(height):
         for x in range(width):
@@ -96,15 +96,12 @@ def _mark(depth_m, normal, rotation, focal_px, steeper, tolerance, found):  # ty
                 # A degenerate face has no normal, and stands across the view.
                 slope = near * here_there / here - near if here != 0.0 else 0.0
                 other_slope = far - far * there_here / there if there != 0.0 else 0.0
-                fall, least = near - far, tolerance * max(near, far)
-                if fall > steeper * max(-slope, -other_slope, 0.0) + least:
-                    found[y, x] = True
-                elif -fall > steeper * max(slope, other_slope, 0.0) + least:
-                    found[other_y, other_x] = True
+                least = tolerance * max(near, far)
+                _mark_nearer(found, y, x, other_y, other_x, near - far, -slope, -other_slope, least)
 
 
 @compiled
-def _mark_around(distance_m, normal, direction, valid, around, steeper, tolerance, found):  # type: ignore[no-untyped-def]
+def _mark_around(distance_m, normal, direction, valid, around, tolerance, found):  # type: ignore[no-untyped-def]
     """As `_mark`, between any unit directions; `around`: the last column neighbours the first."""
     height, width = distance_m.shape
     for y in range(height):
@@ -128,15 +125,12 @@ def _mark_around(distance_m, normal, direction, valid, around, steeper, toleranc
                     there_here += normal[other_y, other_x, k] * direction[y, x, k]
                 slope = near * here_there / here - near if here != 0.0 else 0.0
                 other_slope = far - far * there_here / there if there != 0.0 else 0.0
-                fall, least = near - far, tolerance * max(near, far)
-                if fall > steeper * max(-slope, -other_slope, 0.0) + least:
-                    found[y, x] = True
-                elif -fall > steeper * max(slope, other_slope, 0.0) + least:
-                    found[other_y, other_x] = True
+                least = tolerance * max(near, far)
+                _mark_nearer(found, y, x, other_y, other_x, near - far, -slope, -other_slope, least)
 
 
 @compiled
-def _mark_parallel(depth_m, normal, steps, steeper, tolerance, least_m, found):  # type: ignore[no-untyped-def]
+def _mark_parallel(depth_m, normal, steps, tolerance, least_m, found):  # type: ignore[no-untyped-def]
     """Of parallel rays; `steps` (3, 3): from a pixel to the next one along x and y, and the rays' direction; world."""
     height, width = depth_m.shape
     for y in range(height):
@@ -152,11 +146,17 @@ def _mark_parallel(depth_m, normal, steps, steeper, tolerance, least_m, found): 
                     continue
                 slope = _depth_step(normal[y, x], steps, axis)
                 other_slope = _depth_step(normal[other_y, other_x], steps, axis)
-                rise, least = far - near, tolerance * max(near, far) + least_m
-                if rise > steeper * max(slope, other_slope, 0.0) + least:
-                    found[y, x] = True
-                elif -rise > steeper * max(-slope, -other_slope, 0.0) + least:
-                    found[other_y, other_x] = True
+                least = tolerance * max(near, far) + least_m
+                _mark_nearer(found, y, x, other_y, other_x, far - near, slope, other_slope, least)
+
+
+@compiled
+def _mark_nearer(found, y, x, other_y, other_x, gap, slope, other_slope, least):  # type: ignore[no-untyped-def]
+    """Mark the pixel whose surface ends: a gap beyond both planes' slopes, positive where the pixel y, x is nearer."""
+    if gap > _STEEPER * max(slope, other_slope, 0.0) + least:
+        found[y, x] = True
+    elif -gap > _STEEPER * max(-slope, -other_slope, 0.0) + least:
+        found[other_y, other_x] = True
 
 
 @compiled

@@ -14,8 +14,7 @@ from forestgen.recipe.registries import LABEL_CHANNELS
 from forestgen.render.frame import Frame
 
 if TYPE_CHECKING:
-    from forestgen.core.progress import Progress
-    from forestgen.core.timing import Timings
+    from forestgen.core.progress import Progress, Timings
     from forestgen.render.identity import SceneTracer
     from forestgen.scene.spec import Camera, SceneSpec
 

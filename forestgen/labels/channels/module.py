@@ -2,7 +2,7 @@
 
 A module's number is its own within its plant for life (`architecture/modules.py`), so a branch is named by the plant's
 id, the module's number and the node of the module's prototype that ends the segment. Twigs and leaves that are drawn on
-a segment are that segment's. A plant that another one stands for shows that one's branches: `is_own` tells.
+a segment are that segment's. A plant that another one stands for shows that one's branches: `is_own` is false then.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers, layers
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.render.frame import Frame, Surface
-from forestgen.scene.projection import project, projection_of, world_rays
+from forestgen.scene.projection import pixel_centres, project, projection_of, world_rays
 from forestgen.scene.spec import Camera, Instances
 
 _NEAREST = 1e-6  # of the distance: a point nearer to the next camera's plane than this has no place in its image
@@ -61,15 +61,11 @@ def motion_px(
     surface : what `camera` sees at the pixels' centres, with the plants as in `instances`.
     instances, next_instances : the same plants in the same order, at this frame's time and at the next one's.
 
-    Raises
-    ------
-    ValueError
-        When the next frame has other plants, or the surface shows a plant that is in neither.
+    Other plants in the next frame, or on the surface, raise `ValueError`.
     """
     if not np.array_equal(instances.plant_id, next_instances.plant_id):
         raise ValueError("motion needs the same plants in both frames")
-    width, height = camera.size_px
-    centre = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    centre = pixel_centres(camera.size_px)
     rays = world_rays(camera)
     distance = surface.distance_m.astype(np.float64)
     seen = np.isfinite(distance)
@@ -96,9 +92,7 @@ def _landing(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """(H, W, 2) image points of (H, W, 3) points in the camera's axes, and whether they have one.
 
-    Parameters
-    ----------
-    near : (H, W) False for the sky, of which there is a direction alone: parallel rays have no place for it.
+    `near` is False for the sky, of which there is a direction alone: parallel rays have no place for it.
     """
     projection = projection_of(camera)
     if not projection.is_pinhole:

@@ -1,4 +1,9 @@
-"""Label channel `surface`: positions and normals of what the pixels' centres see, and which triangle that is."""
+"""Label channels of the surface at each pixel's centre.
+
+- `surface`: positions and normals, and which triangle it is
+- `albedo`: reflectance and transmittance
+- `sun`: whether the sun's centre is visible from it
+"""
 
 from __future__ import annotations
 
@@ -45,7 +50,26 @@ class SurfaceChannel(LabelChannel):
         }
 
 
-CHANNEL = SurfaceChannel()
+class Albedo(LabelChannel):
+    """Reflectance and transmittance of surfaces."""
+
+    name = "albedo"
+    units: Mapping[str, str] = {"albedo": "1, linear Rec. 709 (D65)"}
+
+    def parts(self, labelled: LabelledFrame) -> dict[str, Layers]:
+        return {"albedo": layers("RGB", labelled.frame.surface.albedo)}
+
+
+class Sun(LabelChannel):
+    """Shadows: where the sun is visible."""
+
+    name = "sun"
+
+    def parts(self, labelled: LabelledFrame) -> dict[str, Layers]:
+        return {"sun": layer("visible", labelled.frame.surface.sun_visible)}
+
+
+SURFACE, ALBEDO, SUN = SurfaceChannel(), Albedo(), Sun()
 
 
 def camera_position_m(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:

@@ -57,7 +57,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.model import srgb
+from forestgen.geometry.export import srgb
 from forestgen.plants.bark.patterns import PATTERNS, Image, Relief, Tile, upper_share
 from forestgen.plants.parameters import PlantParameters
 from forestgen.recipe.species import Bark, Material

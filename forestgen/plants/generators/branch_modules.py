@@ -63,7 +63,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.vectors import unit
+from forestgen.geometry.mesh import unit
 from forestgen.plants.branching import Assembly, Grown, Order, Shoots, around, grow, lateral_sites
 from forestgen.plants.budget import check_budget
 from forestgen.plants.grown import ClothedWood, ModuleWood, wood_skeleton, woods_of

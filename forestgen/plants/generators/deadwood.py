@@ -45,7 +45,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.geometry.vectors import any_perpendicular, unit
+from forestgen.geometry.mesh import any_perpendicular, unit
 from forestgen.plants.branching import around
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton

@@ -60,11 +60,11 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJ
 
 from forestgen.core.errors import LsystemError, RecipeError
 from forestgen.geometry.patches import Patch
-from forestgen.lsystem.compiler import Value, compile_listing, settable, with_values
+from forestgen.lsystem.compiler import Value, compile_program, settable, with_values
 from forestgen.lsystem.derivation import TooManyModulesError
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
-from forestgen.lsystem.syntax import Listing
+from forestgen.lsystem.syntax import ProgramAST
 from forestgen.lsystem.sys_format import parse_sys_text
 from forestgen.plants.budget import check_budget
 from forestgen.plants.fitting import moved
@@ -138,7 +138,7 @@ class Parameters(PlantParameters):
 
     @model_validator(mode="after")
     def _fits_program(self) -> Self:
-        listing = _compiled(self.program.name, self.program.text, ()).listing
+        listing = _compiled(self.program.name, self.program.text, ()).ast
         if self.steps is None and listing.derivation_length is None:
             raise ValueError(f"steps are missing: {self.program.name} has no derivation length")
         for shape in self.surfaces.values():
@@ -151,7 +151,7 @@ class Parameters(PlantParameters):
             self._check_value(listing, name)
         return self
 
-    def _check_value(self, listing: Listing, name: str) -> None:
+    def _check_value(self, listing: ProgramAST, name: str) -> None:
         if name in _TOLD:
             raise ValueError(f"values: {name} is the plant's own")
         if name not in settable(listing):
@@ -165,7 +165,7 @@ class Parameters(PlantParameters):
         except LsystemError as error:
             raise ValueError(f"values: {name} must be {error.expected}") from error
 
-    def _value(self, listing: Listing, name: str, height_m: float) -> Value:
+    def _value(self, listing: ProgramAST, name: str, height_m: float) -> Value:
         """A #define's number at a height; arrays and functions as they are."""
         written = self.values[name]
         if name not in listing.macros:
@@ -175,7 +175,7 @@ class Parameters(PlantParameters):
 
     def program_for(self, height_m: float, width_m: float) -> Program:
         """The compiled program with the values of a plant of this size."""
-        listing = _compiled(self.program.name, self.program.text, ()).listing
+        listing = _compiled(self.program.name, self.program.text, ()).ast
         values = {name: self._value(listing, name, height_m) for name in self.values}
         known = set(settable(listing))
         values |= {name: size for name, size in zip(_TOLD, (height_m, width_m), strict=True) if name in known}
@@ -204,7 +204,7 @@ def _tuples(value: Any) -> Any:
 @lru_cache(maxsize=64)
 def _compiled(name: str, text: str, values: tuple[tuple[str, Any], ...]) -> Program:
     listing = parse_sys_text(text, name) if name.endswith(".sys") else parse_text(text, name)
-    return compile_listing(with_values(listing, dict(values)) if values else listing)
+    return compile_program(with_values(listing, dict(values)) if values else listing)
 
 
 class TurtleGenerator:

@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from forestgen.geometry import flowers
-from forestgen.geometry.patches import Patch
+from forestgen.geometry.patches import Patch, stem
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, PartName, Pieces, Size
 
 Opening = Annotated[float, Field(ge=0, le=170)]
@@ -28,8 +28,8 @@ class _OnStalk(OrganForm):
 
     def stalk(self, *green: Patch) -> Pieces:
         """The stalk, with other patches of its material at its end."""
-        stem = (flowers.stem(self.stalk_m, self.stalk_diameter_m, self.detail),) if self.stalk_m else ()
-        return Pieces(self.stalk_material or self.material, stem + self.up(*green))
+        stalk = (stem(self.stalk_m, self.stalk_diameter_m, self.detail),) if self.stalk_m else ()
+        return Pieces(self.stalk_material or self.material, stalk + self.up(*green))
 
 
 class Daisy(_OnStalk):

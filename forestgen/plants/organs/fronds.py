@@ -8,8 +8,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from forestgen.core.parts import Part
-from forestgen.geometry import fronds, needles
-from forestgen.geometry.patches import bent, placed, strip
+from forestgen.geometry import fronds
+from forestgen.geometry.patches import bent, placed, stem, strip
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, PartName, Pieces, Share, Size
 
 NeedleWidth = Annotated[float, Field(ge=1e-4, le=0.05)]
@@ -28,7 +28,7 @@ class Fascicle(OrganForm):
     detail: Detail = 1
 
     def patches(self) -> tuple[Pieces, ...]:
-        bundle = needles.fascicle(
+        bundle = fronds.fascicle(
             self.needles, self.length_m, self.width_m, self.spread_deg, self.curl_deg, detail=self.detail
         )
         return (Pieces(self.material, (bundle,)),)
@@ -64,7 +64,7 @@ class NeedleTwig(OrganForm):
 
     def patches(self) -> tuple[Pieces, ...]:
         count = max(round(self.per_m * self.length_m), 1)
-        green = needles.needle_twig(
+        green = fronds.needle_twig(
             self.length_m,
             count,
             min(self.drawn or count, count),
@@ -77,7 +77,7 @@ class NeedleTwig(OrganForm):
         )
         if self.diameter_m == 0.0:
             return (Pieces(self.material, (green,)),)
-        twig = needles.twig(self.length_m, self.diameter_m, self.detail)
+        twig = fronds.twig(self.length_m, self.diameter_m, self.detail)
         return Pieces(self.material, (green,)), Pieces(self.twig_material or self.material, (twig,), Part.BRANCH)
 
 
@@ -233,7 +233,7 @@ class GrassPanicle(OrganForm):
             green.append(
                 strip(self.stalk_m, np.full(2, self.diameter_m), folded=False)
                 if self.detail == 0
-                else fronds.stem(self.stalk_m, self.diameter_m, self.detail)
+                else stem(self.stalk_m, self.diameter_m, self.detail)
             )
         grains = placed(grains, np.eye(3), up)
         return Pieces(self.stalk_material or self.material, tuple(green)), Pieces(self.material, (grains,))

@@ -5,12 +5,11 @@ Here are leaves, simple, lobed, palmate and compound, and the type of all forms.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, TypeAdapter, model_validator
+from pydantic import Field, model_validator
 
-from forestgen.geometry.leaves import Blade, compound_leaf, leaf
-from forestgen.geometry.outlines import Entire, Lobed, Outline, Palmate
+from forestgen.geometry.leaves import Blade, Entire, Lobed, Outline, Palmate, compound_leaf, leaf
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, Pieces, Size
 from forestgen.plants.organs.flowers import Acorn, Berry, Bud, Catkin, Cone, Daisy, Disc, FourPetals, Lily
 from forestgen.plants.organs.fronds import (
@@ -226,14 +225,3 @@ OrganShape = Annotated[
     | Disc,
     Field(discriminator="form"),
 ]
-
-_ADAPTER: TypeAdapter[Any] = TypeAdapter(OrganShape)
-
-
-def organ_shape(keys: dict[str, Any]) -> OrganForm:
-    """The shape that a mapping of keys describes.
-
-    Raises `pydantic.ValidationError`: an unknown form or key, or a value out of bounds.
-    """
-    shape: OrganForm = _ADAPTER.validate_python(keys)
-    return shape

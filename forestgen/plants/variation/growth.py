@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.vectors import rotate, unit
+from forestgen.geometry.mesh import rotate, unit
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.loop import NewNodes, carry, walk

@@ -1,19 +1,158 @@
-"""One scene in a tracing variant, with the tables of its hits on the device."""
+"""One scene in a tracing variant, with the tables of its hits on the device.
+
+Flat tables tell what a hit means: instance -> plant, (exemplar, organ) -> part and colour, face -> vertices. Entry 0 of
+instances and organs is the terrain's. Bytes: 48 an instance, 24 a triangle, 12 a vertex with a normal, 8 a vertex of a
+textured mesh, 12 a texel: 77 MB for the 10,000 instances of benchmarks/labels.py.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.parts import Part
+from forestgen.geometry.mesh import Mesh
 from forestgen.render.build import load, origin_of, plants_dict, to_mesh
-from forestgen.render.identity.tables import HitTables, hit_tables
+from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import LLVM, drjit, mitsuba, require, tracing_variant, using
+from forestgen.scene.channels import RGB
 from forestgen.scene.projection import HASH_ROUNDS, LENS_STEPS, DeviceRays, Projection, Rays, projection_of
-from forestgen.scene.spec import Camera, SceneSpec
+from forestgen.scene.soil_colour import film_factor
+from forestgen.scene.spec import Camera, Material, SceneSpec
+
+NONE = 2**32 - 1  # instead of a first row: the mesh has none
+
+
+@dataclass(frozen=True)
+class HitTables:
+    """Everything that turns a hit into labels."""
+
+    plant_id: NDArray[np.uint32]  # (1 + N,) by instance
+    exemplar: NDArray[np.uint32]  # (1 + N,) index into SceneSpec.exemplars + 1; 0 for the terrain
+    rotation: NDArray[np.float32]  # (1 + N, 9) row-major inverse transpose of the instance's linear part
+    first_organ: NDArray[np.uint32]  # (1 + N,) first organ of the instance's exemplar
+    part: NDArray[np.uint8]  # (1 + O,) by organ
+    albedo: NDArray[np.float32]  # (1 + O, 3) reflectance + transmittance, the mean of a texture
+    first_face: NDArray[np.uint32]  # (1 + O,) first face of the organ
+    normal: NDArray[np.float32]  # (F, 3) geometric, not normalised by the instance's transform
+    corner: NDArray[np.uint32]  # (F, 3) vertices, counted within the organ's mesh
+    first_normal: NDArray[np.uint32]  # (1 + O,) row of the organ's first vertex in `vertex_normal`, or NONE
+    vertex_normal: NDArray[np.float32]  # (VN, 3)
+    first_uv: NDArray[np.uint32]  # (1 + O,) row of the organ's first vertex in `uv`, or NONE
+    uv: NDArray[np.float32]  # (VT, 2) of textured meshes alone
+    texture: NDArray[np.uint32]  # (1 + O, 3) first texel, width, height; width 0: no texture
+    texel: NDArray[np.float32]  # (T, 3) linear Rec. 709; row 0 of a texture is v = 0
+    far_share: NDArray[np.float32]  # (VG,) by vertex of the terrain
+    far_albedo: tuple[float, float, float]
+    wet_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is wet
+    film_factor: tuple[float, float, float]  # of the wet ground's albedo
+
+    @property
+    def nbytes(self) -> int:
+        return sum(value.nbytes for value in vars(self).values() if isinstance(value, np.ndarray))
+
+
+def face_normals(mesh: Mesh) -> NDArray[np.float32]:
+    """(F, 3) unit geometric normals; a degenerate face has zero."""
+    # By coordinates: three times as fast as np.cross on half a million faces.
+    a, b, c = (mesh.vertices_m.astype(np.float64).T[:, mesh.faces[:, k]] for k in range(3))
+    (x, y, z), (u, v, w) = b - a, c - a
+    normal = np.stack([y * w - z * v, z * u - x * w, x * v - y * u])
+    length = np.sqrt(np.einsum("kf,kf->f", normal, normal))
+    normal /= np.where(length > 0, length, 1.0)
+    return np.ascontiguousarray(normal.T, dtype=np.float32)
+
+
+def organs_of(spec: SceneSpec) -> Iterator[tuple[Part, Mesh, Material]]:
+    """Organs in the order of the tables, the terrain left out."""
+    for exemplar in spec.exemplars:
+        for organ in exemplar.organs:
+            yield organ.part, organ.mesh, spec.materials[exemplar.species, organ.material]
+
+
+def albedo_of(part: Part, material: Material) -> NDArray[np.float64]:
+    """(3,) reflectance, and of a thin leaf the transmittance too: what `render.surfaces.surface_bsdf` makes of it."""
+    reflectance = np.asarray(material.reflectance, dtype=np.float64)
+    return reflectance + material.transmittance if part in LEAFLIKE else reflectance
+
+
+def hit_tables(spec: SceneSpec) -> HitTables:
+    """Tables of `spec`: O(instances + faces and vertices of exemplars + texels)."""
+    terrain, organs = spec.terrain, list(organs_of(spec))
+    meshes = [terrain.mesh, *(mesh for _, mesh, _ in organs)]
+    ground_albedo = terrain.texture.mean(axis=(0, 1), dtype=np.float64)
+    images = [terrain.texture, *(_image(*organ) for organ in organs)]  # colour textures
+    images = [None if mesh.uv is None else image for mesh, image in zip(meshes, images, strict=True)]
+    shown = {id(image): image for image in images if image is not None}  # species share none, organs may
+    first_texel = dict(zip(shown, _first_rows(list(shown.values()), 1).tolist(), strict=True))
+    organ_of_exemplar = 1 + np.cumsum([0, *(len(exemplar.organs) for exemplar in spec.exemplars)])
+    normals, uvs = ([getattr(mesh, name) for mesh in meshes] for name in ("normals", "uv"))
+    uvs = [None if image is None else uv for uv, image in zip(uvs, images, strict=True)]
+    # Normals go with the inverse transpose; for a rotation times a uniform scale that is the matrix itself up to scale.
+    inverse_transpose = np.linalg.inv(spec.instances.transform[:, :, :3]).transpose(0, 2, 1)
+    red, green, blue = film_factor(terrain, RGB).tolist()
+    return HitTables(
+        plant_id=np.concatenate([[0], spec.instances.plant_id]).astype(np.uint32),
+        exemplar=np.concatenate([[0], spec.instances.exemplar.astype(np.int64) + 1]).astype(np.uint32),
+        rotation=np.concatenate([np.eye(3).reshape(1, 9), inverse_transpose.reshape(-1, 9)]).astype(np.float32),
+        first_organ=np.concatenate([[0], organ_of_exemplar[spec.instances.exemplar]]).astype(np.uint32),
+        part=np.array([Part.GROUND, *(part for part, _, _ in organs)], dtype=np.uint8),
+        albedo=np.array([ground_albedo, *(albedo_of(part, one) for part, _, one in organs)], dtype=np.float32),
+        first_face=_first_rows([mesh.faces for mesh in meshes], 0),
+        normal=np.concatenate([face_normals(mesh) for mesh in meshes]),
+        corner=np.concatenate([mesh.faces for mesh in meshes]),
+        first_normal=_first_rows(normals, 1),
+        vertex_normal=_joined(normals, 3),
+        first_uv=_first_rows(uvs, 1),
+        uv=_joined(uvs, 2),
+        texture=np.array(
+            [(0, 0, 0) if one is None else (first_texel[id(one)], one.shape[1], one.shape[0]) for one in images],
+            dtype=np.uint32,
+        ),
+        texel=_joined([image.reshape(-1, 3) for image in shown.values()], 3),
+        far_share=np.asarray(terrain.far_share, dtype=np.float32),
+        far_albedo=terrain.far_reflectance,
+        wet_share=None if terrain.wet is None else terrain.wet.share,
+        film_factor=(red, green, blue),
+    )
+
+
+def _image(part: Part, mesh: Mesh, material: Material) -> NDArray[np.float32] | None:
+    return None if material.texture is None or part in LEAFLIKE else material.texture.colour
+
+
+def _first_rows(blocks: Sequence[NDArray[Any] | None], first: int) -> NDArray[np.uint32]:
+    """Where each block begins in a table of them all, from a row on; NONE where there is no block."""
+    rows = []
+    for block in blocks:
+        rows.append(NONE if block is None else first)
+        first += 0 if block is None else block.size // block.shape[-1]
+    return np.array(rows, dtype=np.uint32)
+
+
+def _joined(blocks: Sequence[NDArray[np.float32] | None], width: int) -> NDArray[np.float32]:
+    """All blocks, after one row that nothing refers to: the device gathers from no empty table."""
+    return np.concatenate([np.zeros((1, width)), *(one for one in blocks if one is not None)], dtype=np.float32)
+
+
+def uploaded(tables: Any) -> Any:
+    """The fields of a dataclass on the device: arrays flat, and colours as opaque values."""
+    mi, dr = mitsuba(), drjit()
+    fields: dict[str, Any] = {}
+    for name, value in vars(tables).items():
+        if isinstance(value, tuple):
+            fields[name] = mi.Color3f(*[dr.opaque(mi.Float, float(one)) for one in value])
+        elif value is not None:
+            is_float = value.dtype.kind == "f"
+            fields[name] = mi.Float(value.ravel()) if is_float else mi.UInt32(value.astype(np.uint32).ravel())
+        else:
+            fields[name] = None
+    return SimpleNamespace(**fields)
 
 
 def sample_offsets(samples: int) -> NDArray[np.float64]:
@@ -26,13 +165,11 @@ def sample_offsets(samples: int) -> NDArray[np.float64]:
 
 
 def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> DeviceRays:
-    """Rays through sub-pixel positions of `rows` rows.
+    """Rays through sub-pixel positions of `rows` rows: an offset (2,), or `sample_offsets` (S, 2).
 
-    Parameters
-    ----------
-    offset : (2,) for the pixels' centres, or (S, 2), of `sample_offsets`. Rays run row by row, pixel by pixel, and then
-        over the S positions: neighbours on the device stay neighbours in the scene, which makes tracing 2.5 times as
-        fast as position by position. A lens' rays of (2,) go through its middle, those of (S, 2) through all of it.
+    Rays run row by row, pixel by pixel, and then over the S positions: neighbours on the device stay neighbours in the
+    scene, which makes tracing 2.5 times as fast as position by position. A lens' rays of (2,) go through its middle,
+    those of (S, 2) through all of it.
     """
     mi, dr = mitsuba(), drjit()
     offsets, width = np.atleast_2d(offset), camera.size_px[0]
@@ -49,11 +186,8 @@ def pixel_rays(camera: Camera, column: Any, row: Any, dx: Any, dy: Any, number: 
     """Rays through positions (dx, dy) in [0, 1] of pixels; scene/projection.py has their definition.
 
     All passes take their rays from here, so that theirs are equal to the last bit. What changes from camera to camera
-    goes in as opaque values: one compiled kernel serves all cameras of a kind.
-
-    Parameters
-    ----------
-    number : of the sample in its pixel, which chooses the point of the lens; None: through the lens' middle.
+    goes in as opaque values: one compiled kernel serves all cameras of a kind. The `number` of the sample in its pixel
+    chooses the point of the lens; None: its middle.
     """
     mi, dr = mitsuba(), drjit()
     width, height = camera.size_px
@@ -122,45 +256,23 @@ def _slim(scene: dict[str, Any]) -> dict[str, Any]:
 class SceneTracer:
     """One scene in a tracing variant with its tables on the device: set up once, for all cameras.
 
-    Parameters
-    ----------
-    timer : context manager that books time under a name.
-    variant : `render.variant.LLVM` or `CUDA`; by default the one that `tracing_variant` chooses.
+    `timer` books time under a name. `variant` is by default the one that `tracing_variant` chooses.
     """
 
     def __init__(self, spec: SceneSpec, timer: Callable[[str], Any], variant: str | None = None) -> None:
         self.variant = tracing_variant() if variant is None else variant
         require(self.variant)
-        with using(self.variant), timer("identity: build"):
-            self._load(spec)
-
-    def _load(self, spec: SceneSpec) -> None:
         # Of the cameras' own surroundings: a single camera stands in the origin, where coordinates are exact.
         self.spec, self.origin_m = spec, np.mean([origin_of(camera) for camera in spec.cameras], axis=0)
-        scene = plants_dict(spec, self.origin_m, None)
-        scene["terrain"] = to_mesh(spec.terrain.mesh, None, self.origin_m, "terrain")
-        self.scene = load(_slim(scene) if self.variant == LLVM else scene)
-        self._row_of_registry = self._registry_rows(len(spec.instances))
-        self._upload(hit_tables(spec))
-
-    def _upload(self, tables: HitTables) -> None:
-        mi, dr = mitsuba(), drjit()
-        self.table_bytes = tables.nbytes
-        self.plant_id, self.exemplar = mi.UInt32(tables.plant_id), mi.UInt32(tables.exemplar)
-        self.rotation = mi.Float(tables.rotation.ravel())
-        self.first_organ, self.part = mi.UInt32(tables.first_organ), mi.UInt32(tables.part.astype(np.uint32))
-        self.mean_albedo = mi.Float(tables.albedo.ravel())
-        self.first_face, self.face_normal = mi.UInt32(tables.first_face), mi.Float(tables.normal.ravel())
-        self.corner = mi.UInt32(tables.corner.ravel())
-        self.first_normal, self.vertex_normal = mi.UInt32(tables.first_normal), mi.Float(tables.vertex_normal.ravel())
-        self.first_uv, self.uv = mi.UInt32(tables.first_uv), mi.Float(tables.uv.ravel())
-        self.texture, self.texel = mi.UInt32(tables.texture.ravel()), mi.Float(tables.texel.ravel())
-        self.far_share = mi.Float(tables.far_share)
-        self.far_albedo = mi.Color3f(*[dr.opaque(mi.Float, float(value)) for value in tables.far_albedo])
-        self.wet_share = None if tables.wet_share is None else mi.Float(tables.wet_share)
-        self.film_factor = mi.Color3f(*[dr.opaque(mi.Float, value) for value in tables.film_factor])
-        self.to_sun = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in self.spec.sky.to_sun])
-        dr.eval()
+        with using(self.variant) as mi, timer("identity: build"):
+            dr = drjit()
+            scene = plants_dict(spec, self.origin_m, None)
+            scene["terrain"] = to_mesh(spec.terrain.mesh, None, self.origin_m, "terrain")
+            self.scene = load(_slim(scene) if self.variant == LLVM else scene)
+            self._row_of_registry = self._registry_rows(len(spec.instances))
+            self.table = uploaded(hit_tables(spec))
+            self.to_sun = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in spec.sky.to_sun])
+            dr.eval()
 
     def _registry_rows(self, instances: int) -> Any:
         """Table from the renderer's registry id of an instance to its row + 1; anything else maps to 0."""
@@ -191,7 +303,7 @@ class SceneTracer:
         known = valid & (registry < dr.opaque(mi.UInt32, dr.width(self._row_of_registry)))
         instance = dr.gather(mi.UInt32, self._row_of_registry, registry, known)
         inside = dr.select(valid & (instance > 0), hit.shape_index, 0)
-        organ = dr.gather(mi.UInt32, self.first_organ, instance, valid) + inside
+        organ = dr.gather(mi.UInt32, self.table.first_organ, instance, valid) + inside
         return Hits(
             rays=rays,
             valid=valid,
@@ -199,7 +311,7 @@ class SceneTracer:
             instance=instance,
             organ=organ,
             primitive=hit.prim_index,
-            face=dr.gather(mi.UInt32, self.first_face, organ, valid) + hit.prim_index,
+            face=dr.gather(mi.UInt32, self.table.first_face, organ, valid) + hit.prim_index,
             uv=hit.prim_uv,
         )
 
@@ -212,14 +324,14 @@ class SceneTracer:
     def face_in_exemplar(self, hits: Hits) -> Any:
         """Triangle of the exemplar with its organs one after another, or of the ground; 0 for the sky."""
         mi, dr = mitsuba(), drjit()
-        organ = dr.gather(mi.UInt32, self.first_organ, hits.instance, hits.valid)
-        first = dr.gather(mi.UInt32, self.first_face, organ, hits.valid)
+        organ = dr.gather(mi.UInt32, self.table.first_organ, hits.instance, hits.valid)
+        first = dr.gather(mi.UInt32, self.table.first_face, organ, hits.valid)
         return dr.select(hits.valid, hits.face - first, 0)
 
     def to_world(self, normal: Any, hits: Hits) -> Any:
         """Unit normals, world, of normals in their instances' frames."""
         mi, dr = mitsuba(), drjit()
-        m = [dr.gather(mi.Float, self.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
+        m = [dr.gather(mi.Float, self.table.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
         turned = mi.Vector3f(
             *[m[3 * r] * normal.x + m[3 * r + 1] * normal.y + m[3 * r + 2] * normal.z for r in range(3)]
         )
@@ -228,7 +340,7 @@ class SceneTracer:
     def direction_to_world(self, direction: Any, hits: Hits) -> Any:
         """World directions, of no special length, of directions in their instances' frames."""
         mi, dr = mitsuba(), drjit()
-        m = [dr.gather(mi.Float, self.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
+        m = [dr.gather(mi.Float, self.table.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
         rows = [mi.Vector3f(*m[3 * r : 3 * r + 3]) for r in range(3)]
         # Of an inverse transpose the cofactors are the matrix itself, but for its scale.
         return mi.Vector3f(*[dr.dot(dr.cross(rows[(r + 1) % 3], rows[(r + 2) % 3]), direction) for r in range(3)])
@@ -236,5 +348,5 @@ class SceneTracer:
     def geometric_normal(self, hits: Hits) -> Any:
         """Unit normals, world, towards the camera; 0 for the sky."""
         mi, dr = mitsuba(), drjit()
-        normal = self.to_world(dr.gather(mi.Vector3f, self.face_normal, hits.face, hits.valid), hits)
+        normal = self.to_world(dr.gather(mi.Vector3f, self.table.normal, hits.face, hits.valid), hits)
         return dr.select(hits.valid, dr.select(dr.dot(normal, hits.rays.direction) > 0, -normal, normal), 0.0)

@@ -1,4 +1,4 @@
-"""Surfaces on the device: what light does where paths meet them."""
+"""What light does where paths meet surfaces (`render/surfaces.py`): tables on the device, in the channels of a pass."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from forestgen.render.identity import Hits, SceneTracer
+from forestgen.geometry.mesh import Mesh
 from forestgen.render.identity.surface import (
     barycentric_weights,
     bilinear_places,
@@ -16,9 +17,110 @@ from forestgen.render.identity.surface import (
     interpolated_normal,
     vertex_uv,
 )
-from forestgen.render.identity.tables import NONE
-from forestgen.render.paths.surface_tables import Paint, ReliefTables
+from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, organs_of, uploaded
+from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import drjit, mitsuba
+from forestgen.scene.channels import Channels
+from forestgen.scene.soil_colour import film_factor
+from forestgen.scene.spec import SceneSpec
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class ReliefTables:
+    """Where textures lie and how their reliefs stand; entry 0 of the organs is the terrain's."""
+
+    texture: NDArray[np.uint32]  # (1 + O, 3) first texel, width, height; width 0: no texture
+    normal: Array  # (T, 3) of texels, in the frame of tangent, cotangent and normal
+    first_tangent: NDArray[np.uint32]  # (1 + O,) row of the organ's first face in `tangent`, or NONE: no relief
+    tangent: Array  # (F', 3) along which u grows, of faces in their exemplar's frame
+
+
+@dataclass(frozen=True)
+class Paint:
+    """Shares of light by organ, (1 + O, ...), and by texel."""
+
+    matt: Array  # (1 + O, 3) reflected evenly
+    through: Array  # (1 + O, 3) let through evenly
+    gloss: Array  # (1 + O, 3) scale of the gloss' mirror, width of its facets, index of refraction; scale 0: none
+    chance: Array  # (1 + O, 2) of a path to go through, and of one that does not to meet the gloss
+    texel: Array  # (T, 3) reflected evenly, in place of `matt`
+    far: tuple[float, float, float]  # of the ground in the distance
+    film_factor: tuple[float, float, float]  # of the wet ground's colour
+
+
+def relief_tables(spec: SceneSpec) -> ReliefTables:
+    """O(faces of textured organs + texels)."""
+    ground = spec.terrain.texture
+    normals = [np.tile(np.array([0, 0, 1], np.float32), (ground.shape[0] * ground.shape[1], 1))]
+    whole = (0, ground.shape[1], ground.shape[0]) if spec.terrain.mesh.uv is not None else (0, 0, 0)
+    texture, first_tangent, tangents = [whole], [NONE], []
+    texels, faces, known = len(normals[0]), 0, dict[int, int]()
+    for part, mesh, material in organs_of(spec):
+        if not is_textured(part, material, has_uv=mesh.uv is not None):
+            texture.append((0, 0, 0))
+            first_tangent.append(NONE)
+            continue
+        assert material.texture is not None
+        normal = material.texture.normals()
+        if id(material) not in known:
+            known[id(material)] = texels
+            normals.append(np.ascontiguousarray(normal, dtype=np.float32).reshape(-1, 3))
+            texels += len(normals[-1])
+        texture.append((known[id(material)], normal.shape[1], normal.shape[0]))
+        first_tangent.append(faces)
+        tangents.append(face_tangents(mesh))
+        faces += len(mesh.faces)
+    tangents.append(np.zeros((1, 3), np.float32))  # the device gathers from no empty table
+    return ReliefTables(
+        np.asarray(texture, np.uint32),
+        np.concatenate(normals),
+        np.asarray(first_tangent, np.uint32),
+        np.concatenate(tangents),
+    )
+
+
+def face_tangents(mesh: Mesh) -> Array:
+    """(F, 3) unit directions along which u grows on each face of a mesh with uv; 0 where the face has none."""
+    assert mesh.uv is not None
+    position, uv = mesh.vertices_m.astype(np.float64)[mesh.faces], mesh.uv.astype(np.float64)[mesh.faces]
+    one, other = position[:, 1] - position[:, 0], position[:, 2] - position[:, 0]
+    (u1, v1), (u2, v2) = (uv[:, 1] - uv[:, 0]).T, (uv[:, 2] - uv[:, 0]).T
+    along = (v2[:, None] * one - v1[:, None] * other) * np.sign(u1 * v2 - v1 * u2)[:, None]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.asarray(along / np.where(length > 0, length, 1.0), dtype=np.float32)
+
+
+def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
+    """All surfaces of a scene in three channels."""
+    terrain = spec.terrain
+    ground = channels.texture(terrain.texture, terrain.mean_colour, terrain.spectrum)
+    texels = [np.maximum(ground, 0.0).reshape(-1, 3)]
+    matt, through, gloss, chance = [ground.mean(axis=(0, 1))], [np.zeros(3)], [np.zeros(3)], [np.zeros(2)]
+    known: set[int] = set()
+    for part, mesh, material in organs_of(spec):
+        surface = surface_of(part, material, channels, has_uv=mesh.uv is not None)
+        if surface.textured and id(material) not in known:
+            known.add(id(material))
+            texels.append(np.asarray(relief_colour(material, channels), dtype=np.float32).reshape(-1, 3))
+        sides, lobe = surface.sides, surface.lobe
+        matt.append(sides.matt)
+        through.append(sides.through)
+        passing, glossy = sides.shares
+        gloss.append(np.zeros(3) if lobe is None else np.array([sides.gloss / lobe.albedo, lobe.alpha, lobe.index]))
+        chance.append(np.array([passing if sides.through.any() else 0.0, 0.0 if lobe is None else glossy]))
+    far_red, far_green, far_blue = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
+    red, green, blue = film_factor(terrain, channels).tolist()
+    return Paint(
+        np.asarray(matt, np.float32),
+        np.asarray(through, np.float32),
+        np.asarray(gloss, np.float32),
+        np.asarray(chance, np.float32),
+        np.concatenate(texels, dtype=np.float32),
+        (far_red, far_green, far_blue),
+        (red, green, blue),
+    )
 
 
 @dataclass(frozen=True)
@@ -68,12 +170,7 @@ class Local:
         return dr.select(up > 0, above, self.chance.x * (-up / np.pi))
 
     def sample(self, lobe: Any, first: Any, second: Any) -> tuple[Any, Any]:
-        """Unit directions in which paths go on, and Color3f by which their light is multiplied.
-
-        Parameters
-        ----------
-        lobe, first, second : (P,) each in [0, 1).
-        """
+        """Unit directions in which paths go on, and Color3f by which their light is multiplied, of (P,) in [0, 1)."""
         mi, dr = mitsuba(), drjit()
         passes = lobe < self.chance.x
         rest = (lobe - self.chance.x) / dr.maximum(1.0 - self.chance.x, 1e-6)
@@ -132,21 +229,12 @@ def _visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
 class Surfaces:
     """The tables of a scene on the device; its paint changes with the channels."""
 
-    def __init__(self, tracer: SceneTracer, tables: ReliefTables) -> None:
-        mi = mitsuba()
-        self._tracer = tracer
-        self._texture, self._relief = mi.UInt32(tables.texture.ravel()), mi.Float(tables.normal.ravel())
-        self._first_tangent, self._tangent = mi.UInt32(tables.first_tangent), mi.Float(tables.tangent.ravel())
+    def __init__(self, tracer: SceneTracer) -> None:
+        self._tracer, self._relief = tracer, uploaded(relief_tables(tracer.spec))
 
-    def show(self, paint: Paint) -> None:
+    def show(self, channels: Channels) -> None:
         """Have the paint of a pass' channels."""
-        mi, dr = mitsuba(), drjit()
-        self._matt, self._through = mi.Float(paint.matt.ravel()), mi.Float(paint.through.ravel())
-        self._gloss, self._chance = mi.Float(paint.gloss.ravel()), mi.Float(paint.chance.ravel())
-        self._texel = mi.Float(paint.texel.ravel())
-        self._far, self._film_factor = (
-            mi.Color3f(*[dr.opaque(mi.Float, value) for value in colour]) for colour in (paint.far, paint.film_factor)
-        )
+        self._paint = uploaded(paint_of(self._tracer.spec, channels))
 
     def at(self, hits: Hits) -> Local:
         """The surfaces at hits; where none is hit, anything."""
@@ -157,16 +245,18 @@ class Surfaces:
         corners, weights = corners_of(tracer, hits, valid), barycentric_weights(hits)
         normal = interpolated_normal(tracer, hits, corners, weights, geometric)
         normal = dr.select(dr.dot(normal, towards) < 0, -normal, normal)
-        matt = dr.gather(mi.Color3f, self._matt, hits.organ, valid)
-        offset, width, height = (dr.gather(mi.UInt32, self._texture, hits.organ * 3 + k, valid) for k in range(3))
+        matt = dr.gather(mi.Color3f, self._paint.matt, hits.organ, valid)
+        offset, width, height = (
+            dr.gather(mi.UInt32, self._relief.texture, hits.organ * 3 + k, valid) for k in range(3)
+        )
         textured = valid & (width > 0)
         u, v = vertex_uv(tracer, hits, corners, weights, textured)
         places = bilinear_places(offset, width, height, u, v)
         colour, relief = mi.Color3f(0.0), mi.Vector3f(0.0)
         for weight, texel in places:
-            colour += weight * dr.gather(mi.Color3f, self._texel, texel, textured)
-            relief += weight * dr.gather(mi.Vector3f, self._relief, texel, textured)
-        colour = ground_colour(tracer, hits, corners, weights, colour, (self._far, self._film_factor))
+            colour += weight * dr.gather(mi.Color3f, self._paint.texel, texel, textured)
+            relief += weight * dr.gather(mi.Vector3f, self._relief.normal, texel, textured)
+        colour = ground_colour(tracer, hits, corners, weights, colour, (self._paint.far, self._paint.film_factor))
         matt = dr.select(textured, colour, matt)
         return Local(
             towards,
@@ -174,17 +264,17 @@ class Surfaces:
             normal,
             self._facet(hits, normal, towards, relief, textured),
             matt,
-            dr.gather(mi.Color3f, self._through, hits.organ, valid),
-            dr.gather(mi.Vector3f, self._gloss, hits.organ, valid),
-            dr.gather(mi.Vector2f, self._chance, hits.organ, valid),
+            dr.gather(mi.Color3f, self._paint.through, hits.organ, valid),
+            dr.gather(mi.Vector3f, self._paint.gloss, hits.organ, valid),
+            dr.gather(mi.Vector2f, self._paint.chance, hits.organ, valid),
         )
 
     def _facet(self, hits: Hits, normal: Any, towards: Any, relief: Any, textured: Any) -> Any:
         """Normals of the relief; one that leans away from where the path came from is turned about the surface's."""
         mi, dr = mitsuba(), drjit()
-        first = dr.gather(mi.UInt32, self._first_tangent, hits.organ, textured)
+        first = dr.gather(mi.UInt32, self._relief.first_tangent, hits.organ, textured)
         rough = textured & (first != NONE)
-        local = dr.gather(mi.Vector3f, self._tangent, first + hits.primitive, rough)
+        local = dr.gather(mi.Vector3f, self._relief.tangent, first + hits.primitive, rough)
         along = self._tracer.direction_to_world(local, hits)
         along = dr.normalize(along - normal * dr.dot(normal, along))
         across = dr.cross(normal, along)

@@ -34,15 +34,9 @@ class SkyModel:
         raise NotImplementedError
 
     def radiance(self, sky: Sky, light: Spectrum, channels: Channels) -> NDArray[np.floating]:
-        """Radiance without the sun's disc, from the zenith to the horizon.
+        """(MAP_ROWS // 2 + 1, MAP_COLUMNS or 1, 3) radiance without the sun's disc, from the zenith to the horizon.
 
-        Parameters
-        ----------
-        light : that the radiance gives a level plane, of `daylight`.
-
-        Returns
-        -------
-        ndarray : of shape (MAP_ROWS // 2 + 1, MAP_COLUMNS or 1, 3); see `map_directions`.
+        `light` is what it gives a level plane, of `daylight`; for the directions see `map_directions`.
         """
         raise NotImplementedError
 

@@ -34,7 +34,7 @@ _SCHEMES = ("tcp", "tls", "ws", "wss", "ucx")
 _CONNECT_S = 10.0
 _RESULT_S = 10.0  # for a small object that its worker says is there
 _LOOK_EVERY_S = 3.0
-_SAY_EVERY_S = 60.0  # that there is nobody to work
+_SAY_EVERY_S = 60.0  # that there are no workers
 _SETTLED_AT_ONCE = 16
 _LEAVE_WITHIN_S = 5.0
 _MOST_NAMED = 5
@@ -52,7 +52,7 @@ class DaskEngine:
     make : what does a job, `runs.work.make_job`. It must be importable by name on the workers.
     resources : resource -> amount that each job takes, as workers declare them (``dask worker --resources``).
     job_memory_bytes : that a job takes at its peak, from the estimate; None if it is not known.
-    notice : told events ``worker_joined``, ``worker_lost``, ``worker_refused`` and ``waiting``, with a message.
+    notice : called with events ``worker_joined``, ``worker_lost``, ``worker_refused`` and ``waiting``, with a message.
 
     Raises
     ------
@@ -186,7 +186,7 @@ class WorkerPool:
         self._refused: dict[str, str] = {}  # address -> why
         self._settling: dict[str, Future[Any]] = {}
         self._threads = ThreadPoolExecutor(_SETTLED_AT_ONCE, "forestgen-settle")
-        self._info: dict[str, Any] = {}  # what the scheduler told of each worker, by address
+        self._info: dict[str, Any] = {}  # the scheduler's information on each worker, by address
         self._looked = self._said = float("-inf")
 
     def __len__(self) -> int:
@@ -204,7 +204,7 @@ class WorkerPool:
             if self._names:
                 return
             if self._refused and not self._settling:
-                raise self._nobody_fits()
+                raise self._none_fits()
             time.sleep(0.1)
 
     def look(self) -> None:
@@ -296,7 +296,7 @@ class WorkerPool:
             rows.append(f"a job takes about {needed / 1e9:.2f} GB of memory, and it may take {limit / 1e9:.2f} GB")
         return "; ".join(rows)
 
-    def _nobody_fits(self) -> ResourceError:
+    def _none_fits(self) -> ResourceError:
         rows = [f"{address}: {why}" for address, why in self._refused.items()]
         more = len(rows) - _MOST_NAMED
         return ResourceError(

@@ -58,7 +58,7 @@ def _die_with_the_run() -> None:
 
 
 def _leave_with_the_run() -> None:
-    """A run that was killed takes its workers along: nobody writes into the data set without its lock."""
+    """End with a run that was killed: without its lock, no worker may write into the data set."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from forestgen.core.errors import AssetError
-from forestgen.core.grey_picture import kind_of, read_grey
+from forestgen.core.raster import kind_of, read_raster
 from forestgen.recipe.fields import Number, Section, Text, mistake, spelled_out
 from forestgen.recipe.map_files import known_file
 from forestgen.scene.terrain import HeightField, TerrainShape, smooth_step
@@ -209,7 +209,7 @@ def read_heights(path: Path, lowest_m: float | None = None, highest_m: float | N
     Raises `AssetError`: see `HeightMap.heights`.
     """
     kind = kind_of(path)
-    picture = read_grey(path)
+    picture = read_raster(path)
     holes, coloured = _holes(path, kind, picture.values)
     if coloured:
         raise AssetError("a picture in colour holds no heights", expected="grey levels, or metres", got=path.name)

@@ -23,7 +23,7 @@ from pydantic import Field
 
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Number, Positive
-from forestgen.recipe.terrain import Terrain
+from forestgen.recipe.schema import Terrain
 from forestgen.scene.terrain import MARGIN_M, HeightField, TerrainShape, smooth_step
 
 HILLS_FROM_M = 250.0

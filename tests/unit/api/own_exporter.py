@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import trimesh
 
-from forestgen.geometry.export import MeshExporter
-from forestgen.geometry.model import Model
+from forestgen.geometry.export import MeshExporter, Model
 
 
 class Stl(MeshExporter):

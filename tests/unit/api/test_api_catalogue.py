@@ -15,7 +15,7 @@ from api_recipe import STAND
 import forestgen as fg
 from forestgen.api import catalogue
 from forestgen.core import registry
-from forestgen.core.code_hash import code_hash
+from forestgen.core.cache import code_hash
 
 pytestmark = pytest.mark.usefixtures("registries_as_before")
 

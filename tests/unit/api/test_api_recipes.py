@@ -39,7 +39,7 @@ def test_a_text_is_a_recipe_and_its_errors_have_lines() -> None:
         ("forestgen: 1\nsite: {size_m: [0, 80]}\n", "recipe text:2: site.size_m"),
         ("forestgen: 1\nsite: {", "recipe text:2: not valid YAML"),
         ("just a word\n", "recipe text:1: not a mapping"),
-        ("\n", "recipe text: the text says nothing"),
+        ("\n", "recipe text: the text is empty"),
         ("# x\n" * 300_000, "recipe text: the text is too large"),
     ):
         with pytest.raises(fg.RecipeError) as refused:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from forestgen.architecture.geometry import terminal_pose
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables, load_prototypes, tables_of
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 
 
 def plant_type(**changes: Any) -> PlantType:

@@ -11,9 +11,8 @@ import pytest
 from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.atmosphere.conditions import Layers
 from forestgen.atmosphere.extinction import droplet_phase
-from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.grid import CloudGrid, Weather
 from forestgen.atmosphere.simulate import Scenario
-from forestgen.atmosphere.weather import Weather
 from forestgen.core.errors import AssetError, ForestgenError, RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import DrawnRecipe, load_recipe
@@ -60,25 +59,25 @@ def drawn(clouds: str, *overrides: str, recipe: Path = QUICKSTART) -> DrawnRecip
 
 def test_what_is_left_out_is_the_types_own() -> None:
     own = CLOUD_SOURCES.load("cumulus").conditions
-    (chapter,) = scenario_of(drawn("cumulus", "site.wind_from_deg=180")).chapters
-    assert chapter.conditions.layers == own.layers
-    assert chapter.conditions.emission == own.emission
-    assert chapter.conditions.domain == own.domain
+    (phase,) = scenario_of(drawn("cumulus", "site.wind_from_deg=180")).phases
+    assert phase.conditions.layers == own.layers
+    assert phase.conditions.emission == own.emission
+    assert phase.conditions.domain == own.domain
     np.testing.assert_allclose(
-        chapter.conditions.wind_m_per_s, (0.0, CLOUD_SOURCES.load("cumulus").wind_m_per_s), atol=1e-12
+        phase.conditions.wind_m_per_s, (0.0, CLOUD_SOURCES.load("cumulus").wind_m_per_s), atol=1e-12
     )
     given = (
         "{type: cumulus, sounding: {inversion_m: 2000}, emission: {vapour_g_per_m2_s: 0.1}, domain: {cell_m: 90}, "
         "cooling_k_per_h: 0.5, wind_m_per_s: 8, wind_from_deg: 270}"
     )
-    (chapter,) = scenario_of(drawn(given)).chapters
-    assert isinstance(chapter.conditions.layers, Layers)
-    assert chapter.conditions.layers.inversion_m == 2000.0
-    assert chapter.conditions.layers.relative_humidity == own.layers.relative_humidity  # type: ignore[union-attr]
-    assert chapter.conditions.emission.latent_w_per_m2 == pytest.approx(250.0)
-    assert chapter.conditions.emission.heat_w_per_m2 == own.emission.heat_w_per_m2
-    assert (chapter.conditions.domain.cell_m, chapter.conditions.cooling_k_per_h) == (90.0, 0.5)
-    np.testing.assert_allclose(chapter.conditions.wind_m_per_s, (8.0, 0.0), atol=1e-12)
+    (phase,) = scenario_of(drawn(given)).phases
+    assert isinstance(phase.conditions.layers, Layers)
+    assert phase.conditions.layers.inversion_m == 2000.0
+    assert phase.conditions.layers.relative_humidity == own.layers.relative_humidity  # type: ignore[union-attr]
+    assert phase.conditions.emission.latent_w_per_m2 == pytest.approx(250.0)
+    assert phase.conditions.emission.heat_w_per_m2 == own.emission.heat_w_per_m2
+    assert (phase.conditions.domain.cell_m, phase.conditions.cooling_k_per_h) == (90.0, 0.5)
+    np.testing.assert_allclose(phase.conditions.wind_m_per_s, (8.0, 0.0), atol=1e-12)
 
 
 def test_the_picture_is_taken_when_the_type_is_ripe_or_when_it_is_said() -> None:
@@ -123,8 +122,8 @@ def test_a_sounding_from_a_file_and_one_that_is_supersaturated(tmp_path: Path) -
     table.write_text(
         "height_m,temperature_c,relative_humidity,wind_m_per_s,wind_from_deg\n0,20,0.5,5,270\n9000,-40,0.2,9,270\n"
     )
-    (chapter,) = scenario_of(drawn("{type: cumulus, sounding: air.csv}", recipe=recipe)).chapters
-    sounding = chapter.conditions.sounding()
+    (phase,) = scenario_of(drawn("{type: cumulus, sounding: air.csv}", recipe=recipe)).phases
+    sounding = phase.conditions.sounding()
     assert sounding.temperature_k[0] == pytest.approx(293.15)
     np.testing.assert_allclose(sounding.wind_at(np.array([0.0, 4500.0, 9000.0]))[:, 0], [5.0, 7.0, 9.0])
     table.write_text("height_m,temperature_c,relative_humidity\n0,20,0.5\n3000,2,1.2\n9000,-40,0.2\n")
@@ -142,7 +141,7 @@ def test_humid_air_between_far_levels_is_simulated_and_not_a_traceback(tmp_path:
     )
     check_clouds(one)
     weather = weather_of(one, Silent())
-    sounding = scenario_of(one).chapters[0].conditions.sounding()
+    sounding = scenario_of(one).phases[0].conditions.sounding()
     height = weather.grid.layer_heights_m
     assert sounding.relative_humidity_at(height).max() == pytest.approx(0.9995, abs=1e-6)
     np.testing.assert_allclose(sounding.relative_humidity_at(np.array([0.0, 1500.0])), 0.99, rtol=1e-9)
@@ -162,7 +161,7 @@ def test_a_measured_sounding_begins_with_the_pressure_that_is_said(tmp_path: Pat
     recipe = stand(tmp_path)
     (tmp_path / "air.csv").write_text("height_m,temperature_c,relative_humidity\n0,20,0.5\n9000,-40,0.2\n")
     at_sea, high = (
-        scenario_of(drawn(f"{{type: cumulus, sounding: {{file: air.csv{more}}}}}", recipe=recipe)).chapters[0]
+        scenario_of(drawn(f"{{type: cumulus, sounding: {{file: air.csv{more}}}}}", recipe=recipe)).phases[0]
         for more in ("", ", ground_pressure_hpa: 900")
     )
     assert at_sea.conditions.sounding().ground_pressure_pa == 101_325.0
@@ -174,9 +173,9 @@ def test_a_measured_sounding_begins_with_the_pressure_that_is_said(tmp_path: Pat
 def test_a_map_of_emission_from_a_picture(tmp_path: Path) -> None:
     recipe = stand(tmp_path)
     np.save(tmp_path / "warm.npy", np.array([[0.0, 0.0], [0.0, 5.0]]))  # the last row is in the south
-    (chapter,) = scenario_of(drawn("{type: cumulus, emission: {map: warm.npy}}", recipe=recipe)).chapters
-    assert chapter.conditions.emission.map is not None
-    np.testing.assert_array_equal(chapter.conditions.emission.map, [[0.0, 5.0], [0.0, 0.0]])
+    (phase,) = scenario_of(drawn("{type: cumulus, emission: {map: warm.npy}}", recipe=recipe)).phases
+    assert phase.conditions.emission.map is not None
+    np.testing.assert_array_equal(phase.conditions.emission.map, [[0.0, 5.0], [0.0, 0.0]])
     np.save(tmp_path / "warm.npy", np.array([[-1.0, 2.0]]))
     with pytest.raises(ForestgenError, match="no map of emission"):
         check_clouds(drawn("{type: cumulus, emission: {map: warm.npy}}", recipe=recipe))

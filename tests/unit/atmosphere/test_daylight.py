@@ -183,7 +183,7 @@ def test_light_by_angles_waits_for_no_heavy_library() -> None:
     """Pandas, pvlib and colour-science take seconds to load."""
     code = (
         "import sys\n"
-        "from forestgen.atmosphere import daylight, sun_position\n"
+        "from forestgen.atmosphere import daylight\n"
         "daylight.colour_temperature(daylight.daylight(30.0, 3.0, 0.2).sky)\n"
         "print([name for name in ('pandas', 'pvlib', 'colour', 'scipy', 'mitsuba') if name in sys.modules])"
     )

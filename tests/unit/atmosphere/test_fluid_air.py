@@ -5,21 +5,13 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.fluid.air import (
-    Air,
-    Physics,
-    Surface,
-    UnstableError,
-    at_rest,
-    divergence_per_s,
-    total_energy_j,
-    total_water_kg,
-)
-from forestgen.atmosphere.fluid.diagnostics import energies_j
-from forestgen.atmosphere.sounding import Sounding
-from forestgen.atmosphere.weather import AirGrid
+from forestgen.atmosphere.fluid.air import Air, at_rest
+from forestgen.atmosphere.fluid.parameters import Physics, Surface, UnstableError
+from forestgen.atmosphere.grid import AirGrid
 from forestgen.core import threads
+from support.air_balance import divergence_per_s, energies_j, total_energy_j
 from support.plain_air import PlainAir
+from support.soundings import sounding_of_lapse_rates
 
 CALM = Physics(viscosity_m2_per_s=0, confinement=0, sponge_share=0)
 
@@ -32,7 +24,7 @@ def sounding(**changes):
         "lapse_rate_above_k_per_m": -0.002,
         "relative_humidity": 0.85,
     }
-    return Sounding.of_lapse_rates(**(usual | changes))
+    return sounding_of_lapse_rates(**(usual | changes))
 
 
 def even(grid, heat, vapour, height_m=None):
@@ -58,9 +50,9 @@ def bubble(grid, weather, *, warmer_k, radius_m, height_m):
     )
 
 
-def showers(cells=(16, 14, 12), *, periodic=True, height_m=None, steps=8):
+def showers(cells=(16, 14, 12), *, height_m=None, steps=8):
     """Some weather with wind, cloud and rain in it, and its solver."""
-    grid = AirGrid(cells, (60.0, 50.0, 70.0), periodic=periodic)
+    grid = AirGrid(cells, (60.0, 50.0, 70.0))
     rng = np.random.default_rng(5)
     air_at_rest = sounding(wind_m_per_s=(6.0, -4.0))
     heat = rng.uniform(0, 500, grid.shape[1:]).astype(np.float32)
@@ -76,12 +68,17 @@ def showers(cells=(16, 14, 12), *, periodic=True, height_m=None, steps=8):
     return air, weather
 
 
+def step_limit_s(air, weather):
+    """The length of the step that `step` chooses."""
+    return air.step(weather).time_s - weather.time_s
+
+
 class TestOracle:
     @pytest.mark.parametrize("physics", [Physics(confinement=0.15), CALM])
     def test_same_numbers_as_plain_numpy(self, physics):
         air, weather = showers()
         air = Air(air.grid, air.sounding, air.surface, physics)
-        step_s = 0.9 * air.step_limit_s(weather)
+        step_s = 0.9 * step_limit_s(air, weather)
         got = air.step(weather, step_s)
         want = PlainAir(air.grid, air.sounding, air.surface, physics, np.float64).step(weather, step_s)
         for name, values in arrays(got).items():
@@ -92,10 +89,9 @@ class TestOracle:
 
 
 class TestRest:
-    @pytest.mark.parametrize("periodic", [True, False])
     @pytest.mark.parametrize("hilly", [True, False])
-    def test_air_at_rest_stays_there(self, periodic, hilly):
-        grid = AirGrid((16, 14, 12), (60.0, 50.0, 70.0), periodic=periodic)
+    def test_air_at_rest_stays_there(self, hilly):
+        grid = AirGrid((16, 14, 12), (60.0, 50.0, 70.0))
         y, x = np.indices(grid.shape[1:])
         hill = 300 * np.exp(-((x - 6) ** 2 + (y - 7) ** 2) / 10.0) if hilly else None
         surface = even(grid, 0, 0, hill)
@@ -183,7 +179,7 @@ class TestBubble:
         one = air.step(start)
         assert abs(one.up_m_per_s - one.up_m_per_s[:, :, ::-1]).max() < 1e-6
         assert abs(divergence_per_s(weather)).max() < 1e-6
-        assert total_water_kg(weather) == pytest.approx(total_water_kg(start), rel=1e-7)
+        assert weather.total_water_kg == pytest.approx(start.total_water_kg, rel=1e-7)
         assert total_energy_j(weather) == pytest.approx(total_energy_j(start), rel=3e-6)
 
     def test_warmth_becomes_motion(self):
@@ -206,18 +202,17 @@ class TestEmission:
             start = at_rest(grid, sounding(), surface, rng=np.random.default_rng(0))
             weather = Air(grid, sounding(), surface, CALM).run(start, 60.0)
             area = grid.size_m[0] * grid.size_m[1]
-            gained = total_water_kg(weather) - total_water_kg(start)
+            gained = weather.total_water_kg - start.total_water_kg
             assert gained == pytest.approx(60 * 2e-4 * area, rel=1e-3)
             before, after = energies_j(start), energies_j(weather)
             assert after["enthalpy"] - before["enthalpy"] == pytest.approx(60 * 400 * area, rel=3e-3)
 
 
 class TestRuns:
-    @pytest.mark.parametrize("periodic", [True, False])
-    def test_a_run_taken_up_again_is_the_same_to_the_last_bit(self, periodic):
+    def test_a_run_taken_up_again_is_the_same_to_the_last_bit(self):
         y, x = np.indices((14, 16))
         hill = 300 * np.exp(-((x - 6) ** 2 + (y - 7) ** 2) / 10.0)
-        air, weather = showers(periodic=periodic, height_m=hill, steps=2)
+        air, weather = showers(height_m=hill, steps=2)
         straight = weather
         for _ in range(4):
             straight = air.step(straight)
@@ -243,40 +238,14 @@ class TestRuns:
         for name, values in arrays(air.step(weather)).items():
             np.testing.assert_array_equal(values, getattr(alone, name), err_msg=name)
 
-    def test_run_tells_of_its_steps_and_ends_on_time(self):
+    def test_run_ends_on_time(self):
         air, weather = showers(steps=0)
-        seconds = []
-        end = air.run(weather, 31.0, advance=seconds.append)
+        end = air.run(weather, 31.0)
         assert end.time_s == 31.0
-        assert sum(seconds) == pytest.approx(31.0)
-        assert len(seconds) > 2
         assert air.run(end, 31.0) is end
-
-    def test_wind_of_open_sides_stays_there(self):
-        air, weather = showers(periodic=False)
-        np.testing.assert_array_equal(weather.east_m_per_s[:, :, 0], 6.0)
-        np.testing.assert_array_equal(weather.north_m_per_s[:, -1], -4.0)
-        assert abs(divergence_per_s(weather)).max() < 1e-5
-        assert air.grid.periodic is False
 
 
 class TestRefusals:
-    def test_a_step_too_long(self):
-        air, weather = showers(steps=1)
-        limit = air.step_limit_s(weather)
-        assert air.step(weather, limit).time_s == weather.time_s + limit
-        with pytest.raises(UnstableError, match=r"too long: the air crosses \d+\.\d+ cells in it; expected at most"):
-            air.step(weather, 5 * limit)
-        still = at_rest(air.grid, sounding(), None, rng=np.random.default_rng(0))
-        calm = Air(air.grid, sounding(), None, CALM)
-        with pytest.raises(UnstableError, match="gravity waves turn over"):
-            calm.step(still, 500.0)
-        with pytest.raises(UnstableError, match="viscosity"):
-            Air(air.grid, sounding(), None, Physics(viscosity_m2_per_s=900.0)).step(still, 2.0)
-        for step_s in (0.0, -1.0, float("nan")):
-            with pytest.raises(UnstableError, match="expected a finite time above 0"):
-                air.step(weather, step_s)
-
     def test_air_that_speeds_up_within_a_step(self):
         grid = AirGrid((8, 8, 8), (50.0, 50.0, 50.0))
         start = at_rest(grid, sounding(), None, rng=np.random.default_rng(0))
@@ -304,47 +273,22 @@ class TestRefusals:
         with pytest.raises(UnstableError, match=r"the air has \d+ m/s at .* expected 150 or less"):
             air.step(fast)
 
-    @pytest.mark.parametrize(
-        ("changes", "words"),
-        [
-            ({"courant": 1.5}, "courant is 1.5"),
-            ({"courant": 0.0}, "courant"),
-            ({"viscosity_m2_per_s": -1.0}, "viscosity_m2_per_s is -1.0"),
-            ({"rain_fall_m_per_s": float("nan")}, "rain_fall_m_per_s is nan"),
-            ({"largest_step_s": 0.0}, "largest_step_s is 0"),
-            ({"confinement": 0.5}, "confinement is 0.5"),
-            ({"sponge_share": 2.0}, "sponge_share is 2.0"),
-        ],
-    )
-    def test_unstable_constants(self, changes, words):
-        with pytest.raises(ValueError, match=words):
-            Physics(**changes)
-
     def test_grids_and_maps_that_do_not_fit(self):
         grid = AirGrid((8, 8, 8), (50.0, 50.0, 50.0))
         rng = np.random.default_rng(0)
-        with pytest.raises(ValueError, match="expected 4 or more"):
-            at_rest(AirGrid((2, 8, 8), (50.0, 50.0, 50.0)), sounding(), None, rng=rng)
-        with pytest.raises(ValueError, match=r"map of heat has \(3, 3\)"):
-            Air(grid, sounding(), even(AirGrid((3, 3, 8), (1.0, 1.0, 1.0)), 0, 0), Physics())
-        with pytest.raises(ValueError, match="map of vapour has values that are not finite"):
-            Air(grid, sounding(), even(grid, 0, float("nan")), Physics())
         with pytest.raises(ValueError, match="terrain rises to 400 m"):
             at_rest(grid, sounding(), even(grid, 0, 0, np.full((8, 8), 400.0)), rng=rng)
         with pytest.raises(ValueError, match=r"supersaturated at \d+ m"):
             at_rest(grid, sounding(relative_humidity=1.3), None, rng=rng)
-        with pytest.raises(ValueError, match="noise_k is -1"):
-            at_rest(grid, sounding(), None, rng=rng, noise_k=-1.0)
         _, weather = showers(steps=0)
         with pytest.raises(ValueError, match="this solver's is"):
             Air(grid, sounding(), None, Physics()).step(weather)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("periodic", [True, False])
-def test_a_closed_box_keeps_water_and_energy_over_a_thousand_steps(periodic):
+def test_a_closed_box_keeps_water_and_energy_over_a_thousand_steps():
     """Heated from below until it rains. The energy is held against the heat that the ground gave, and the whole."""
-    grid = AirGrid((16, 16, 40), (75.0, 75.0, 75.0), periodic=periodic)
+    grid = AirGrid((16, 16, 40), (75.0, 75.0, 75.0))
     humid = sounding(inversion_m=2200.0, lapse_rate_k_per_m=-0.008, relative_humidity=0.9)
     rng = np.random.default_rng(1)
     heat = rng.uniform(0, 800, grid.shape[1:]).astype(np.float32)
@@ -355,7 +299,7 @@ def test_a_closed_box_keeps_water_and_energy_over_a_thousand_steps(periodic):
     given = float(heat.sum(dtype=float)) * 75.0**2 * weather.time_s
     drift = total_energy_j(weather) - total_energy_j(start) - given
     assert weather.fallen_kg_per_m2.max() > 0
-    assert total_water_kg(weather) == pytest.approx(total_water_kg(start), rel=1e-6)
+    assert weather.total_water_kg == pytest.approx(start.total_water_kg, rel=1e-6)
     assert abs(drift) < 0.05 * given  # motion that is damped is not given back as heat
     assert abs(drift) < 1e-4 * total_energy_j(start)
     assert abs(divergence_per_s(weather)).max() < 1e-6

@@ -4,17 +4,16 @@ import numpy as np
 import pytest
 
 from forestgen.atmosphere.fluid import pressure
-from forestgen.atmosphere.fluid.boundaries import Boundaries
 from forestgen.atmosphere.fluid.parameters import UnstableError
-from forestgen.atmosphere.fluid.pressure import Pressure
-from forestgen.atmosphere.weather import AirGrid
+from forestgen.atmosphere.fluid.pressure import Boundaries, Pressure
+from forestgen.atmosphere.grid import AirGrid
 
 CELLS, CELL_M = (16, 12, 10), (50.0, 40.0, 30.0)
 
 
-def projected(periodic, wind=(0.0, 0.0), solid=None, seed=0):
-    grid = AirGrid(CELLS, CELL_M, periodic=periodic)
-    sides = Boundaries(grid, np.tile(np.asarray(wind, float), (CELLS[2], 1)), solid)
+def projected(solid=None, seed=0):
+    grid = AirGrid(CELLS, CELL_M)
+    sides = Boundaries(solid)
     rng = np.random.default_rng(seed)
     velocity = tuple(rng.normal(0, 3, tuple(n + 4 for n in grid.shape)).astype(np.float32) for _ in range(3))
     sides.apply(velocity)
@@ -42,19 +41,17 @@ def hill():
     return solid
 
 
-@pytest.mark.parametrize("periodic", [True, False])
 @pytest.mark.parametrize("solid", [None, hill()])
-def test_divergence_falls_to_rounding(periodic, solid):
-    velocity, before = projected(periodic, (4.0, -2.0), solid)
+def test_divergence_falls_to_rounding(solid):
+    velocity, before = projected(solid)
     assert abs(divergence(before)).max() > 0.3
     assert abs(divergence(velocity)).max() < (2e-6 if solid is None else 5e-6)
 
 
-@pytest.mark.parametrize("periodic", [True, False])
-def test_projecting_twice_is_projecting_once(periodic):
-    velocity, _ = projected(periodic)
+def test_projecting_twice_is_projecting_once():
+    velocity, _ = projected()
     again = tuple(field.copy() for field in velocity)
-    Pressure(AirGrid(CELLS, CELL_M, periodic=periodic), None).project(again)
+    Pressure(AirGrid(CELLS, CELL_M), None).project(again)
     inner = (slice(2, -2),) * 3
     for one, two in zip(velocity, again, strict=True):
         np.testing.assert_allclose(one[inner], two[inner], atol=1e-5)
@@ -62,7 +59,7 @@ def test_projecting_twice_is_projecting_once(periodic):
 
 def test_walls_and_terrain_are_shut():
     solid = hill()
-    (u, v, w), _ = projected(True, solid=solid)
+    (u, v, w), _ = projected(solid)
     assert (w[2] == 0).all()
     assert (w[-2] == 0).all()
     inner = slice(2, -2)
@@ -72,33 +69,16 @@ def test_walls_and_terrain_are_shut():
     assert not w[3:-1, inner, inner][solid].any()
 
 
-def test_wind_of_open_sides_stands_there_and_as_much_leaves_as_comes():
-    (u, v, w), _ = projected(False, (5.0, 2.0))
-    inner = slice(2, -2)
-    assert (u[inner, inner, 2] == 5).all()
-    assert (u[inner, inner, -2] == 5).all()
-    assert (v[inner, 2, inner] == 2).all()
-    np.testing.assert_array_equal(w[:, :, 1], -w[:, :, 2])  # nothing rises at the sides
-    solid = np.zeros(CELLS[::-1], bool)
-    solid[:5, :, :3] = True  # a cliff that shuts half of the west
-    (u, v, w), _ = projected(False, (5.0, 2.0), solid)
-    assert not u[2:7, inner, 2].any()
-    leaving = (u[inner, inner, -2].sum(dtype=float) - u[inner, inner, 2].sum(dtype=float)) * CELL_M[1]
-    leaving += (v[inner, -2, inner].sum(dtype=float) - v[inner, 2, inner].sum(dtype=float)) * CELL_M[0]
-    assert abs(leaving) < 1e-2
-    assert abs(divergence((u, v, w))).max() < 5e-6
-
-
 def test_ghosts_of_ground_and_ceiling():
-    (u, _, w), _ = projected(True)
+    (u, _, w), _ = projected()
     np.testing.assert_array_equal(u[1], u[2])
     np.testing.assert_array_equal(u[-2], u[-3])  # free slip
     np.testing.assert_array_equal(w[1], -w[3])
 
 
 def test_what_does_not_converge_is_told(monkeypatch):
-    projected(True, (4.0, -2.0), hill())
+    projected(hill())
     monkeypatch.setattr(pressure, "_MOST_ITERATIONS", 2)
     with pytest.raises(UnstableError, match=r"after 2 iterations a divergence of \S+ 1/s is left"):
-        projected(True, (4.0, -2.0), hill())
-    projected(True, (4.0, -2.0))  # over flat ground there is nothing to iterate
+        projected(hill())
+    projected()  # over flat ground there is nothing to iterate

@@ -1,20 +1,18 @@
-"""Eddies kept alive, diffusion, and the sponge below the ceiling."""
+"""Eddies kept alive, and the sponge below the ceiling."""
 
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from forestgen.atmosphere.fluid.advection import fill_sides
-from forestgen.atmosphere.fluid.air import Air, Physics, Surface, at_rest, divergence_per_s, total_water_kg
-from forestgen.atmosphere.fluid.diagnostics import energies_j
-from forestgen.atmosphere.fluid.turbulence import diffuse
-from forestgen.atmosphere.sounding import Sounding
-from forestgen.atmosphere.weather import AirGrid
+from forestgen.atmosphere.fluid.air import Air, at_rest
+from forestgen.atmosphere.fluid.parameters import Physics, Surface
+from forestgen.atmosphere.grid import AirGrid
+from support.air_balance import divergence_per_s, energies_j
+from support.soundings import sounding_of_lapse_rates
 
 GRID = AirGrid((20, 18, 16), (50.0, 50.0, 50.0))
 CALM = Physics(viscosity_m2_per_s=0, confinement=0, sponge_share=0)
-DRY = Sounding.of_lapse_rates(
+DRY = sounding_of_lapse_rates(
     ground_temperature_k=293.0, lapse_rate_k_per_m=-0.0075, inversion_m=600.0, lapse_rate_above_k_per_m=-0.002
 )
 
@@ -25,38 +23,6 @@ def stirred(seconds, surface=None, physics=CALM):
     surface = surface or Surface(heat, 0 * heat)
     weather = at_rest(GRID, DRY, surface, rng=np.random.default_rng(2), noise_k=1.0)
     return Air(GRID, DRY, surface, physics).run(weather, seconds)
-
-
-@pytest.mark.parametrize("periodic", [True, False])
-def test_diffusion_spreads_at_its_rate_and_loses_nothing(periodic):
-    grid = AirGrid((40, 4, 4), (10.0, 10.0, 10.0), periodic=periodic)
-    x = (np.arange(40) + 0.5) * 10 - 200
-    field = np.zeros((8, 8, 44), np.float32)
-    field[2:-2, 2:-2, 2:-2] = np.exp(-((x / 40) ** 2) / 2)
-    total = field.sum(dtype=float)
-    work = np.zeros_like(field)
-    for _ in range(50):
-        fill_sides(field, grid.periodic, np.zeros(4, np.float32))
-        diffuse(field, work, 5.0, grid.cell_m, 2.0, None)
-    row = field[3, 3, 2:-2].astype(float)
-    assert (row * x**2).sum() / row.sum() == pytest.approx(40**2 + 2 * 5.0 * 100, rel=0.02)
-    if periodic:
-        assert field[2:-2, 2:-2, 2:-2].sum(dtype=float) == pytest.approx(total, rel=1e-6)
-
-
-def test_diffusion_around_terrain_keeps_water():
-    y, x = np.indices(GRID.shape[1:])
-    still = np.zeros(GRID.shape[1:], np.float32)
-    surface = Surface(still, still, 300 * np.exp(-((x - 9.0) ** 2 + (y - 9.0) ** 2) / 10))
-    start = at_rest(GRID, DRY, surface, rng=np.random.default_rng(0))
-    cloud = np.where(start.solid, 0, np.random.default_rng(1).uniform(0, 1e-3, GRID.shape)).astype(np.float32)
-    vapour = np.full(GRID.shape, 5e-3, np.float32)
-    start = replace(start, cloud=cloud, vapour=vapour)
-    after = Air(GRID, DRY, surface, replace(CALM, diffusivity_m2_per_s=20.0)).step(start, 2.0)
-    without = Air(GRID, DRY, surface, CALM).step(start, 2.0)
-    wet, dry = after.vapour[~start.solid], without.vapour[~start.solid]
-    assert wet.std() < 0.99 * dry.std()
-    assert total_water_kg(after) == pytest.approx(total_water_kg(start), rel=1e-7)
 
 
 def test_confinement_keeps_eddies_alive_and_water_and_the_mean_wind_as_they_are():

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.fluid.background import HEAT_CAPACITY_J_PER_KG_K, background
 from forestgen.atmosphere.fluid.microphysics import change_phases, fall
-from forestgen.atmosphere.fluid.parameters import Physics
-from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding, saturation_ratio
-from forestgen.atmosphere.weather import AirGrid
+from forestgen.atmosphere.fluid.parameters import HEAT_CAPACITY_J_PER_KG_K, Physics, background
+from forestgen.atmosphere.grid import AirGrid
+from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, saturation_ratio
+from support.soundings import sounding_of_lapse_rates
 
 GRID = AirGrid((6, 5, 8), (50.0, 50.0, 100.0))
 INNER = (slice(2, -2),) * 3
@@ -15,7 +15,7 @@ INNER = (slice(2, -2),) * 3
 
 @pytest.fixture
 def air():
-    sounding = Sounding.of_lapse_rates(
+    sounding = sounding_of_lapse_rates(
         ground_temperature_k=295.0, lapse_rate_k_per_m=-0.0065, inversion_m=5000.0, lapse_rate_above_k_per_m=0.0
     )
     return background(GRID, sounding)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from forestgen.atmosphere.haze import ASYMMETRY, Haze, aerosol_phase, molecular_phase
+from forestgen.render.haze import ASYMMETRY, Haze, aerosol_phase, molecular_phase
 
 
 def at(haze: Haze, wavelength_nm: float) -> float:

@@ -228,7 +228,7 @@ def test_the_same_with_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.slow
 def test_the_renderer_lets_as_much_light_through() -> None:
     """Light behind the renderer's own medium, made black: what arrives is the transmittance, pixel by pixel."""
-    from forestgen.render.sensors import sensor_of
+    from forestgen.render.capture import sensor_of
     from forestgen.render.variant import SCALAR, mitsuba
     from forestgen.scene.spec import Camera
     from support.cloud_box import cloud_volume

@@ -10,17 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.atmosphere.sounding import GRAVITY_M_PER_S2, Sounding, check_sounding, geopotential_m, saturation_ratio
+from forestgen.atmosphere.sounding import GRAVITY_M_PER_S2, Sounding, geopotential_m, saturation_ratio
 from support.dew_point import dew_point_k
 from support.humid_air import dry_adiabat, moist_adiabat
 from support.parcel import FIG24, Sky, Thermal, predict_cloud, prediction_of, thermal_profiles
+from support.soundings import check_sounding, sounding_of_lapse_rates
 
 PUBLISHED_M = {"stratocumulus": (1800.0, 2000.0), "cumulus": (1500.0, 2500.0), "cumulonimbus": (1500.0, 8000.0)}
 
 
 def plain_air(lapse: float = -0.0065, *, humidity: float = 0.0) -> Sounding:
     """One lapse rate all the way up."""
-    return Sounding.of_lapse_rates(
+    return sounding_of_lapse_rates(
         ground_temperature_k=290.0,
         lapse_rate_k_per_m=lapse,
         inversion_m=15_000.0,

@@ -1,4 +1,4 @@
-"""Scenarios: kept and resumed to the last bit, chapters that change the air, and the clouds that each type makes."""
+"""Scenarios: kept and resumed to the last bit, phases that change the air, and the clouds that each type makes."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 
 from forestgen.atmosphere import simulate as module
-from forestgen.atmosphere.cloud_statistics import CloudStatistics, cloud_statistics
+from forestgen.atmosphere.clouds.source import CloudStatistics, cloud_statistics
 from forestgen.atmosphere.conditions import Conditions, Domain, Emission
-from forestgen.atmosphere.regridding import regridded
-from forestgen.atmosphere.simulate import Chapter, Scenario, emission_pattern, simulate
-from forestgen.atmosphere.sounding import check_sounding
-from forestgen.atmosphere.weather import AirGrid, Weather
-from forestgen.core.disk_cache import DiskCache
+from forestgen.atmosphere.grid import AirGrid, Weather
+from forestgen.atmosphere.simulate import Scenario, WeatherPhase, emission_pattern, regridded, simulate
+from forestgen.core.cache import DiskCache
 from forestgen.core.progress import Silent
 from forestgen.recipe.registries import CLOUD_SOURCES
+from support.soundings import check_sounding
 
 SMALL = Domain(extent_m=2400.0, height_m=3000.0, cell_m=300.0, cell_height_m=250.0)
 
@@ -29,8 +28,8 @@ def small(kind: str = "cumulus", domain: Domain = SMALL) -> Conditions:
     return replace(CLOUD_SOURCES.load(kind).conditions, domain=domain)
 
 
-def scenario(*chapters: Chapter) -> Scenario:
-    return Scenario(chapters or (Chapter(0.0, small()),))
+def scenario(*phases: WeatherPhase) -> Scenario:
+    return Scenario(phases or (WeatherPhase(0.0, small()),))
 
 
 def run(one: Scenario, until_s: float, kept: DiskCache | None = None, seed: int = 1) -> Weather:
@@ -74,8 +73,8 @@ def test_the_same_weather_is_found_and_not_simulated_again(store: DiskCache, ste
     [
         {"seed": 2},
         {"until_s": 151.0},
-        {"scenario": scenario(Chapter(0.0, replace(small(), cooling_k_per_h=0.1)))},
-        {"scenario": scenario(Chapter(0.0, replace(small(), emission=Emission(1.0, 2.0, 300.0, 0.1))))},
+        {"scenario": scenario(WeatherPhase(0.0, replace(small(), cooling_k_per_h=0.1)))},
+        {"scenario": scenario(WeatherPhase(0.0, replace(small(), emission=Emission(1.0, 2.0, 300.0, 0.1))))},
     ],
 )
 def test_other_weather_is_not_mistaken_for_it(store: DiskCache, steps: list[float], other: dict) -> None:
@@ -176,7 +175,7 @@ def test_a_mark_is_removed_only_after_a_later_one_is_written(store: DiskCache, m
 
 def test_weather_is_known_by_all_code_that_it_is_made_with() -> None:
     program = (
-        "import sys\nfrom forestgen.core.code_hash import source_files\n"
+        "import sys\nfrom forestgen.core.cache import source_files\n"
         "from forestgen.atmosphere.simulate import SOURCES\nknown = set(map(str, source_files(SOURCES)))\n"
         "own = {one.__file__ for name, one in sys.modules.items() if name.startswith('forestgen.')}\n"
         "print(*sorted(one for one in own - known if not one.endswith('__init__.py')))"
@@ -193,9 +192,9 @@ def test_a_damaged_entry_is_made_again(store: DiskCache, steps: list[float]) -> 
     assert steps == [0.0, 0.0]
 
 
-def test_a_story_is_the_same_in_one_go_and_chapter_by_chapter(store: DiskCache) -> None:
+def test_a_story_is_the_same_in_one_go_and_phase_by_phase(store: DiskCache) -> None:
     larger = Domain(4800.0, 4000.0, 600.0, 400.0)
-    story = scenario(Chapter(0.0, small("stratus")), Chapter(130.0, small("cumulus", larger), 300.0))
+    story = scenario(WeatherPhase(0.0, small("stratus")), WeatherPhase(130.0, small("cumulus", larger), 300.0))
     straight = run(story, 200.0)
     assert straight.grid == larger.grid()
     for until_s in (60.0, 130.0, 200.0):
@@ -204,8 +203,8 @@ def test_a_story_is_the_same_in_one_go_and_chapter_by_chapter(store: DiskCache) 
     assert run(story, 129.0).grid == SMALL.grid()
 
 
-def test_later_chapters_do_not_change_earlier_weather(store: DiskCache, steps: list[float]) -> None:
-    one, two = (scenario(Chapter(0.0, small()), Chapter(120.0, small(kind))) for kind in ("stratus", "fog"))
+def test_later_phases_do_not_change_earlier_weather(store: DiskCache, steps: list[float]) -> None:
+    one, two = (scenario(WeatherPhase(0.0, small()), WeatherPhase(120.0, small(kind))) for kind in ("stratus", "fog"))
     first = run(one, 100.0, store)
     del steps[:]
     assert same(first, run(two, 100.0, store))
@@ -216,7 +215,7 @@ def test_the_mean_air_becomes_that_of_the_new_sounding() -> None:
     quiet = Emission(0.0, 0.0, 1000.0, 0.0)
     first = replace(small("stratus"), emission=quiet, cooling_k_per_h=0.0)
     second = replace(small("cumulus"), emission=quiet)
-    story = scenario(Chapter(0.0, first), Chapter(60.0, second, change_s=100.0))
+    story = scenario(WeatherPhase(0.0, first), WeatherPhase(60.0, second, change_s=100.0))
     height = SMALL.grid().layer_heights_m
     target = second.sounding().potential_temperature_at(height)
 
@@ -230,7 +229,9 @@ def test_the_mean_air_becomes_that_of_the_new_sounding() -> None:
 
 def test_the_air_cools_below_the_inversion_by_what_is_said() -> None:
     quiet = replace(small(), emission=Emission(0.0, 0.0, 500.0, 0.0), cooling_k_per_h=3.6)
-    still, cooled = (run(scenario(Chapter(0.0, one)), 120.0) for one in (replace(quiet, cooling_k_per_h=0.0), quiet))
+    still, cooled = (
+        run(scenario(WeatherPhase(0.0, one)), 120.0) for one in (replace(quiet, cooling_k_per_h=0.0), quiet)
+    )
     change = (cooled.potential_temperature_k - still.potential_temperature_k).mean(axis=(1, 2))
     change *= cooled.temperature_ratio  # of the temperature itself
     low = cooled.grid.layer_heights_m < 1200.0
@@ -339,7 +340,7 @@ def made(kind: str, coarser: float, time_s: float, cell_height_m: float | None =
     conditions = CLOUD_SOURCES.load(kind).conditions
     own = conditions.domain
     domain = replace(own, cell_m=own.cell_m * coarser, cell_height_m=cell_height_m or own.cell_height_m)
-    return cloud_statistics(run(scenario(Chapter(0.0, replace(conditions, domain=domain))), time_s))
+    return cloud_statistics(run(scenario(WeatherPhase(0.0, replace(conditions, domain=domain))), time_s))
 
 
 def within(value: float | None, wanted: float, share: float = 0.1) -> bool:

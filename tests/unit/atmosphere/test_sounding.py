@@ -15,12 +15,12 @@ from forestgen.atmosphere.sounding import (
     EARTH_RADIUS_M,
     GRAVITY_M_PER_S2,
     Sounding,
-    check_sounding,
     geopotential_m,
     saturation_ratio,
 )
 from forestgen.atmosphere.weather_files import read_sounding
 from forestgen.core.errors import AssetError
+from support.soundings import check_sounding, sounding_of_lapse_rates, standard_sounding
 
 
 def mild(**changes: object) -> Sounding:
@@ -33,7 +33,7 @@ def mild(**changes: object) -> Sounding:
         "relative_humidity": 0.5,
         **changes,
     }
-    return Sounding.of_lapse_rates(**given_values)  # type: ignore[arg-type]
+    return sounding_of_lapse_rates(**given_values)  # type: ignore[arg-type]
 
 
 def few(**changes: object) -> Sounding:
@@ -55,7 +55,7 @@ def few(**changes: object) -> Sounding:
 def test_the_standard_atmosphere_has_its_published_values(
     height_m: float, temperature_k: float, pressure_pa: float, density: float
 ) -> None:
-    air = Sounding.standard()
+    air = standard_sounding()
     assert air.temperature_at(height_m) == pytest.approx(temperature_k, rel=1e-5)
     assert air.pressure_at(height_m) == pytest.approx(pressure_pa, rel=3e-4)
     assert air.density_at(height_m) == pytest.approx(density, rel=3e-4)
@@ -128,7 +128,7 @@ def test_values_between_the_levels_are_linear() -> None:
 
 
 def test_sound_air_passes() -> None:
-    for air in (Sounding.standard(), mild(), few(), mild(relative_humidity=1.0)):
+    for air in (standard_sounding(), mild(), few(), mild(relative_humidity=1.0)):
         check_sounding(air)
 
 
@@ -149,8 +149,6 @@ def test_sound_air_passes() -> None:
         ),
         (few(wind_m_per_s=np.full((3, 2), 200.0)), "at 0 m: wind: expected 0 to 150 m/s, got 282.8"),
         (few(wind_m_per_s=np.full((3, 2), np.inf)), "at 0 m: wind: .* got inf"),
-        (few(wind_m_per_s=np.zeros(3)), r"wind_m_per_s: expected an array of \(3, 2\), got \(3,\)"),
-        (few(vapour=np.zeros(2)), r"vapour: expected an array of \(3,\), got \(2,\)"),
         (few(ground_pressure_pa=1013.25), "pressure at the ground: expected 300 to 1200 hPa, got 10.1325 hPa"),
         (few(ground_pressure_pa=np.nan), "pressure at the ground: .* got nan"),
         (few(temperature_k=np.array([330.0, 290.0, 270.0])), "at 0 m: lapse rate .* at least -34.2 K/km .* got -40"),

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.daylight import daylight
-from forestgen.atmosphere.spctrl2 import Air, air_mass, clear_spectra, pressure_pa
+from forestgen.atmosphere.daylight import Air, air_mass, clear_spectra, daylight, pressure_pa
 
 
 @pytest.mark.parametrize("elevation_deg", [0.5, 5.0, 40.0, 90.0])

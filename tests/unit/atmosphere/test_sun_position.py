@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
-from forestgen.atmosphere.sun_position import sun_position
+from forestgen.atmosphere.daylight import sun_position
 
 NOON = datetime(2026, 6, 21, 12, tzinfo=UTC)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.weather_files import read_clouds
+from forestgen.atmosphere.weather_files import read_sky
 from forestgen.core.errors import AssetError
 
 HEADER = struct.Struct("<3sBi3ii6f")
@@ -50,7 +50,7 @@ def test_a_bad_volume_is_refused(tmp_path: Path, data: bytes, expected: str, got
     path = tmp_path / "sky.vol"
     path.write_bytes(data)
     with pytest.raises(AssetError) as caught:
-        read_clouds(path)
+        read_sky(path)
     said = str(caught.value)
     assert said.startswith(f"{path}: the file cannot be used as weather: ")
     assert expected in said
@@ -59,6 +59,6 @@ def test_a_bad_volume_is_refused(tmp_path: Path, data: bytes, expected: str, got
 
 def test_a_good_volume_is_read(tmp_path: Path) -> None:
     (tmp_path / "sky.vol").write_bytes(volume(corners=(0, 1, 2, 4, 5, 8)))
-    grid = read_clouds(tmp_path / "sky.vol")
+    grid = read_sky(tmp_path / "sky.vol")
     assert (grid.low_m, grid.high_m, grid.cell_m) == ((0.0, 1.0, 2.0), (4.0, 5.0, 8.0), (2.0, 2.0, 3.0))
     assert (grid.extinction_per_m == 1.0).all()

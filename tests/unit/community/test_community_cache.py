@@ -21,12 +21,12 @@ from forestgen.community.placement.density_map import MapSection
 from forestgen.community.population import Population
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.community.simulation import _content, as_kept, community_key, final_population
-from forestgen.core.disk_cache import ENVIRONMENT
+from forestgen.core.cache import ENVIRONMENT
 from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 from forestgen.scene.plan import Plan
 from forestgen.scene.planning import make_plan
 
@@ -271,6 +271,8 @@ def test_everything_of_the_site_and_of_a_species_is_told(tmp_path: Path) -> None
                 changed = replace(whole, size_m=(20.0, 17.0))
             elif one.name == "name":
                 changed = replace(whole, name="other")
+            elif one.name == "buildings":
+                changed = replace(whole, buildings=("a house",))
             else:
                 changed = replace(whole, **{one.name: getattr(whole, one.name) * 0.5 + 0.01})
             assert _content(changed) != _content(whole), one.name

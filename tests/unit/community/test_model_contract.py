@@ -16,7 +16,7 @@ from forestgen.community.history import open_history, write_history
 from forestgen.community.model import CommunityParameters, Site, simulate
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.community.snapshot_checks import check_snapshot
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 
 MODELS = COMMUNITY_MODELS.ids()
 PLACEMENTS = (

@@ -11,8 +11,7 @@ import pytest
 
 from forestgen.community.history import open_history
 from forestgen.core.errors import AssetError
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.pipeline import simulate
 from forestgen.recipe.load import load_recipe
 

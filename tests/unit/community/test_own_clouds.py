@@ -11,15 +11,14 @@ import pytest
 
 from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.atmosphere.extinction import cloud_grid_of
-from forestgen.atmosphere.weather import Weather
+from forestgen.atmosphere.grid import Weather
 from forestgen.community.capabilities import OwnAir, capability
 from forestgen.community.ecoclimate import months
 from forestgen.community.ecoclimate.air import regridder_for
 from forestgen.community.population import Population
 from forestgen.community.simulation import final_population
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.build import build_scene
 from forestgen.scene.plan import Plan, estimate_bytes

@@ -11,7 +11,7 @@ from PIL import Image
 from forestgen.community import animation
 from forestgen.community.animation import Film
 from forestgen.community.model import Site
-from forestgen.community.obstacles import NO_OBSTACLES, Obstacles
+from forestgen.community.plan import NO_OBSTACLES, Obstacles
 from forestgen.community.plot_series import plot_curves, plot_sizes, plot_thinning
 from forestgen.community.plots import CONIFER, OBSTACLE, map_figure, save_figure
 from forestgen.community.population import Population, Status

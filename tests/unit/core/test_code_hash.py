@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from forestgen.core import code_hash as module
+from forestgen.core import cache as module
 from forestgen.core.registry import Registration
 
 PARTS = ("core", "plants", "pipeline.py")
@@ -107,11 +107,11 @@ def test_every_user_of_it_names_parts_that_exist() -> None:
     from forestgen.atmosphere import simulate
     from forestgen.community import simulation
     from forestgen.plants import growing
-    from forestgen.render import unfinished
+    from forestgen.render import radiance
     from forestgen.runs import keys
 
     root = module.PACKAGE
-    for parts in (simulate.SOURCES, *(one._SOURCES for one in (keys, growing, unfinished, simulation))):
+    for parts in (simulate.SOURCES, *(one._SOURCES for one in (keys, growing, radiance, simulation))):
         assert all((root / part).exists() for part in parts)
         assert module.source_files(parts)
 
@@ -127,8 +127,6 @@ def test_jobs_are_known_by_all_code_that_makes_their_files() -> None:
     counted_code = {one for one in counted if one.suffix == ".py"} - {root / "__init__.py"}  # see below
     for path in (root / "runs" / "work.py", *counted_code):
         for imported in imports_of(path, root) - counted:
-            if (path, imported) == (root / "pipeline.py", root / "stages" / "simulation_summary.py"):
-                continue  # what a simulation prints, which is in no frame's files
             assert path.name == "work.py", (path, imported)
             assert imported not in left_out
             assert imported.parent == root / "runs"

@@ -12,10 +12,9 @@ import pytest
 
 from forestgen.core.errors import ForestgenError, RecipeError
 from forestgen.core.frames import look_at
-from forestgen.core.progress import Silent
+from forestgen.core.progress import Silent, Timings
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.core.registry import Registry
-from forestgen.core.timing import Timings
 
 
 def test_a_message_says_what_it_knows_and_nothing_else() -> None:

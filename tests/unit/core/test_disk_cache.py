@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from forestgen.core import disk_cache
-from forestgen.core.disk_cache import ENVIRONMENT, DiskCache, cache_root
+from forestgen.core import cache as disk_cache
+from forestgen.core.cache import ENVIRONMENT, DiskCache, cache_root
 
 HEAD_BYTES = 64
 

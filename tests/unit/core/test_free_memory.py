@@ -5,7 +5,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from forestgen.core import memory
+from forestgen.core import processes as memory
 
 
 def _group(folder: Path, limit: str) -> None:

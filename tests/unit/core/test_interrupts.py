@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from forestgen.core.interrupts import uninterrupted
+from forestgen.core.processes import uninterrupted
 
 
 def test_a_signal_waits_for_the_end_of_the_block() -> None:

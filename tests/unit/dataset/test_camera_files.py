@@ -10,7 +10,7 @@ from dataset_shots import HEIGHT, SETTINGS, WIDTH, make_camera
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.camera import exr_attributes, world_to_ndc, write_camera
-from forestgen.dataset.check.camera_file import camera_of as camera_of_file
+from forestgen.dataset.check.frame_data import camera_of as camera_of_file
 from forestgen.dataset.formats import nerfstudio
 from forestgen.labels.channels.surface import camera_position_m
 from forestgen.scene.projection import project, projection_of, world_rays

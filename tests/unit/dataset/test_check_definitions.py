@@ -12,14 +12,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rasterisers import opencv_fill
 
-from forestgen.dataset.check.camera_file import CameraFile, camera_of
-from forestgen.dataset.check.cryptomatte import murmur3, standard_id
+from forestgen.dataset.check.coco import decode, run_lengths
+from forestgen.dataset.check.cryptomatte import standard_id
+from forestgen.dataset.check.files import read_recipe
 from forestgen.dataset.check.finding import UnreadableError
-from forestgen.dataset.check.frame_data import extents_of
-from forestgen.dataset.check.keypoints import states
-from forestgen.dataset.check.recipe import read_recipe
-from forestgen.dataset.check.rle import decode, run_lengths
-from forestgen.dataset.check.sequences import UNKNOWN, following_frames
+from forestgen.dataset.check.frame_data import CameraFile, camera_of, extents_of
+from forestgen.dataset.check.merged import UNKNOWN, following_frames
+from forestgen.dataset.check.plants import keypoint_states
 from forestgen.dataset.check.yolo import _differences, fill, line_pixels
 
 SHAPES = st.tuples(st.integers(1, 12), st.integers(1, 12))
@@ -146,23 +145,20 @@ def test_differences_of_an_outline():
 
 
 @pytest.mark.parametrize(
-    ("data", "value"),
+    ("name", "value"),
     [
-        (b"", 0),
-        (b"hello", 0x248BFA47),
-        (b"hello, world", 0x149BBB7F),
-        (b"The quick brown fox jumps over the lazy dog", 0x2E4FF723),
+        ("", 1 << 23),
+        ("hello", 0x248BFA47),
+        ("hello, world", 0x149BBB7F),
+        ("The quick brown fox jumps over the lazy dog", 0x2E4FF723),
     ],
 )
-def test_murmur3_gives_published_values(data, value):
-    assert murmur3(data) == value
+def test_ids_of_names_are_published_hashes(name, value):
+    assert standard_id(name) == value
 
 
 @given(st.text(max_size=40))
-def test_murmur3_is_that_of_another_library(name):
-    import mmh3
-
-    assert murmur3(name.encode()) == mmh3.hash(name.encode(), 0, False)
+def test_ids_of_names_are_normal_numbers(name):
     assert (standard_id(name) >> 23) & 0xFF not in (0, 255)
 
 
@@ -171,7 +167,7 @@ def test_states_of_keypoints():
     x = np.array([0.0, 1.9, 1.0, -0.1, 2.0, np.nan])
     y = np.array([0.9, 0.0, 1.0, 0.0, 0.0, np.nan])
     ids = np.array([7, 7, 8, 7, 7, 7], np.uint32)
-    assert states(x, y, ids, instance).tolist() == [2, 1, 2, 0, 0, 0]
+    assert keypoint_states(x, y, ids, instance).tolist() == [2, 1, 2, 0, 0, 0]
 
 
 def camera_values():
@@ -185,7 +181,7 @@ def test_rays_lead_to_where_points_are_projected():
     camera = camera_of(camera_values(), "camera.json")
     assert isinstance(camera, CameraFile)
     points = camera.position_m + camera.pixel_rays((16, 12)) * 7.5
-    pixel, depth = camera.project(points)
+    pixel, depth = camera.geometry.project((points - camera.position_m) @ camera.rotation.T)
     assert depth == pytest.approx(np.full((12, 16), 7.5))
     assert pixel[4, 9] == pytest.approx([9.5, 4.5])
 

@@ -22,7 +22,7 @@ def findings(colour, variance=1.0, mode="rgb", header=KNOWN):
         instance=np.zeros((2, 3), np.uint32),
         finding=lambda file, problem, **about: Finding(file, problem, image="camera0", **about),
     )
-    return [finding.problem.partition(" (")[0] for finding in radiance(frame)]
+    return [finding.problem.partition(" (")[0] for finding in radiance.findings(frame)]
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from pycocotools.cocoeval import COCOeval
 from forestgen.core.errors import OutputError
 from forestgen.core.parts import Part
 from forestgen.dataset.formats import coco
-from forestgen.dataset.formats.rle import encode_masks
+from forestgen.dataset.formats.coco import encode_masks
 
 # pycocotools 2.0.11 decodes through an __array__ of NumPy 1's signature.
 pytestmark = pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")

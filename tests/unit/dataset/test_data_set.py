@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.dataset.data_set import check_one_data_set, class_map, data_set_of
+from forestgen.dataset.settings import check_one_data_set, class_map, data_set_of
 from forestgen.recipe.load import load_recipe
 
 BASE = """forestgen: 1

@@ -9,8 +9,8 @@ import pytest
 from dataset_shots import CLASSES, make_camera
 
 from forestgen.core.parts import Part
-from forestgen.dataset.frame_row import frame_row
 from forestgen.dataset.index import COLUMNS
+from forestgen.dataset.writer import frame_row
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.spec import Sky
 

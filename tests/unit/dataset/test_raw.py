@@ -10,11 +10,11 @@ from PIL import Image
 
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.dataset import raw
-from forestgen.dataset.check import light_files
+from forestgen.dataset.check import light
 from forestgen.dataset.check.frame_data import FrameData, FrameTask
 from forestgen.dataset.raw import d65, levels, mosaiced, raw_image, vignetting, write_raw
 from forestgen.dataset.writer import frame_bytes, write_frame
-from forestgen.recipe.exposure import Exposure
+from forestgen.recipe.camera_keys import Exposure
 from forestgen.recipe.spectra import load_bands
 from forestgen.render.frame import Radiance
 
@@ -257,17 +257,17 @@ EXPOSED = replace(PLAIN, shutter_s=None, vignetting=0.7)
 @pytest.mark.parametrize("exposure", [EXPOSED, replace(EXPOSED, mosaic=True), replace(EXPOSED, iso=25_600.0, bits=8)])
 def test_what_is_written_passes_the_check(tmp_path, exposure, denoised):
     frame = photographed(tmp_path, exposure, denoised=denoised)
-    assert light_files.has_raw(frame)
-    assert list(light_files.raw(frame)) == []
-    assert list(light_files.header(frame)) == []
+    assert light.raw.applies(frame)
+    assert list(light.raw.findings(frame)) == []
+    assert list(light.header.findings(frame)) == []
 
 
 @pytest.mark.parametrize("about", [DRONE, {"channels": ("G", "R", "B"), "bands": CAMERA_BANDS["bands"]}])
 def test_bands_pass_the_check(tmp_path, about):
     frame = photographed(tmp_path, EXPOSED, about)
-    assert len(list(frame.folder.glob("raw-*.png"))) == len(about["bands"])
-    assert list(light_files.raw(frame)) == []
-    assert list(light_files.header(frame)) == []
+    assert len(list((frame.task.root / frame.name).glob("raw-*.png"))) == len(about["bands"])
+    assert list(light.raw.findings(frame)) == []
+    assert list(light.header.findings(frame)) == []
 
 
 def test_the_estimate_of_disk_space_holds(tmp_path):
@@ -288,17 +288,17 @@ def test_rows_at_a_time_change_nothing(monkeypatch):
 
 def test_another_view_than_the_headers(tmp_path):
     frame = photographed(tmp_path, EXPOSED)
-    with Image.open(frame.folder / "preview.png") as image:
+    with Image.open(frame.task.root / frame.name / "preview.png") as image:
         image.load()
-        Image.fromarray(np.asarray(image)).save(frame.folder / "preview.png")
-    assert [finding.problem for finding in light_files.header(frame)] == ["the view is not frame.exr's"]
+        Image.fromarray(np.asarray(image)).save(frame.task.root / frame.name / "preview.png")
+    assert [finding.problem for finding in light.header.findings(frame)] == ["the view is not frame.exr's"]
 
 
 def damaged(frame, what):
-    path = frame.folder / "raw.png"
+    path = frame.task.root / frame.name / "raw.png"
     with Image.open(path) as image:
         numbers = np.array(image)
-    facts = json.loads((frame.folder / "raw.json").read_text())
+    facts = json.loads((frame.task.root / frame.name / "raw.json").read_text())
     if what == "a pixel":
         numbers[3, 5] += 6000
     elif what == "shifted":
@@ -312,7 +312,7 @@ def damaged(frame, what):
     else:
         facts["white_level"] = facts["black_level"]
     Image.fromarray(numbers).save(path)
-    (frame.folder / "raw.json").write_text(json.dumps(facts))
+    (frame.task.root / frame.name / "raw.json").write_text(json.dumps(facts))
 
 
 @pytest.mark.parametrize(
@@ -329,5 +329,5 @@ def damaged(frame, what):
 def test_the_check_finds_what_is_wrong(tmp_path, what, words):
     frame = photographed(tmp_path, replace(EXPOSED, mosaic=True))
     damaged(frame, what)
-    found = [finding.problem for finding in light_files.raw(frame)]
+    found = [finding.problem for finding in light.raw.findings(frame)]
     assert any(words in problem for problem in found), found

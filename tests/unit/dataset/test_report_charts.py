@@ -9,10 +9,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.dataset.report.charts import BOTTOM, LEFT, RIGHT, TOP, histogram, nice_step, percent, shares, short
-from forestgen.dataset.report.correlations import _standard_ranks
-from forestgen.dataset.report.polar import CENTRE, RADIUS, sun_plot
-from forestgen.dataset.report.ranges import ranges
+from forestgen.dataset.report.charts import (
+    BOTTOM,
+    LEFT,
+    RIGHT,
+    SUN_CENTRE,
+    SUN_RADIUS,
+    TOP,
+    histogram,
+    nice_step,
+    percent,
+    ranges,
+    shares,
+    short,
+    sun_plot,
+)
+from forestgen.dataset.report.frames import standard_ranks
 
 NUMBERS = st.floats(-1e12, 1e12).map(lambda x: float(f"{x:.6g}")) | st.integers(-1000, 1000).map(float)
 MANY = st.lists(NUMBERS, min_size=1, max_size=60)
@@ -89,14 +101,14 @@ def test_every_sun_above_the_horizon_is_in_a_cell_and_a_dot(suns):
     up = elevation >= 0
     assert sum(int(wedge.title.rpartition(": ")[2]) for wedge in plot.wedges) == up.sum() == len(plot.dots)
     for (x, y), a, e in zip(plot.dots, np.radians(azimuth[up]), elevation[up], strict=True):
-        radius = RADIUS * (90 - e) / 90
-        assert (x - CENTRE, CENTRE - y) == pytest.approx((radius * math.sin(a), radius * math.cos(a)), abs=0.1)
+        radius = SUN_RADIUS * (90 - e) / 90
+        assert (x - SUN_CENTRE, SUN_CENTRE - y) == pytest.approx((radius * math.sin(a), radius * math.cos(a)), abs=0.1)
 
 
 def test_north_is_up_and_east_right():
     north, east = sun_plot(np.array([0.0, 90.0]), np.array([0.0, 0.0])).dots
-    assert north == pytest.approx((CENTRE, CENTRE - RADIUS), abs=0.1)
-    assert east == pytest.approx((CENTRE + RADIUS, CENTRE), abs=0.1)
+    assert north == pytest.approx((SUN_CENTRE, SUN_CENTRE - SUN_RADIUS), abs=0.1)
+    assert east == pytest.approx((SUN_CENTRE + SUN_RADIUS, SUN_CENTRE), abs=0.1)
 
 
 def test_ranges_are_ordered_on_one_axis():
@@ -119,7 +131,7 @@ def test_rank_correlation_is_spearmans(values):
     first = np.array(values, dtype=float)
     second = np.arange(len(values)) % 5 * 1.0
     expected = spearmanr(first, second).statistic
-    assert float(_standard_ranks(first) @ _standard_ranks(second)) == pytest.approx(expected, abs=1e-9)
+    assert float(standard_ranks(first) @ standard_ranks(second)) == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.dataset.exr import write_parts
-from forestgen.dataset.light_parts import light_attributes, own_attributes, radiance_channels
+from forestgen.dataset.exr import light_attributes, own_attributes, radiance_channels, write_parts
 from forestgen.render.frame import Radiance
 
 DOCS = Path(__file__).parents[3] / "docs"

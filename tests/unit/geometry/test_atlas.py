@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.geometry.baking import unwrap
 from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.simplify import unwrap
 from forestgen.geometry.sweep import Polylines, sweep
 
 

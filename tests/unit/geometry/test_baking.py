@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.geometry.baking import Image, bake, unwrap
 from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.simplify import decimate
+from forestgen.geometry.simplify import Image, bake, decimate, unwrap
 from forestgen.geometry.sweep import Polylines, sweep
 
 SIZE_PX = 256

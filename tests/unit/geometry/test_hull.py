@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.geometry.hull import hull_of
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Mesh, hull_of
 
 
 def mesh_of(points: np.ndarray) -> Mesh:

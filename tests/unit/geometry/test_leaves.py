@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import gamma
 
-from forestgen.geometry.leaves import Blade, blade, compound_leaf, leaf
-from forestgen.geometry.outlines import Entire, Lobed, Outline, Palmate
+from forestgen.geometry.leaves import Blade, Entire, Lobed, Outline, Palmate, blade, compound_leaf, leaf
 from forestgen.geometry.patches import Patch, area_m2
 
 LENGTH_M, WIDTH_M = 0.1, 0.06

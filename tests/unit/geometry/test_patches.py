@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from forestgen.geometry.leaves import Blade, leaf
+from forestgen.geometry.leaves import Blade, Entire, leaf
 from forestgen.geometry.mesh import instance
-from forestgen.geometry.outlines import Entire
 from forestgen.geometry.patches import Patch, area_m2, bend, revolve, strip, to_mesh, tube, whorl
 
 SQUARE = Patch(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.labels.amodal import AmodalMasks, amodal_masks
+from forestgen.labels.masks import AmodalMasks, amodal_masks
 from forestgen.render.frame import Amodal
 
 

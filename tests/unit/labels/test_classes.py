@@ -7,7 +7,7 @@ import pytest
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.dataset.check.recipe import categories
+from forestgen.dataset.check.files import categories
 from forestgen.labels.classes import ClassMap
 from forestgen.recipe.classes import PLANT_PARTS
 from forestgen.recipe.load import load_recipe
@@ -163,7 +163,7 @@ def test_species_follow_the_recipes_order():
 
 
 def test_the_mask_of_an_image_uses_them():
-    from forestgen.labels.pixels import pixel_labels
+    from forestgen.labels.masks import pixel_labels
 
     samples = np.array([[[7, 7, 7, 0]], [[0, 0, 0, 7]]], np.uint32)
     part = np.array(

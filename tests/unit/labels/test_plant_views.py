@@ -7,9 +7,8 @@ import pytest
 
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
-from forestgen.labels.amodal import AmodalMasks
 from forestgen.labels.classes import ClassMap
-from forestgen.labels.pixels import pixel_labels
+from forestgen.labels.masks import AmodalMasks, pixel_labels
 from forestgen.labels.plants_table import HIDDEN, OUTSIDE, VISIBLE, plant_views, project, truncation
 from forestgen.render.frame import Frame, Identity, Radiance, Surface
 from forestgen.scene.plant_measures import PlantMeasures

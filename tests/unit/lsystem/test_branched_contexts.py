@@ -8,7 +8,7 @@ from random import Random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from forestgen.lsystem.compiler import compile_listing
+from forestgen.lsystem.compiler import compile_program
 from forestgen.lsystem.derivation import derive
 from forestgen.lsystem.multiset import words_as_text
 from forestgen.lsystem.parsing import parse_text
@@ -17,7 +17,7 @@ Axis = list["str | Axis"]  # modules, and the branches between them
 
 
 def word(text: str) -> str:
-    *_, last = derive(compile_listing(parse_text(text, "test.lsys")), 1, 0)
+    *_, last = derive(compile_program(parse_text(text, "test.lsys")), 1, 0)
     (only,) = words_as_text(last.multiset)
     return only
 

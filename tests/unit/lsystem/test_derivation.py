@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.compiler import compile_listing, with_values
+from forestgen.lsystem.codegen import fold
+from forestgen.lsystem.compiler import compile_program, with_values
 from forestgen.lsystem.derivation import Derivation, axiom, derive, derive_step, interpret
-from forestgen.lsystem.folding import fold
 from forestgen.lsystem.multiset import Multiset, show_number, words_as_lists, words_as_text
 from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
 
 
 def compiled(text: str) -> Program:
-    return compile_listing(parse_text(text, "test.lsys"))
+    return compile_program(parse_text(text, "test.lsys"))
 
 
 def last(text: str, steps: int, seed: int = 0) -> Multiset:
@@ -244,7 +244,7 @@ def test_the_environment_gets_parameters_and_gives_others() -> None:
         values[1::3] = values[0::3] * 100 + values[2::3]
         return replace(found, parameter=values)
 
-    *_, state = derive(program, 1, 0, environment=environment)
+    *_, state = derive(program, 1, 0, competition_model=environment)
     assert list(words_as_text(state.multiset)) == ["T(310)?E(31007,7)", "T(412)?E(41208,8)"]
 
 
@@ -324,7 +324,7 @@ def test_values_from_outside() -> None:
     listing = parse_text(
         "#define n 3\ndefine: { array r = {1, 2}; }\nfunction 1: (0,0) (1,1)\naxiom: A(n,r[1],func(1,0.5))", "t"
     )
-    program = compile_listing(with_values(listing, {"n": 5.0, "r": (7.0, 8.0, 9.0), "1": ((0.0, 4.0), (1.0, 4.0))}))
+    program = compile_program(with_values(listing, {"n": 5.0, "r": (7.0, 8.0, 9.0), "1": ((0.0, 4.0), (1.0, 4.0))}))
     assert list(words_as_text(axiom(program, 0).multiset)) == ["A(5,8,4)"]
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import AssetError, ForestgenError, LsystemError, ResourceError
-from forestgen.lsystem.compiler import compile_listing, with_values
+from forestgen.lsystem.compiler import compile_program, with_values
 from forestgen.lsystem.derivation import derive
-from forestgen.lsystem.parsing import parse_text, read_listing
+from forestgen.lsystem.parsing import parse_file, parse_text
 
 
 def run(text: str, steps: int = 3, most_modules: int = 200_000) -> int:
     """Number of modules after some steps."""
-    *_, last = derive(compile_listing(parse_text(text, "bad.lsys")), steps, 0, most_modules=most_modules)
+    *_, last = derive(compile_program(parse_text(text, "bad.lsys")), steps, 0, most_modules=most_modules)
     return len(last.multiset.code)
 
 
@@ -127,7 +127,7 @@ def test_files_that_are_no_programs(tmp_path: Path) -> None:
     ]
     for path, error, pattern in cases:
         with pytest.raises(error, match=pattern):
-            read_listing(path)
+            parse_file(path)
 
 
 def test_values_that_cannot_be_set() -> None:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from forestgen.lsystem.compiler import compile_listing
+from forestgen.lsystem.compiler import compile_program
 from forestgen.lsystem.derivation import derive
 from forestgen.lsystem.multiset import words_as_text
-from forestgen.lsystem.parsing import parse_text, read_listing
+from forestgen.lsystem.parsing import parse_file, parse_text
 from forestgen.recipe.assets import find_asset, list_assets
 
 
 def words(program: str, steps: int, seed: int = 0) -> list[str]:
     """Words of a shipped program, or of a text."""
     text = "\n" in program
-    listing = parse_text(program, "test.lsys") if text else read_listing(find_asset("lsystems", program))
-    *_, last = derive(compile_listing(listing), steps, seed)
+    listing = parse_text(program, "test.lsys") if text else parse_file(find_asset("lsystems", program))
+    *_, last = derive(compile_program(listing), steps, seed)
     return list(words_as_text(last.multiset))
 
 
@@ -105,6 +105,6 @@ def test_anabaena_with_pseudo_l_system_predecessors() -> None:
 
 @pytest.mark.parametrize("name", list_assets("lsystems"))
 def test_shipped_programs_run(name: str) -> None:
-    program = compile_listing(read_listing(find_asset("lsystems", name)))
+    program = compile_program(parse_file(find_asset("lsystems", name)))
     *_, last = derive(program, 2, 1)
     assert len(last.multiset.code) > 0

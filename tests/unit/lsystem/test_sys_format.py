@@ -9,7 +9,8 @@ import pytest
 from turtle_oracle import Oracle, encode
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.sys_format import parse_sys_file, parse_sys_text
+from forestgen.lsystem.parsing import parse_file
+from forestgen.lsystem.sys_format import parse_sys_text
 from forestgen.lsystem.turtle import draw, options_from
 
 EXAMPLE = "LSYSTEM\n1\nF\nF F [%>F]F[<&F][<&F][%F] 1\n"
@@ -47,7 +48,7 @@ def test_the_example_of_section_4_2():
 
 
 def test_the_shipped_file_is_the_example():
-    assert parse_sys_file(SHIPPED).productions[0].successor == parse_sys_text(EXAMPLE, "x").productions[0].successor
+    assert parse_file(SHIPPED).productions[0].successor == parse_sys_text(EXAMPLE, "x").productions[0].successor
 
 
 @pytest.mark.parametrize("n", range(5))
@@ -95,7 +96,7 @@ def test_the_engine_derives_the_example():
     from forestgen.lsystem.multiset import words_as_text
     from forestgen.lsystem.turtle import draw_word
 
-    program = compiler.compile_listing(parse_sys_text(EXAMPLE, "tree.sys"))
+    program = compiler.compile_program(parse_sys_text(EXAMPLE, "tree.sys"))
     for n in range(4):
         derived = list(derivation.derive(program, n, 0))[-1].multiset
         assert list(words_as_text(derived)) == [tree(n)]
@@ -167,4 +168,4 @@ def test_what_is_not_text(tmp_path):
     path = tmp_path / "tree.sys"
     path.write_bytes(b"LSYSTEM\n1\n\xff\n")
     with pytest.raises(LsystemError, match=r"tree\.sys:3:1: this is not a text file"):
-        parse_sys_file(path)
+        parse_file(path)

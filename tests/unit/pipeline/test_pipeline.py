@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from forestgen import pipeline
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
-from forestgen.dataset.data_set import data_set_of
+from forestgen.core.progress import Silent, Timings
+from forestgen.dataset.settings import data_set_of
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.planning import make_plan
 

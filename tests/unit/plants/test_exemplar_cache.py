@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from plant_species import read
 
-from forestgen.core.disk_cache import ENVIRONMENT, DiskCache
+from forestgen.core.cache import ENVIRONMENT, DiskCache
 from forestgen.core.errors import RecipeError
 from forestgen.core.packed import pack
 from forestgen.plants import growing

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.compiler import compile_listing
+from forestgen.lsystem.compiler import compile_program
 from forestgen.lsystem.multiset import RESERVED, Kind
-from forestgen.lsystem.parsing import parse_text, read_listing
+from forestgen.lsystem.parsing import parse_file, parse_text
 from forestgen.lsystem.turtle import draw, options_from
 from forestgen.plants.from_turtle import draw_program, skeleton_of
 from forestgen.plants.meshing import wood_mesh
@@ -31,7 +31,7 @@ def drawing_of(text, dialect="cpfg", **header):
 
 
 def grown(listing, steps, seed):
-    return skeleton_of(draw_program(compile_listing(listing), steps, seed)[0])
+    return skeleton_of(draw_program(compile_program(listing), steps, seed)[0])
 
 
 def test_axes_become_those_of_the_skeleton():
@@ -112,7 +112,7 @@ def test_random_drawings_can_be_meshed(parts, dialect):
 @pytest.mark.parametrize("steps", [0, 1, 2, 3])
 def test_the_age_of_a_plant_is_the_number_of_derivation_steps(steps):
     """Randleff-Rasmussen 2004: the tree of Figure 5.2 has six segments for each segment a step before."""
-    skeleton = grown(read_listing(find_asset("lsystems", "fig_5_2")), steps, 1)
+    skeleton = grown(parse_file(find_asset("lsystems", "fig_5_2")), steps, 1)
     assert np.sum(skeleton.radius_m > 1e-3) >= 6**steps
     trunk = skeleton.position_m[skeleton.order == 0]
     assert trunk[:, 2].max() == pytest.approx(10 * 2**steps, rel=1e-5)
@@ -120,7 +120,7 @@ def test_the_age_of_a_plant_is_the_number_of_derivation_steps(steps):
 
 
 def test_an_abop_plant_grows_from_its_file():
-    skeleton = grown(read_listing(find_asset("lsystems", "weed")), 3, 0)
+    skeleton = grown(parse_file(find_asset("lsystems", "weed")), 3, 0)
     assert np.sum(skeleton.parent >= 0) >= 5**3
 
 

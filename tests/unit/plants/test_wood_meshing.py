@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from plant_species import read
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Mesh, concatenate
 from forestgen.geometry.simplify import merged
-from forestgen.geometry.vectors import concatenate
 from forestgen.plants.generators.silhouette import GENERATOR
 from forestgen.plants.meshing import branch_lines, organ_meshes, stem_line, wood_mesh
 from forestgen.plants.parameters import Wood

@@ -8,8 +8,7 @@ from forestgen.core import registry
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import camera_section
 from forestgen.recipe.registries import PROJECTIONS, TERRAINS
-from forestgen.recipe.schema import Recipe
-from forestgen.recipe.terrain import Terrain
+from forestgen.recipe.schema import Recipe, Terrain
 
 
 @pytest.fixture(autouse=True)

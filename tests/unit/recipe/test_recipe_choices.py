@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import dump_yaml, load_recipe
+from forestgen.recipe.map_files import recipe_hash
 
 Write = Callable[..., Path]
 TEXT = """\

@@ -6,7 +6,7 @@ import jsonschema
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.dataset.pack.readme import body
+from forestgen.dataset.pack.pack import readme_body
 from forestgen.recipe.json_schema import recipe_json_schema
 from forestgen.recipe.load import load_recipe_data
 
@@ -52,5 +52,5 @@ def test_names_that_cannot_be_seen_are_refused(name):
 
 def test_a_packs_readme_shows_names_as_they_are():
     names = {"0": "nothing", "1": "<b>bold</b> | *x*"}
-    text = body("title", ["code"], {}, {"semantic": names, "categories": names}, ["semantic"])
+    text = readme_body("title", ["code"], {}, {"semantic": names, "categories": names}, ["semantic"])
     assert r"0 nothing, 1 \<b\>bold\</b\> \| \*x\*" in text

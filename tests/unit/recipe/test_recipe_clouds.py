@@ -69,7 +69,7 @@ def test_where_the_type_is_drawn_none_has_no_keys_of_its_own(write: Write) -> No
         ("{story: [{at_s: 5, type: fog}]}", ["sky.clouds.story.0", "at_s: 0"]),
         ("{story: [{at_s: 0, type: fog}, {at_s: 0, type: fog}]}", ["sky.clouds.story.1.at_s", "more than 0 s"]),
         ("{type: fog, story: [{at_s: 0, type: noise}]}", ["sky.clouds.story.0.type", "one of fog, stratus"]),
-        ("{story: [{at_s: 0, type: fog}], wind_m_per_s: 3}", ["sky.clouds.wind_m_per_s", "into the chapters"]),
+        ("{story: [{at_s: 0, type: fog}], wind_m_per_s: 3}", ["sky.clouds.wind_m_per_s", "into the phases"]),
         ("{story: []}", ["sky.clouds.story", "at least 1"]),
         ("{story: 3}", ["sky.clouds.story"]),
         ("cirrus", ["sky.clouds.type", "stratocumulus", "'cirrus'"]),

@@ -24,16 +24,16 @@ BOMB = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "says nothing"),
-        (b"# only a comment\n", "says nothing"),
-        (b"null\n", "says nothing"),
+        (b"", "text is empty"),
+        (b"# only a comment\n", "text is empty"),
+        (b"null\n", "text is empty"),
         (b"[1, 2]\n", "not a mapping"),
         (b"just text\n", "not a mapping"),
         (b"a: [1\n", "not valid YAML"),
         (b"a: 1\n\tb: 2\n", "not valid YAML"),
         (b"a: *nowhere\n", "not valid YAML"),
         (b"a: 1\n---\nb: 1\n", "not valid YAML"),
-        (b"a: \x01\n", "not valid YAML"),
+        (b"a: \x01\n", "not a text file"),
         (b"\x89PNG\r\n\x1a\n\x00", "not a text file"),
         ("größe: 1\n".encode("latin-1"), "not a text file"),
         (b"\xff\xfea\x00:\x00", "not a text file"),
@@ -46,7 +46,7 @@ BOMB = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
         (b"a: &a [*a]\n", "nested too deeply"),
         (b"a: " + b"[" * 5000, "nested too deeply"),
         (b"a: " + b"[" * 60 + b"]" * 60, "nested too deeply"),
-        (BOMB.encode(), "multiply beyond reason"),
+        (BOMB.encode(), "too many values by aliases"),
         (b"a: .nan\n", "bad value"),
         (b"a: -.inf\n", "bad value"),
         (b"a: " + b"9" * 5000, "not a number"),
@@ -79,7 +79,7 @@ def test_places_that_are_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         load_recipe(tmp_path)
     (tmp_path / "shipped.yaml").write_text(HEAD)
     monkeypatch.setattr("forestgen.recipe.assets.recipes_dir", lambda: tmp_path)
-    monkeypatch.setattr("forestgen.recipe.reading.recipes_dir", lambda: tmp_path)
+    monkeypatch.setattr("forestgen.recipe.load.recipes_dir", lambda: tmp_path)
     with pytest.raises(AssetError, match=re.escape(f"{tmp_path / 'shipped.yaml'}")):
         load_recipe("shipped")
 

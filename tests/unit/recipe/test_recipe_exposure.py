@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from forestgen.recipe.exposure import Exposure
+from forestgen.recipe.camera_keys import Exposure
 
 
 @pytest.mark.parametrize(

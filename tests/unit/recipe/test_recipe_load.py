@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ConfigDict
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import dump_yaml, load_recipe
+from forestgen.recipe.map_files import recipe_hash
 from forestgen.recipe.schema import Recipe
-from forestgen.recipe.sources import dotted
-from forestgen.recipe.yaml_source import parse_yaml
+from forestgen.recipe.sources import dotted, parse_yaml
 
 Write = Callable[..., Path]
 MINIMAL = "forestgen: 1\nspecies: {oak: ./oak.yaml}\ncommunity: {model: lattice}\n"

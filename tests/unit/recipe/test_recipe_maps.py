@@ -10,7 +10,7 @@ import pytest
 from recipe_example import SPECIES
 
 from forestgen.core.errors import AssetError
-from forestgen.dataset.maps import write_maps
+from forestgen.dataset.writer import write_maps
 from forestgen.recipe import map_files
 from forestgen.recipe.load import dump_yaml, load_recipe
 
@@ -109,7 +109,7 @@ def test_each_image_may_have_another_map_and_the_hash_covers_all(recipe, written
 def test_no_file_is_read_twice(recipe, monkeypatch):
     read: list[Path] = []
     digest = map_files.file_sha256
-    monkeypatch.setattr(map_files, "file_sha256", lambda path, named: read.append(path) or digest(path, named))
+    monkeypatch.setattr(map_files, "file_sha256", lambda path, *named: read.append(path) or digest(path, *named))
     loaded = load_recipe(changed(recipe, "species:", "images: 9\nspecies:"))
     for index in range(9):
         loaded.draw(index)

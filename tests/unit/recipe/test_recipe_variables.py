@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.formula import evaluate_formula
+from forestgen.recipe.curves import evaluate_formula
 from forestgen.recipe.load import load_recipe
 
 Write = Callable[..., Path]

@@ -12,8 +12,8 @@ from scipy import stats
 from scipy.stats import qmc
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.hashing import recipe_hash
 from forestgen.recipe.load import LoadedRecipe, dump_yaml, load_recipe
+from forestgen.recipe.map_files import recipe_hash
 
 Write = Callable[..., Path]
 METHODS = ["independent", "latin_hypercube", "sobol", "halton"]

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.dataset.data_set import check_splits
+from forestgen.dataset.settings import check_splits
+from forestgen.recipe.dataset import place_in_splits, split_of, used_splits
 from forestgen.recipe.load import load_recipe
-from forestgen.recipe.splits import place_in_splits, split_of, used_splits
 
 Write = Callable[..., Path]
 SPLITS = [

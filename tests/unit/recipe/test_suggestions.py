@@ -11,7 +11,7 @@ from forestgen.core.errors import AssetError
 from forestgen.recipe.assets import find_asset, list_assets
 from forestgen.recipe.messages import Explainer
 from forestgen.recipe.sources import SourceMap
-from forestgen.recipe.suggestions import _CALLED, SYNONYMS, did_you_mean, nearest
+from forestgen.recipe.suggestions import _SYNONYMS, SYNONYMS, did_you_mean, nearest
 
 
 def _told(model: type[Disturbance | Change], key: str) -> str:
@@ -52,6 +52,6 @@ def test_a_name_is_suggested_only_where_it_may_stand() -> None:
 
 def test_every_species_with_other_names_is_there_and_no_other_name_is_one() -> None:
     shipped = set(list_assets("species"))
-    assert set(_CALLED) - {"burn", "fell", "plant", "at_yr"} <= shipped
+    assert set(_SYNONYMS) - {"burn", "fell", "plant", "at_yr"} <= shipped
     assert not set(SYNONYMS) & shipped - {"log"}  # which is a species, and what foresters do
-    assert len(SYNONYMS) == sum(len(words.split()) for words in _CALLED.values())
+    assert len(SYNONYMS) == sum(len(words.split()) for words in _SYNONYMS.values())

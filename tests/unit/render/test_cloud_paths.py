@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.grid import CloudGrid, Phase
+from forestgen.atmosphere.grid import CloudGrid, PhaseFunction
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.render import cloud_paths
 from forestgen.render.cloud_paths import CloudLight, field_of, gather
@@ -42,7 +42,7 @@ def upward(count: int, seed: int = 0) -> np.ndarray:
     return way / np.linalg.norm(way, axis=1, keepdims=True)
 
 
-@pytest.mark.parametrize("phase", [Phase(), Phase(0.9, -0.4, 0.8), Phase(0.0)])
+@pytest.mark.parametrize("phase", [PhaseFunction(), PhaseFunction(0.9, -0.4, 0.8), PhaseFunction(0.0)])
 def test_white_clouds_over_a_white_plain_in_a_white_sky_are_not_seen(phase) -> None:
     clouds = field_of(patchy(albedo=1.0, phase=phase))
     found = gather(clouds, light(ground_albedo=1.0), np.zeros(3), upward(3000), seed=1, samples=4)
@@ -67,7 +67,7 @@ def test_the_share_that_no_drop_meets_is_the_transmittance() -> None:
 def test_once_scattered_sunlight_is_the_integral_along_the_ray() -> None:
     """A cloud that absorbs what it scatters twice: p(angle) times an integral of two exponentials."""
     depth, albedo = 0.4, 1e-3
-    phase = Phase(0.6, -0.3, 0.7)
+    phase = PhaseFunction(0.6, -0.3, 0.7)
     grid = slab(depth, albedo=albedo, phase=phase)
     way = np.array([[0.0, np.sin(0.5), np.cos(0.5)]])
     lit = light(sky=WHITE * 0, ground_albedo=0.0, sun_radius_deg=1e-3)
@@ -89,7 +89,7 @@ def test_once_scattered_sunlight_is_the_integral_along_the_ray() -> None:
 )
 def test_a_layer_divides_light_into_what_it_reflects_and_what_it_lets_through(depth, albedo, g, mu0) -> None:
     """Plane albedo and transmission of a layer, by reciprocity from what a ray gathers; and conservation of energy."""
-    grid = slab(depth, albedo=albedo, phase=Phase(g))
+    grid = slab(depth, albedo=albedo, phase=PhaseFunction(g))
     way = np.array([[np.sqrt(1 - mu0 * mu0), 0.0, mu0]])
     # A sky that is white above: a ray from below collects the share that passes upwards through the layer.
     black = light(ground_albedo=0.0, ground_m=-2.0)
@@ -201,16 +201,15 @@ def test_the_same_light_at_any_number_of_threads(monkeypatch) -> None:
 def test_the_renderers_volume_path_tracer_finds_the_same() -> None:
     """By blocks of the image, and in the mean, over a plain that reflects much."""
     from forestgen.core.frames import look_at
-    from forestgen.render.light import sky_light, sun_disc
-    from forestgen.render.sensors import sensor_of
-    from forestgen.render.sky_pixels import camera_rays
-    from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_irradiance
+    from forestgen.render.capture import sensor_of
+    from forestgen.render.light import SUN_RADIUS_DEG, sky_light, sky_map, sun_disc, sun_irradiance
     from forestgen.render.variant import SCALAR, mitsuba
+    from forestgen.render.views import lens_rays
     from forestgen.scene.channels import RGB
     from forestgen.scene.spec import Camera, Sky
     from support.cloud_box import cloud_volume
 
-    sky, grid, albedo = Sky(50.0, 140.0, 3.0), patchy(albedo=0.99, phase=Phase(0.8, -0.3, 0.85)), 0.5
+    sky, grid, albedo = Sky(50.0, 140.0, 3.0), patchy(albedo=0.99, phase=PhaseFunction(0.8, -0.3, 0.85)), 0.5
     size, runs, block = (32, 16), 10, 8
     camera = Camera("up", (0.0, 0.0, 2.0), look_at((0, 0, 2), (30, 50, 60)), size, 80.0)
     mi = mitsuba()
@@ -242,7 +241,7 @@ def test_the_renderers_volume_path_tracer_finds_the_same() -> None:
     for run in range(runs):
         total = np.zeros((len(row), 3))
         for number in range(64):
-            origin, way, _ = camera_rays(camera, row, column, rng.random((4, len(row))))
+            origin, way, _ = lens_rays(camera, row, column, rng.random((4, len(row))))
             found = gather(field, lit, origin, way, seed=1000 * run + number)
             total += found.radiance(np.full(3, albedo), sun)
         own.append(total.reshape(size[1], size[0], 3) / 64)

@@ -9,11 +9,10 @@ import pytest
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.render.build import load, origin_of, scene_dict
-from forestgen.render.cloud_heights import base_of
-from forestgen.render.cloud_shadow import shadow_of, sheet_edges, sun_sheet, sun_transmittance
+from forestgen.render.capture import sensor_of
+from forestgen.render.cloud_shadow import base_of, plane_edges, shadow_of, shadow_rectangle, sun_transmittance
 from forestgen.render.light import sun_disc
-from forestgen.render.sensors import sensor_of
-from forestgen.render.surfaces import Paints
+from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba
 from forestgen.scene.channels import RGB
 from forestgen.scene.projection import world_rays
@@ -38,7 +37,7 @@ def march(clouds: CloudGrid, point: np.ndarray, direction: np.ndarray, steps: in
 
 @pytest.mark.parametrize(("elevation", "azimuth"), [(90, 0), (50, 140), (30, 250)])
 def test_sun_transmittance_against_marching(elevation, azimuth):
-    """Also beside the field, where the sun shines through its side; and nowhere beyond the sheet."""
+    """Also beside the field, where the sun shines through its side; and nowhere beyond the shadow."""
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(1)
@@ -46,7 +45,7 @@ def test_sun_transmittance_against_marching(elevation, azimuth):
     field = np.clip(field / field.std(), 0, None) * 0.01
     clouds = CloudGrid(field.astype(np.float32), (-100.0, 50.0, 300.0), (300.0, 530.0, 460.0))
     to_sun = Sky(elevation, azimuth, 3.0).to_sun
-    low, high = sheet_edges(clouds, to_sun, 300.0)
+    low, high = plane_edges(clouds, to_sun, 300.0)
     cells = tuple(int(n) for n in np.ceil((high - low) / 10.0))
     result = sun_transmittance(clouds, to_sun, 300.0, low, high, cells)
     assert result.shape == cells[::-1]
@@ -98,7 +97,9 @@ def test_a_clouds_shadow_falls_where_the_sun_says():
     with mi.variant_context(SCALAR):
         origin = origin_of(camera)
         light = sun_disc(spec.sky, RGB)
-        scene = load({**scene_dict(spec, origin, Paints()), "light": light, "sheet": sun_sheet(spec, origin)})
+        scene = load(
+            {**scene_dict(spec, origin, SpectralBsdfs()), "light": light, "shadow": shadow_rectangle(spec, origin)}
+        )
         integrator = mi.load_dict({"type": "volpath", "max_depth": 4})
         image = np.array(integrator.render(scene, sensor=sensor_of(camera, 16), spp=16, seed=1))[..., 1]
     rays = world_rays(camera)

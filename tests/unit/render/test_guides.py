@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from forestgen.core.timing import Timings
-from forestgen.render.identity import SceneTracer, trace_guides
+from forestgen.core.progress import Timings
+from forestgen.render.denoise import trace_guides
+from forestgen.render.identity import SceneTracer
 from support.scenes import camera_at, plain_ground, scattered_scene
 
 

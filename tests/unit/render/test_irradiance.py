@@ -11,9 +11,10 @@ from forestgen.core.progress import Silent
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.render.irradiance import LUMINANCE, PointLight, measure, uniform
+from forestgen.render.irradiance import LUMINANCE, PointLight, measure
 from forestgen.render.skies.model import daylight_of
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
+from support.radiometry import uniform_sky
 
 ALBEDO = 0.3
 FLAT = Spectrum(np.array([300.0, 2500.0]), np.array([0.5, 0.2]))  # W/m²/nm
@@ -45,7 +46,7 @@ def site(wall: Mesh | None = None, sky: Sky | None = None) -> SceneSpec:
 
 
 def meter(spec: SceneSpec, normal=UP, light: Spectrum | None = FLAT, samples: int = 4096) -> PointLight:
-    sources = None if light is None else lambda origin: [uniform(light)]
+    sources = None if light is None else lambda origin: [uniform_sky(light)]
     return measure(
         spec,
         np.array([0.0, 0.0, 1.0]),

@@ -4,23 +4,23 @@ import numpy as np
 import pytest
 
 from forestgen.core.parts import Part
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Timings
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe.species import Bark
 from forestgen.render.build import load, origin_of, plants_dict
 from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.surfaces import Paints, surface_bsdf
+from forestgen.render.surfaces import SpectralBsdfs, surface_bsdf
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Material, SceneSpec
 from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
 
 
-def render(spec: SceneSpec, light: dict, samples: int = 64, paints: Paints | None = None) -> np.ndarray:
+def render(spec: SceneSpec, light: dict, samples: int = 64, paints: SpectralBsdfs | None = None) -> np.ndarray:
     camera = spec.cameras[0]
     with using(SCALAR) as mi:
-        loaded = load({**plants_dict(spec, origin_of(camera), paints or Paints()), "light": light})
+        loaded = load({**plants_dict(spec, origin_of(camera), paints or SpectralBsdfs()), "light": light})
         return capture(mi.load_dict({"type": "path", "max_depth": 2}), loaded, camera, samples=samples, seed=3)[..., :3]
 
 
@@ -75,9 +75,9 @@ def test_repainted_bark_is_bark_built_anew():
     texture = bark_texture(Bark(pattern="furrowed", tile_m=TILE_M, depth_m=0.004), REFLECTANCE, "post/bark")
     spec, passes = post_scene(Material(REFLECTANCE, texture=texture)), Channels((450.0, 700.0, 1600.0))
     camera = spec.cameras[0]
-    fresh = render(spec, UNIFORM, 4, Paints(passes))
+    fresh = render(spec, UNIFORM, 4, SpectralBsdfs(passes))
     with using(SCALAR) as mi:
-        paints = Paints()
+        paints = SpectralBsdfs()
         loaded = load({**plants_dict(spec, origin_of(camera), paints), "light": UNIFORM})
         path = mi.load_dict({"type": "path", "max_depth": 2})
         images = []

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.haze import Haze
 from forestgen.atmosphere.optical_depth import distance_into, optical_depth
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.render.frame import Radiance
-from forestgen.render.haze import Airlight, Seen, airlight_of, cloud_veil, extinction_of, hazed
+from forestgen.render.haze import Airlight, Haze, Seen, airlight_of, cloud_veil, extinction_of, hazed
 from forestgen.render.skies.model import MAP_ROWS, map_directions
 from forestgen.render.variant import SCALAR, using
 from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBySpectrum

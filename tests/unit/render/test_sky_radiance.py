@@ -9,10 +9,10 @@ import pytest
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.daylight import illuminance
-from forestgen.render import sky_radiance
+from forestgen.render import light as light_module
+from forestgen.render.light import SUN_RADIUS_DEG, sky_map, sun_radiance
 from forestgen.render.skies import clear, model
 from forestgen.render.skies.model import daylight_of, map_directions
-from forestgen.render.sky_radiance import SUN_RADIUS_DEG, sky_map, sun_radiance
 from forestgen.render.variant import drjit
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import Sky
@@ -139,7 +139,7 @@ def test_a_finer_map_has_the_same_aureole(monkeypatch: pytest.MonkeyPatch) -> No
     sky = Sky(30.0, 140.0, 8.0)
     near = {}
     for rows, columns in ((129, 256), (257, 512), (513, 1024)):
-        for module in (clear, model, sky_radiance):
+        for module in (clear, model, light_module):
             monkeypatch.setattr(module, "MAP_ROWS", rows)
             monkeypatch.setattr(module, "MAP_COLUMNS", columns)
         clear._shape.cache_clear()

@@ -9,9 +9,15 @@ import pytest
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.errors import RecipeError
-from forestgen.render.cloud_heights import base_of, highest, least_gap_m, sheet_height_m
-from forestgen.render.cloud_shadow import shadow_of
-from forestgen.render.transport import check_far_clouds, cloud_transport_of
+from forestgen.render.cloud_shadow import (
+    base_of,
+    check_far_clouds,
+    cloud_transport_of,
+    highest,
+    least_gap_m,
+    shadow_height_m,
+    shadow_of,
+)
 from forestgen.scene.spec import SceneSpec
 from support.scenes import camera_at, plain_ground, scattered_scene
 
@@ -89,7 +95,7 @@ def test_an_orthographic_camera_counts_as_high_as_its_rays_start() -> None:
 
 
 def test_light_at_a_point_is_refused_in_fog_and_close_below_clouds() -> None:
-    """The sheet of the clouds' shadow would lie below the meter: the sun would be counted twice."""
+    """The shadow of the clouds' shadow would lie below the meter: the sun would be counted twice."""
     check_far_clouds(stand(800.0), (0.0, 0.0, 2.0))
     check_far_clouds(replace(stand(0.0), clouds=None), (0.0, 0.0, 2.0))
     for base_m, height_m, about in ((0.0, 2.0, "highest plant"), (800.0, 750.0, "the point"), (800.0, 900.0, "point")):
@@ -139,7 +145,7 @@ def test_a_shower_between_the_sun_and_the_site_casts_its_shadow() -> None:
     thin[40:] = 0.0  # the shower alone
     clouds = replace(clouds, extinction_per_m=thin)
     spec = replace(spec, clouds=clouds)
-    height = sheet_height_m(spec, 2.0)
+    height = shadow_height_m(spec, 2.0)
     assert base_of(clouds) == 0.0
     assert height is not None
     assert highest(spec, [])[1] < height < 40.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.geometry.hull import Hull, hull_of
-from forestgen.render.windows import BEYOND, outlines
+from forestgen.geometry.mesh import Hull, hull_of
+from forestgen.render.amodal import BEYOND, outlines
 from forestgen.scene.projection import project
 from forestgen.scene.spec import Camera
 from support.cameras import camera_of

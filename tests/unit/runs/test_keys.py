@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from forestgen.core.code_hash import source_files
+from forestgen.core.cache import source_files
 from forestgen.runs.keys import _SOURCES, _WITHOUT
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from forestgen.core.error_list import ErrorList
-from forestgen.core.errors import AssetError, ForestgenError, RecipeError, RecipeErrors
+from forestgen.core.errors import AssetError, ErrorList, ForestgenError, RecipeError, RecipeErrors
 from forestgen.scene.load_checked import load_checked
 from forestgen.scene.planning import check_plan
 

@@ -10,7 +10,7 @@ import pytest
 from test_explicit_plants import cameras, grown, planned
 
 from forestgen.community.population import Population, Status
-from forestgen.community.summary import standing_dead
+from forestgen.community.simulation import standing_dead
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.plants.growing import grow_exemplar

@@ -11,8 +11,7 @@ from forestgen.community.population import Population
 from forestgen.community.simulation import final_population
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
-from forestgen.core.timing import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import build as scene

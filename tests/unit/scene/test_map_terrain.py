@@ -10,7 +10,7 @@ from PIL import Image, TiffImagePlugin
 from pydantic import ValidationError
 
 from forestgen.core.errors import AssetError
-from forestgen.recipe.terrain import Terrain
+from forestgen.recipe.schema import Terrain
 from forestgen.scene.terrains.mapped import HeightMap, read_heights
 
 HEIGHTS = np.array([[3.5, 4, 5], [1, 2, 2.5]], dtype=np.float32)

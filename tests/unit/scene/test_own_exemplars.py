@@ -12,7 +12,7 @@ from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import MOST_NODES, load_prototypes, tables_of
 from forestgen.community.population import Population
 from forestgen.plants.grown import woods_of
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 from forestgen.scene.build import place_instances
 from forestgen.scene.exemplars import LEAST_PIXELS, MOST_TRIANGLES, plan_exemplars, plan_own, unique_plants
 from support.scenes import simple_tree

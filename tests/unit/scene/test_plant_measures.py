@@ -10,13 +10,17 @@ import pytest
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.exemplar import OrganMesh
-from forestgen.scene.plant_measures import crown_centre, measure_plants, stem_diameter_m
+from forestgen.scene.plant_measures import PlantMeter, crown_centre, stem_diameter_m
 from support.scenes import plain_ground, post, scattered_scene, simple_tree
 
 
 @pytest.fixture(scope="module")
 def spec():
     return scattered_scene(40, exemplars=4, leaves=60, terrain=plain_ground(0, 1))
+
+
+def measure_plants(spec):
+    return PlantMeter(spec.exemplars).measure(spec.instances)
 
 
 def leaning(spec, lean_deg=12.0):

@@ -10,9 +10,8 @@ import pytest
 
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
-from forestgen.core.progress import Silent
+from forestgen.core.progress import Silent, Timings
 from forestgen.core.randomness import child_rng
-from forestgen.core.timing import Timings
 from forestgen.plants import growing
 from forestgen.recipe.load import load_recipe
 from forestgen.scene import build as scene

@@ -19,7 +19,7 @@ from forestgen.community.population import Status
 from forestgen.core import threads
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.buildings import Building
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 
 ROWS = {  # of Table 1
     "a": (20, 42, 0.19, 0.62, None, 0.25, None, 0, 0.52, 0.63, -0.38, 0.57, 0.47),

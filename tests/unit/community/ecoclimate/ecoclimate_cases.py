@@ -16,7 +16,7 @@ from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.models.ecoclimate import MODEL
-from forestgen.recipe.plant_type import PlantType
+from forestgen.recipe.species import PlantType
 
 SITE = Site((15.0, 12.0))
 STEADY = {"temperature_c": [10.0] * 12, "precipitation_mm": [60.0] * 12}

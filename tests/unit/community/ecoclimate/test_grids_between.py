@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from forestgen.atmosphere.weather import AirGrid
+from forestgen.atmosphere.grid import AirGrid
 from forestgen.community.ecoclimate.air import regridder_for
 from forestgen.community.soil_water import Ground
 

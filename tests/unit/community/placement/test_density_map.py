@@ -18,7 +18,7 @@ from forestgen.community.model import Site
 from forestgen.community.placement import density_map
 from forestgen.community.placement.densities import PlacementParameters, species_density
 from forestgen.community.placement.density_map import DensityMap, check_maps, maps_in
-from forestgen.core.bounded_cache import BoundedCache
+from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import RecipeError
 
 read = TypeAdapter(DensityMap).validate_python
@@ -144,8 +144,8 @@ def test_floating_point_pictures_and_arrays_hold_plants_per_hectare(tmp_path):
 def test_a_picture_is_read_once_for_all_its_maps(picture, monkeypatch):
     path, _ = picture
     reads, resamples = [], []
-    read_grey, resample = density_map.read_grey, density_map.resample
-    monkeypatch.setattr(density_map, "read_grey", lambda one: reads.append(one) or read_grey(one))
+    read_raster, resample = density_map.read_raster, density_map.resample
+    monkeypatch.setattr(density_map, "read_raster", lambda one: reads.append(one) or read_raster(one))
     monkeypatch.setattr(density_map, "resample", lambda *a, **k: resamples.append(a) or resample(*a, **k))
     written = {"file": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), "scale": 1.5}
     for name in ("_pictures", "_grids"):

@@ -1,0 +1,377 @@
+"""Code of expressions and instructions: from syntax to the VM's instructions; values known before anything runs."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import Enum, auto
+from itertools import count
+from typing import NamedTuple, NoReturn
+
+from forestgen.core.errors import LsystemError
+from forestgen.lsystem import vm_layout as op
+from forestgen.lsystem.multiset import Kind
+from forestgen.lsystem.syntax import (
+    FIRST,
+    Assign,
+    Binary,
+    Call,
+    Expression,
+    If,
+    Index,
+    Macro,
+    Module,
+    Name,
+    Number,
+    Place,
+    Statement,
+    Unary,
+    UseGroup,
+)
+
+GROUP = 0  # the global variable that holds the current group
+_MOST_INSTRUCTIONS = 200_000
+_MOST_KINDS = 65_536
+_FUNCTIONS: dict[str, Callable[..., float]] = {
+    "min": min, "max": max, "floor": math.floor, "ceil": math.ceil, "trunc": math.trunc, "abs": abs, "fabs": abs,
+    "exp": math.exp, "sqrt": math.sqrt, "pow": math.pow, "log": math.log,
+    "sin": lambda x: math.sin(math.radians(x)), "cos": lambda x: math.cos(math.radians(x)),
+}  # fmt: skip
+_OPERATORS: dict[str, Callable[[float, float], float]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "%": math.fmod, "^": math.pow,
+    "==": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+    "&&": lambda a, b: bool(a) and bool(b), "||": lambda a, b: bool(a) or bool(b),
+}  # fmt: skip
+
+
+class Region(Enum):
+    """What an operand counts in, until `compiler` gives everything its address."""
+
+    NOTHING = auto()
+    CODE = auto()
+    CONSTANT = auto()
+    GLOBAL = auto()
+    LOCAL = auto()
+    ARRAY = auto()
+
+
+class Instruction(NamedTuple):
+    operation: int
+    operand: int
+    region: Region
+    place: Place
+
+
+class CodeGenerator:
+    """Grows one code for a whole program, of the file `name`; the others are names that expressions may use."""
+
+    def __init__(
+        self,
+        name: str,
+        macros: Mapping[str, Macro],
+        arrays: Sequence[str],
+        functions: Sequence[str],
+        globals_: Sequence[str],
+    ) -> None:
+        self.name, self.macros = name, macros
+        self.arrays = {one: i for i, one in enumerate(arrays)}
+        self.functions = number_functions(functions)
+        self.globals = {one: i for i, one in enumerate(globals_)}
+        self.groups = {0}
+        self.counted: dict[str, int] = {}  # symbol -> global
+        self.code: list[Instruction] = []
+        self.constants: dict[float, int] = {}
+        self.kinds: dict[Kind, int] = {}
+        self.stack = self.stack_size = self.local_size = 0
+
+    def fail(self, problem: str, place: Place, **about: str | None) -> NoReturn:
+        raise LsystemError(problem, where=f"{self.name}:{place.line}:{place.column}", **about)
+
+    def kind(self, symbol: str, arity: int) -> int:
+        code = self.kinds.setdefault(Kind(symbol, arity), len(self.kinds))
+        if code >= _MOST_KINDS:
+            self.fail("too many kinds of modules", FIRST, expected=f"at most {_MOST_KINDS:,}")
+        return code
+
+    def put(self, operation: int, place: Place, change: int, operand: int = 0, region: Region = Region.NOTHING) -> int:
+        """Append an instruction that changes the stack's height by `change`; its index."""
+        if len(self.code) >= _MOST_INSTRUCTIONS:
+            self.fail("the program is too long", place, expected=f"at most {_MOST_INSTRUCTIONS} instructions")
+        self.stack += change
+        self.stack_size = max(self.stack_size, self.stack)
+        self.code.append(Instruction(operation, operand, region, place))
+        return len(self.code) - 1
+
+    def land(self, jump: int) -> None:
+        """Let an earlier jump go to where code is emitted next."""
+        self.code[jump] = self.code[jump]._replace(operand=len(self.code), region=Region.CODE)
+
+    def constant(self, value: float, place: Place) -> None:
+        slot = self.constants.setdefault(value, len(self.constants))
+        self.put(op.LOAD, place, 1, slot, Region.CONSTANT)
+
+
+class Scope:
+    """Code of one production or block: its names are the formal parameters and local variables."""
+
+    def __init__(
+        self, code: CodeGenerator, formals: Sequence[tuple[str, Place]] = (), *, is_global: bool = False
+    ) -> None:
+        self.e, self.is_global, self.fail = code, is_global, code.fail
+        self.locals: dict[str, int] = {}
+        self.expanding: list[str] = []
+        self.bound: list[Mapping[str, Expression]] = []  # a macro's parameters
+        for name, place in formals:
+            if name in self.locals:
+                self.fail(f"the parameter {name} stands twice in one production", place, hint="give each its own name")
+            self.local(name)
+
+    def local(self, name: str) -> int:
+        slot = self.locals.setdefault(name, len(self.locals))
+        self.e.local_size = max(self.e.local_size, len(self.locals))
+        return slot
+
+    def begin(self) -> int:
+        """Where code that is emitted next begins."""
+        self.e.stack = 0
+        return len(self.e.code)
+
+    def statements(self, statements: Sequence[Statement]) -> None:
+        for one in statements:
+            if isinstance(one, If):
+                self.branches(one)
+            elif isinstance(one, UseGroup):
+                if not self.is_global:
+                    expected = "it in Start, StartEach or EndEach"
+                    self.fail("useGroup stands in a production", one.place, expected=expected)
+                value = fold(one.group, {}, self.e.name)
+                if value is not None and value not in self.e.groups:
+                    known = ", ".join(map(str, sorted(self.e.groups)))
+                    self.fail("there is no such group", one.place, expected=known, got=f"{value:g}")
+                self.expression(one.group)
+                self.e.put(op.STORE, one.place, -1, GROUP, Region.GLOBAL)
+            else:
+                self.expression(one.value)
+                self.assign_to(one.name, one.place)
+
+    def assign_to(self, name: str, place: Place) -> None:
+        """The value on the stack becomes a variable's."""
+        if self.is_global:
+            self.e.put(op.STORE, place, -1, self.e.globals[name], Region.GLOBAL)
+            return
+        if name in self.e.globals:
+            problem = f"a production assigns the global variable {name}"
+            self.fail(problem, place, expected="local variables: all modules are rewritten at once")
+        if name in self.e.macros or name in self.e.arrays:
+            self.fail(f"{name} is defined and cannot be assigned", place)
+        self.e.put(op.STORE, place, -1, self.local(name), Region.LOCAL)
+
+    def branches(self, one: If) -> None:
+        for name in dict.fromkeys(assigned(one)):
+            if not self.is_global and name not in self.locals:  # 0 where no branch sets it
+                self.e.constant(0.0, one.place)
+                self.assign_to(name, one.place)
+        self.expression(one.condition)
+        to_else = self.e.put(op.JUMP_IF_ZERO, one.place, -1)
+        self.statements(one.then)
+        to_end = self.e.put(op.JUMP, one.place, 0)
+        self.e.land(to_else)
+        self.statements(one.otherwise)
+        self.e.land(to_end)
+
+    def returns(self, place: Place) -> None:
+        self.e.put(op.RETURN, place, 0)
+
+    def modules(self, modules: Sequence[Module]) -> None:
+        for one in modules:
+            for argument in one.arguments:
+                self.expression(argument)
+            arity = len(one.arguments)
+            self.e.put(op.EMIT, one.place, -arity, self.e.kind(one.symbol, arity))
+
+    def expression(self, one: Expression) -> None:
+        """Code that leaves the expression's value on the stack; a known value is computed now."""
+        hidden = {*self.locals, *self.e.globals, *(name for bound in self.bound for name in bound)}
+        visible = {name: macro for name, macro in self.e.macros.items() if name not in hidden}
+        value = fold(one, visible, self.e.name)
+        if value is None:
+            self.compute(one)
+        else:
+            self.e.constant(value, one.place)
+
+    def compute(self, one: Expression) -> None:
+        if isinstance(one, Number):
+            self.e.constant(one.value, one.place)
+        elif isinstance(one, Name):
+            self.named(one)
+        elif isinstance(one, Index):
+            if one.name not in self.e.arrays:
+                known = ", ".join(self.e.arrays) or "none is defined"
+                self.fail(f"there is no array {one.name}", one.place, expected=known, got=one.name)
+            self.compute(one.index)
+            self.e.put(op.ELEMENT, one.place, 0, self.e.arrays[one.name], Region.ARRAY)
+        elif isinstance(one, Unary):
+            self.compute(one.operand)
+            self.e.put(op.NEGATE if one.operator == "-" else op.NOT, one.place, 0)
+        elif isinstance(one, Call):
+            self.call(one)
+        elif one.operator in ("&&", "||"):
+            self.shortcut(one)
+        else:
+            self.compute(one.left)
+            self.compute(one.right)
+            self.e.put(op.OPERATORS[one.operator], one.place, -1)
+
+    def named(self, one: Name) -> None:
+        if self.bound and one.name in self.bound[-1]:
+            argument, bound, macro = self.bound[-1][one.name], self.bound.pop(), self.expanding.pop()
+            self.compute(argument)  # in the scope of the macro's caller
+            self.bound.append(bound)
+            self.expanding.append(macro)
+        elif one.name in self.locals:
+            self.e.put(op.LOAD, one.place, 1, self.locals[one.name], Region.LOCAL)
+        elif one.name in self.e.globals:
+            self.e.put(op.LOAD, one.place, 1, self.e.globals[one.name], Region.GLOBAL)
+        elif one.name in self.e.macros:
+            self.expand(Call(one.name, (), one.place), is_value=True)
+        elif one.name in self.e.functions:
+            self.e.constant(self.e.functions[one.name], one.place)
+        else:
+            known = [*self.locals, *(name for name in self.e.globals if name), *self.e.macros]
+            expected, hint = (
+                ", ".join(known[:12]) or "a number",
+                "a parameter of the predecessor, a local variable, or a #define",
+            )
+            self.fail(f"{one.name} has no value here", one.place, expected=expected, hint=hint)
+
+    def expand(self, one: Call, *, is_value: bool = False) -> None:
+        macro = self.e.macros[one.name]
+        parameters = macro.parameters or ()
+        if (macro.parameters is None) != is_value or len(parameters) != len(one.arguments):
+            wanted = one.name if macro.parameters is None else f"{one.name}({', '.join(parameters)})"
+            self.fail(f"{one.name} is defined otherwise", one.place, expected=wanted)
+        if one.name in self.expanding:
+            self.fail(f"#define {one.name} is made of itself", one.place, got=" > ".join([*self.expanding, one.name]))
+        self.expanding.append(one.name)
+        self.bound.append(dict(zip(parameters, one.arguments, strict=True)))
+        self.compute(macro.body)
+        self.bound.pop()
+        self.expanding.pop()
+
+    def call(self, one: Call) -> None:
+        if one.name in self.e.macros:
+            self.expand(one)
+            return
+        if one.name == "count":
+            self.count(one)
+            return
+        if one.name not in op.BUILTINS:
+            self.fail(f"the function {one.name} is not known", one.place, expected=", ".join([*op.BUILTINS, "count"]))
+        operation, arity = op.BUILTINS[one.name]
+        if len(one.arguments) != arity:
+            self.fail(f"{one.name} takes {arity} argument{'s' * (arity > 1)}", one.place, got=f"{len(one.arguments)}")
+        chosen = one.arguments[0]
+        if one.name == "func" and isinstance(chosen, Number) and chosen.value not in self.e.functions.values():
+            known = ", ".join(self.e.functions) or "none is defined"
+            self.fail(f"there is no function {chosen.value:g}", chosen.place, expected=known)
+        for argument in one.arguments:
+            self.compute(argument)
+        self.e.put(operation, one.place, 1 - arity)
+
+    def count(self, one: Call) -> None:
+        if not self.is_global or len(one.arguments) != 1 or not isinstance(one.arguments[0], Name | Number):
+            self.fail("count(A) counts modules in Start, StartEach and EndEach", one.place, expected="one symbol in it")
+        argument = one.arguments[0]
+        if isinstance(argument, Name) and len(argument.name) > 1:
+            self.fail("a symbol is one character", argument.place, expected="count(A)", got=argument.name)
+        symbol = argument.name if isinstance(argument, Name) else f"{argument.value:g}"
+        slot = self.e.counted.setdefault(symbol, len(self.e.globals))
+        self.e.globals.setdefault(f"count({symbol})", slot)
+        self.e.put(op.LOAD, one.place, 1, slot, Region.GLOBAL)
+
+    def shortcut(self, one: Binary) -> None:
+        """The right side runs only if it decides: it may draw."""
+        self.compute(one.left)
+        self.e.put(op.TRUTH if one.operator == "&&" else op.NOT, one.place, 0)
+        skip = self.e.put(op.JUMP_IF_ZERO, one.place, -1)
+        self.compute(one.right)
+        self.e.put(op.TRUTH, one.place, 0)
+        end = self.e.put(op.JUMP, one.place, -1)
+        self.e.land(skip)
+        self.e.constant(0.0 if one.operator == "&&" else 1.0, one.place)
+        self.e.land(end)
+
+
+def assigned(one: Statement) -> Iterator[str]:
+    """Names that a statement may assign."""
+    if isinstance(one, Assign):
+        yield one.name
+    elif isinstance(one, If):
+        for inner in (*one.then, *one.otherwise):
+            yield from assigned(inner)
+
+
+def number_functions(names: Sequence[str]) -> dict[str, int]:
+    """Numbers of functions: a number that is its name, else the next that is free, from 1 on."""
+    numbers = {name: int(name) for name in names if name.isdigit()}
+    free = (number for number in count(1) if number not in numbers.values())
+    return {name: numbers[name] if name in numbers else next(free) for name in names}
+
+
+def fold(expression: Expression, macros: Mapping[str, Macro], name: str) -> float | None:
+    """Value of an expression of numbers and #defines; None where it needs more, draws, or has no value.
+
+    Raises `LsystemError` for a division by zero.
+    """
+    try:
+        value = _Folder(macros, name).fold(expression)
+    except (OverflowError, ValueError):
+        return None  # the VM reports where
+    return value if value is None or math.isfinite(value) else None
+
+
+class _Folder:
+    """Each #define is computed once, however often it stands."""
+
+    def __init__(self, macros: Mapping[str, Macro], name: str) -> None:
+        self.macros, self.name = macros, name
+        self.known: dict[str, float | None] = {}
+
+    def fold(self, one: Expression) -> float | None:
+        if isinstance(one, Number):
+            return one.value
+        if isinstance(one, Name):
+            return self.named(one.name)
+        if isinstance(one, Unary):
+            value = self.fold(one.operand)
+            return None if value is None else (-value if one.operator == "-" else float(not value))
+        if isinstance(one, Index):
+            return None
+        return self.call(one) if isinstance(one, Call) else self.binary(one)
+
+    def named(self, name: str) -> float | None:
+        macro = self.macros.get(name)
+        if macro is None or macro.parameters is not None:
+            return None
+        if name not in self.known:
+            self.known[name] = None  # if it is made of itself
+            self.known[name] = self.fold(macro.body)
+        return self.known[name]
+
+    def call(self, one: Call) -> float | None:
+        if one.name in self.macros or one.name not in _FUNCTIONS or len(one.arguments) != op.BUILTINS[one.name][1]:
+            return None
+        values = [self.fold(argument) for argument in one.arguments]
+        known = [value for value in values if value is not None]
+        return float(_FUNCTIONS[one.name](*known)) if len(known) == len(values) else None
+
+    def binary(self, one: Binary) -> float | None:
+        left = self.fold(one.left)
+        if one.operator in ("&&", "||") and left is not None and bool(left) == (one.operator == "||"):
+            return float(bool(left))  # the right side never runs
+        right = self.fold(one.right)
+        if one.operator in "/%" and right == 0:
+            where = f"{self.name}:{one.place.line}:{one.place.column}"
+            raise LsystemError("division by zero", where=where)
+        return None if left is None or right is None else float(_OPERATORS[one.operator](left, right))
