@@ -70,9 +70,7 @@ def assemble_image(
 ) -> BuiltScene:
     """Simulate a drawn recipe's community, grow its plants and assemble its scene.
 
-    Parameters
-    ----------
-    memory_budget_bytes : that the image may take; None: what is free now.
+    `memory_budget_bytes`: that the image may take; None: what is free now.
 
     Raises
     ------

@@ -43,9 +43,7 @@ class FileSet:
 
     On any failure, Ctrl-C included, the hidden files go, and the folders that were made for them.
 
-    Parameters
-    ----------
-    overwrite : replace files that exist.
+    `overwrite`: replace files that exist.
     """
 
     def __init__(self, *, overwrite: bool) -> None:
@@ -59,9 +57,7 @@ class FileSet:
     def write(self, path: Path, content: bytes) -> None:
         """Write one file.
 
-        Raises
-        ------
-        OutputError : it exists and may not be replaced, or cannot be written.
+        Raises `OutputError`: it exists and may not be replaced, or cannot be written.
         """
         check_writable([path], overwrite=self._overwrite)
         missing = [folder for folder in path.parents if not folder.exists()]

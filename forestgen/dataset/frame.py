@@ -201,7 +201,12 @@ class Frame:
         return overlay(self.preview, self.instance)
 
     def channel(self, part: str, name: str) -> NDArray[Any]:
-        """(H, W) array of a channel of frame.exr; one that the frame does not have raises `RecipeError`."""
+        """(H, W) array of a channel of frame.exr.
+
+        Raises
+        ------
+        RecipeError : the frame has no such channel.
+        """
         try:
             return self.parts[part][name]
         except KeyError:
@@ -213,8 +218,13 @@ class Frame:
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write the frame's files into a new folder of its name below `folder`; that folder's path.
 
-        With `overwrite` a folder that holds a frame is replaced: it is the old one or the new one, and never a mixture.
-        Another one that is there, or cannot be written, raises `OutputError`.
+        Parameters
+        ----------
+        overwrite : replace the folder if it holds a frame; it is the old one or the new one, and never a mixture.
+
+        Raises
+        ------
+        OutputError : the folder is there already, or cannot be written.
         """
         from forestgen.dataset.folder import OutputFolder
 

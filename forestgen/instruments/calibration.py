@@ -7,7 +7,7 @@ import io
 import json
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -137,9 +137,7 @@ def _numbers(found: Calibration, loaded: LoadedRecipe) -> dict[str, Any]:
             "above_ground_m": found.above_ground_m,
             "normal": list(found.normal),
         },
-        "checks": [
-            {"name": one.name, "value": one.value, "bound": one.bound, "holds": one.holds} for one in found.checks
-        ],
+        "checks": [{**asdict(one), "holds": one.holds} for one in found.checks],
         "delta_e_2000": found.totals,
         "light": {
             "illuminance_lux": found.illuminance_lux,

@@ -39,7 +39,7 @@ from forestgen.instruments.calibration import (
     Check,
     PatchResult,
 )
-from forestgen.instruments.instrument import Direction, Instrument, Place3, Point
+from forestgen.instruments.instrument import DirectionKey, Instrument, Point, PointKey
 from forestgen.instruments.light_meter import LightMeter, place, read
 from forestgen.recipe.fields import Flag, Section, Whole
 from forestgen.render.cloud_shadow import check_far_clouds, near_base_of
@@ -62,8 +62,8 @@ Sources = Callable[[Floats], Sequence[Source]]
 class ColourChartKeys(Section):
     """Keys of a colour chart."""
 
-    at: Annotated[Place3 | None, Field(description="The board's middle, metres. None: above all plants.")] = None
-    normal: Annotated[Direction, Field(description="Where the board looks.")] = (0.0, 0.0, 1.0)
+    at: Annotated[PointKey | None, Field(description="The board's middle, metres. None: above all plants.")] = None
+    normal: Annotated[DirectionKey, Field(description="Where the board looks.")] = (0.0, 0.0, 1.0)
     width_px: Annotated[Whole, Field(ge=64, le=1024, description="Width of the chart's picture.")] = 96
     samples: Annotated[Whole, Field(ge=4, le=65536, description="Light paths a pixel, of each light.")] = 64
     absolute_z: Annotated[Flag, Field(description="Count z from z = 0, not from the ground below.")] = False
@@ -150,9 +150,7 @@ def with_chart(spec: SceneSpec, point_m: Floats, normal: Floats, camera: Camera)
 def find_regions(spec: SceneSpec, camera: Camera, progress: Progress) -> tuple[NDArray[np.int64], list[str]]:
     """(H, W) region of each pixel that lies well inside of one, else -1; and what is to be told.
 
-    Raises
-    ------
-    RecipeError : something hides a patch from its camera.
+    Raises `RecipeError`: something hides a patch from its camera.
     """
     from scipy.ndimage import maximum_filter, minimum_filter
 

@@ -54,9 +54,7 @@ class Instrument(Generic[KeysT, ReadingT]):
     def measure(self, scene: BuiltScene, keys: KeysT, progress: Progress, timings: Timings) -> ReadingT:
         """Measure in the scene of a recipe's first image.
 
-        Raises
-        ------
-        RecipeError : it cannot be measured there.
+        Raises `RecipeError`: it cannot be measured there.
         """
         raise NotImplementedError
 
@@ -64,9 +62,7 @@ class Instrument(Generic[KeysT, ReadingT]):
 def read_keys(instrument: Instrument[KeysT, Any], values: Mapping[str, Any]) -> KeysT:
     """The keys of a measurement.
 
-    Raises
-    ------
-    RecipeError : what is wrong with the first one, by its name.
+    Raises `RecipeError`: what is wrong with the first one, by its name.
     """
     values = {key: value.tolist() if hasattr(value, "tolist") else value for key, value in values.items()}  # of NumPy
     try:
@@ -119,7 +115,7 @@ def _key(read: Callable[[Any], Any]) -> BeforeValidator:
     return BeforeValidator(validated)
 
 
-Place3 = Annotated[Point, _key(point_of)]
-Direction = Annotated[Point, _key(direction_of)]
-Places = Annotated[tuple[Place3, ...], _key(lambda value: tuple(listed(value, "at", "points")))]
-Directions = Annotated[tuple[Direction, ...], _key(lambda value: tuple(listed(value, "normals", "directions")))]
+PointKey = Annotated[Point, _key(point_of)]
+DirectionKey = Annotated[Point, _key(direction_of)]
+PointsKey = Annotated[tuple[PointKey, ...], _key(lambda value: tuple(listed(value, "at", "points")))]
+DirectionsKey = Annotated[tuple[DirectionKey, ...], _key(lambda value: tuple(listed(value, "normals", "directions")))]

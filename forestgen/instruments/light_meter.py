@@ -23,7 +23,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Annotated, Any
 
 import numpy as np
@@ -37,7 +37,7 @@ from forestgen.core.figures import count, table_lines
 from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_seed
 from forestgen.core.spectrum import LUMINANCE, Spectrum
-from forestgen.instruments.instrument import Directions, Instrument, Places, Point, Reading
+from forestgen.instruments.instrument import DirectionsKey, Instrument, Point, PointsKey, Reading
 from forestgen.recipe.fields import Flag, Number, Section, Whole
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.render.cloud_shadow import check_far_clouds
@@ -87,8 +87,8 @@ class LightMeter:
 class LightMeterKeys(Section):
     """Keys of a light meter."""
 
-    at: Annotated[Places, Field(min_length=1, max_length=MOST_POINTS, description="Points, metres, z above ground.")]
-    normals: Annotated[Directions, Field(min_length=1, description="Where the meter looks at each point.")] = (
+    at: Annotated[PointsKey, Field(min_length=1, max_length=MOST_POINTS, description="Points, metres, z above ground.")]
+    normals: Annotated[DirectionsKey, Field(min_length=1, description="Where the meter looks at each point.")] = (
         (0.0, 0.0, 1.0),
     )
     samples: Annotated[
@@ -169,9 +169,7 @@ class LightAtPoints(Instrument[LightMeterKeys, LightReadings]):
 def place(drawn: DrawnRecipe, point: Point, *, above_ground: bool) -> tuple[Point, float]:
     """A point in the world, and its height above ground.
 
-    Raises
-    ------
-    RecipeError : it lies far away, below the ground or in the clouds.
+    Raises `RecipeError`: it lies far away, below the ground or in the clouds.
     """
     said = " ".join(f"{value:g}" for value in point)
     recipe = drawn.recipe
@@ -301,10 +299,7 @@ def _as_csv(meters: Sequence[LightMeter], step_nm: float | None) -> bytes:
     """A row a point; with `step_nm` a column for each step of the spectrum, in W/m²/nm."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    names = [
-        "illuminance_lux", "from_sun", "from_sky", "illuminance_colour_mode_lux", "cct_k", "par_umol_per_m2_s",
-        "irradiance_w_per_m2",
-    ]  # fmt: skip
+    names = [one.name for one in fields(LightMeter) if one.type == "Quantity"]
     header = ["x_m", "y_m", "z_m", "above_ground_m", "normal_x", "normal_y", "normal_z", "duv"]
     header += [column for name in names for column in (name, f"{name}_error")]
     if step_nm is not None and meters:

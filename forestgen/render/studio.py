@@ -114,9 +114,7 @@ def camera_of(exemplar: Exemplar, settings: PictureSettings) -> Camera:
     high as a person's eye, with the lens that this takes. With `look_at_m` a normal lens looks at that height from
     `distance_m`, counted from the nearest leaf or bark there.
 
-    Raises
-    ------
-    RecipeError : `look_at_m` is above the plant; `distance_m` is so small that no lens holds the plant.
+    Raises `RecipeError`: `look_at_m` is above the plant; `distance_m` is so small that no lens holds the plant.
     """
     if settings.look_at_m is not None or settings.window_m is not None:
         return _close(exemplar, settings)
@@ -173,28 +171,17 @@ def _close(exemplar: Exemplar, settings: PictureSettings) -> Camera:
         raise RecipeError(
             "the plant is not so tall", parameter="look_at_m", expected=f"0 to {height:.4g} m", got=f"{level:g}"
         )
-    target = _nearest_point(exemplar, level, size_of_m(exemplar))
-    distance = settings.distance_m or (3.5 * settings.window_m if settings.window_m else 0.35 * size_of_m(exemplar))
+    size_m, points = size_of_m(exemplar), _points(exemplar)
+    off = np.abs(points[:, 2] - level)
+    near = points[off <= max(0.03 * size_m, float(off.min()))]
+    x, y, z = (float(value) for value in near[np.argmin(near[:, 1])])  # the southernmost vertex about that height
+    distance = settings.distance_m or (3.5 * settings.window_m if settings.window_m else 0.35 * size_m)
     lens = _LENS_DEG if settings.window_m is None else 2 * math.degrees(math.atan(settings.window_m / 2 / distance))
     above = (_STOOP if height < _EYE_M else 0.08) * distance
-    position = (target[0], target[1] - distance, max(target[2], 0.0) + above)
-    return _camera(position, target, min(lens, _LENS_DEG), settings.size_px)
-
-
-def _nearest_point(exemplar: Exemplar, level_m: float, size_m: float) -> tuple[float, float, float]:
-    """The southernmost vertex about a height."""
-    points = _points(exemplar)
-    off = np.abs(points[:, 2] - level_m)
-    near = points[off <= max(0.03 * size_m, float(off.min()))]
-    x, y, z = near[np.argmin(near[:, 1])]
-    return float(x), float(y), float(z)
-
-
-def _camera(
-    position: tuple[float, float, float], target: tuple[float, float, float], vertical_deg: float, size: tuple[int, int]
-) -> Camera:
-    half = math.tan(math.radians(vertical_deg) / 2) * size[0] / size[1]
-    return Camera("plant", position, look_at(position, target), size, 2 * math.degrees(math.atan(half)))
+    position, (width_px, height_px) = (x, y - distance, max(z, 0.0) + above), settings.size_px
+    half = math.tan(math.radians(min(lens, _LENS_DEG)) / 2) * width_px / height_px
+    wide_deg = 2 * math.degrees(math.atan(half))
+    return Camera("plant", position, look_at(position, (x, y, z)), settings.size_px, wide_deg)
 
 
 def ground(size_m: float) -> Terrain:

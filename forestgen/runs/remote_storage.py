@@ -38,6 +38,7 @@ from typing import Any
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.files import output_error
+from forestgen.runs.contract import StorageBackend
 from forestgen.runs.records import TaskT, in_order
 from forestgen.runs.remote_store import (
     CONNECTIONS,
@@ -48,7 +49,7 @@ from forestgen.runs.remote_store import (
     storage_errors,
     store_code,
 )
-from forestgen.runs.storage import refusal, this_process
+from forestgen.runs.storage import LocalStorage, refusal, this_process
 
 _STAGING = "forestgen-staging-"
 BEAT_S = 15.0
@@ -56,6 +57,16 @@ PATIENCE_S = 60.0
 SETTLE_S = 2.0  # longer than a small object's way to the store
 _REFUSED = ("PreconditionFailed", "ConditionalRequestConflict", "412", "409")
 _NOT_OFFERED = ("NotImplemented", "501", "InvalidArgument", "InvalidRequest")
+
+
+def storage_of(target: str) -> StorageBackend:
+    """The storage of a data set: a folder's path, or a URL such as ``s3://bucket/forests``."""
+    scheme, separator, rest = target.partition("://")
+    if not separator:
+        return LocalStorage(Path(target).absolute(), target)
+    if scheme == "file":
+        return LocalStorage(Path(rest).absolute(), target)
+    return RemoteStorage(target)
 
 
 @dataclass(frozen=True)

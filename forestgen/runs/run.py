@@ -38,9 +38,10 @@ from forestgen.runs.folder import (
 )
 from forestgen.runs.keys import job_key, versions_hash
 from forestgen.runs.records import done_keys, records_of
+from forestgen.runs.remote_storage import storage_of
 from forestgen.runs.replace import check_replaceable, recover, replacing
 from forestgen.runs.stale_outputs import ResumeDiff, check_stale_outputs, damaged_images, resume_diff
-from forestgen.runs.storage import LocalStorage, storage_of
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.summary import Log, RunSummary, done_fields, failed_fields, write_jobs_table, write_summary
 from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
 from forestgen.scene.planning import check_plan

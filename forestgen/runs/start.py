@@ -19,9 +19,10 @@ from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_disk, check_fits, estimate, most_disk_bytes
 from forestgen.runs.folder import check_ours, fingerprint
 from forestgen.runs.keys import versions_hash
+from forestgen.runs.remote_storage import storage_of
 from forestgen.runs.replace import previous_note
 from forestgen.runs.run import check_recipe, finished_images, images_of, run_batch
-from forestgen.runs.storage import LocalStorage, storage_of
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.summary import RunSummary
 from forestgen.runs.tracker import Display
 from forestgen.runs.work import InProcessEngine, make_job

@@ -25,23 +25,11 @@ from typing import Any
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.files import make_folder, output_error, write_bytes
 from forestgen.dataset.safe_path import RefusedFileError, SafePath, is_inside, unreadable
-from forestgen.runs.contract import HIDDEN, StorageBackend
+from forestgen.runs.contract import HIDDEN
 
 LOCK_FILES = _LOCK, _HOLDER = "lock", "holder.json"  # the latter says who holds the lock
 STAGING = f"{HIDDEN}/staging"
 _SYNCED_AT_ONCE = 16
-
-
-def storage_of(target: str) -> StorageBackend:
-    """The storage of a data set: a folder's path, or a URL such as ``s3://bucket/forests``."""
-    scheme, separator, rest = target.partition("://")
-    if not separator:
-        return LocalStorage(Path(target).absolute(), target)
-    if scheme == "file":
-        return LocalStorage(Path(rest).absolute(), target)
-    from forestgen.runs.remote_storage import RemoteStorage  # loads fsspec
-
-    return RemoteStorage(target)
 
 
 @dataclass(frozen=True)

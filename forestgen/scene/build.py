@@ -68,9 +68,7 @@ class BuiltScene:
 def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
     """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras.
 
-    Parameters
-    ----------
-    population : as it was simulated, heights above the ground.
+    `population`: as it was simulated, heights above the ground.
     """
     return _Assembly(plan, population, progress, timer).scene()
 

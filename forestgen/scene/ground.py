@@ -24,9 +24,7 @@ _LEAST_MM = 1e-6  # of water: less would divide to infinity, or by 0
 def height_field(drawn: DrawnRecipe) -> HeightField:
     """Height of the ground at any x and y; the same object whenever a recipe's image is asked for again.
 
-    Raises
-    ------
-    RecipeError : a map of heights that cannot be read, has holes, or has not the site's shape; with its line.
+    Raises `RecipeError`: a map of heights that cannot be read, has holes, or has not the site's shape; with its line.
     """
     site = drawn.recipe.site
     try:

@@ -65,9 +65,7 @@ _WEATHERED = Material.model_validate(
 def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camera]) -> ExemplarPlan:
     """Sizes, variants and levels of detail that the plants need.
 
-    Raises
-    ------
-    RecipeError : a trait that the plants do not have.
+    Raises `RecipeError`: a trait that the plants do not have.
     """
     section = plan.drawn.recipe.plants
     check_traits(section.traits, population, plan.drawn.where("plants", "traits"))
@@ -154,9 +152,7 @@ def _plan_own_plants(
     own : (N,) plants that have such branches.
     pixel_m : (N,) what a pixel covers of each plant where it is seen largest.
 
-    Raises
-    ------
-    ResourceError : the recipe asks for more plants as themselves than the memory holds.
+    Raises `ResourceError`: the recipe asks for more plants as themselves than the memory holds.
     """
     section, seed = plan.drawn.recipe.plants, plan.drawn.image_seed
     triangles = cache(lambda: _triangles(plan, population, own))
@@ -240,9 +236,7 @@ def exemplar_requests(
 ) -> list[ExemplarRequest]:
     """What to grow, all but buildings. A plant's randomness belongs to its species, cluster's rank and variant.
 
-    Parameters
-    ----------
-    population : of the plan, which plants that grew branches of their own are part of.
+    `population`: of the plan, which plants that grew branches of their own are part of.
     """
     names = list(plan.drawn.species)
     own = {} if population is None else _own_requests(plan, exemplar_plan, population)

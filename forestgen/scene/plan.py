@@ -57,9 +57,7 @@ class Plan:
 def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) -> dict[str, int]:
     """Peak memory by what takes it: an upper estimate, without simulating.
 
-    Parameters
-    ----------
-    plants : how many the scene will hold; before the simulation nobody knows, and their share is left out.
+    `plants`: how many the scene will hold; before the simulation nobody knows, and their share is left out.
     """
     recipe, stand = plan.drawn.recipe, plan.community
     try:
@@ -142,9 +140,7 @@ def check_memory(
 ) -> None:
     """Raise `ResourceError` if the estimate does not fit into memory; see `estimate_bytes`.
 
-    Parameters
-    ----------
-    memory_budget_bytes : memory that there is for it; None: what is free now.
+    `memory_budget_bytes`: memory that there is for it; None: what is free now.
     """
     free = int((free_bytes() if memory_budget_bytes is None else memory_budget_bytes) * _SHARE_OF_MEMORY)
     parts = estimate_bytes(plan, simulate_only=simulate_only, plants=plants)

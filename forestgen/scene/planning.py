@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from forestgen.atmosphere.clouds.source import cloud_source_of
 from forestgen.community.capabilities import HasObstacles, OwnSkeletons, PlanChecks, capability, models_with
 from forestgen.community.disturbance import Ground
@@ -83,15 +81,25 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
 
 def _check_community(plan: CommunityPlan, errors: ErrorList, stand_ins: frozenset[str]) -> None:
     """What the community's keys and those of other sections say of each other."""
+    drawn, parameters = plan.drawn, plan.parameters
     if "species" not in stand_ins:
         had = len(errors.found)
-        for keys, name in plan.parameters.named_species():
-            errors.attempt(_check_named_species, plan.drawn, keys, name)
+        for keys, name in parameters.named_species():
+            errors.attempt(_check_named_species, drawn, keys, name)
         if len(errors.found) > had:
             stand_ins |= {"species"}
-    for check, sections in _CHECKS_OF_THE_COMMUNITY:
-        if not sections & stand_ins:
-            errors.attempt(check, plan)
+    if "site" in stand_ins:
+        return
+    if "species" not in stand_ins:
+        errors.attempt(_check_disturbances, plan)
+    errors.attempt(_check_buildings, plan)
+    own_checks = capability(plan.model, PlanChecks)
+    if own_checks is not None and "species" not in stand_ins:
+        errors.attempt(own_checks.check_recipe, drawn, parameters)
+    errors.attempt(check_wet_soil, plan)
+    if "sky" not in stand_ins:
+        errors.attempt(cloud_source_of(drawn).check_community, drawn, plan.model, parameters)
+    errors.attempt(check_maps, parameters, drawn.recipe.site.size_m, lambda *keys: drawn.where("community", *keys))
 
 
 def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
@@ -197,30 +205,6 @@ def _check_buildings(plan: CommunityPlan) -> None:
             got=drawn.recipe.community.model,
             hint="leave out site.buildings",
         )
-
-
-def _check_models_own(plan: CommunityPlan) -> None:
-    checks = capability(plan.model, PlanChecks)
-    if checks is not None:
-        checks.check_recipe(plan.drawn, plan.parameters)
-
-
-def _check_clouds_of_community(plan: CommunityPlan) -> None:
-    cloud_source_of(plan.drawn).check_community(plan.drawn, plan.model, plan.parameters)
-
-
-def _check_maps(plan: CommunityPlan) -> None:
-    check_maps(plan.parameters, plan.drawn.recipe.site.size_m, lambda *keys: plan.drawn.where("community", *keys))
-
-
-_CHECKS_OF_THE_COMMUNITY: tuple[tuple[Callable[[CommunityPlan], None], frozenset[str]], ...] = (
-    (_check_disturbances, frozenset({"species", "site"})),
-    (_check_buildings, frozenset({"site"})),
-    (_check_models_own, frozenset({"species", "site"})),
-    (check_wet_soil, frozenset({"site"})),
-    (_check_clouds_of_community, frozenset({"sky", "site"})),
-    (_check_maps, frozenset({"site"})),
-)
 
 
 def _check_traits(plan: Plan) -> None:

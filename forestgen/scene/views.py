@@ -30,9 +30,7 @@ _ROOF_M = 0.5  # its thickness, and more: a camera on the roof is outside
 def drawn_cameras(drawn: DrawnRecipe, trunks: Trunks | None = None) -> list[list[Camera]]:
     """The cameras of each entry; walks go straight where no trunks are given.
 
-    Raises
-    ------
-    RecipeError, AssetError : bands that no file has, or a walk without a way, with its line.
+    Raises `RecipeError, AssetError`: bands that no file has, or a walk without a way, with its line.
     """
     bands = _bands(drawn)
     cameras = []
@@ -112,9 +110,7 @@ class Views:
     def check_outside_of_buildings(self) -> list[str]:
         """Notes on cameras inside of buildings, which see dark walls, of entries whose `obstructed` is a note.
 
-        Raises
-        ------
-        RecipeError : a camera of another entry, with its line.
+        Raises `RecipeError`: a camera of another entry, with its line.
         """
         buildings = self.drawn.recipe.site.buildings
         if not buildings:
@@ -155,9 +151,7 @@ def _is_within(building: Building, at_m: NDArray[np.float64]) -> NDArray[np.bool
 def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks: Trunks) -> list[str]:
     """Notes on cameras in trunks or right before them, of entries whose `obstructed` is a note.
 
-    Raises
-    ------
-    RecipeError : a camera of another entry, with its line.
+    Raises `RecipeError`: a camera of another entry, with its line.
     """
     notes = []
     for index, entry in enumerate(cameras):

@@ -17,9 +17,9 @@ from forestgen.recipe.load import load_recipe
 from forestgen.runs import remote_storage, remote_store
 from forestgen.runs.contract import Done, Job, JobRun, Notice, Outcome, StorageBackend, Work
 from forestgen.runs.records import records_of
-from forestgen.runs.remote_storage import RemoteLock, RemoteStorage
+from forestgen.runs.remote_storage import RemoteLock, RemoteStorage, storage_of
 from forestgen.runs.run import run_batch
-from forestgen.runs.storage import LocalStorage, storage_of
+from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import failure_kind, make_job
 
 _SECRET = "vErYsEcReTkEy"

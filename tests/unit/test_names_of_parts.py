@@ -47,6 +47,7 @@ FOLDERS = {"label channel": ("labels/", "dataset/", "instruments/", "pipeline.py
 REGISTRY_FILES = {"recipe/registries.py", "community/registry.py", "plants/registry.py"}
 OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "instruments/instrument.py": {"points"},  # what a list holds, for its error
+    "labels/gap_fraction.py": {"gap_fraction"},  # a field of canopy.json
     "api/points.py": {"points"},  # a parameter
     "community/fitting/report.py": {"points"},  # a key of community model strauss
     "dataset/check/frame_data.py": {"coverage"},  # a part of frame.exr

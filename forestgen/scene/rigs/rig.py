@@ -64,13 +64,9 @@ class Rig(Generic[KeysT]):
     def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
         """Where the images are taken from.
 
-        Parameters
-        ----------
-        trunks : that the camera may have to go around; None: not known yet.
+        `trunks`: that the camera may have to go around; None: not known yet.
 
-        Raises
-        ------
-        RecipeError : there is no way; its `where` is a key below the camera.
+        Raises `RecipeError`: there is no way; its `where` is a key below the camera.
         """
         raise NotImplementedError
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import DatasetError, OutputError
-from forestgen.runs.storage import LocalStorage, storage_of
+from forestgen.runs.remote_storage import storage_of
+from forestgen.runs.storage import LocalStorage
 
 
 def staged(place: LocalStorage, **files: str) -> Path:

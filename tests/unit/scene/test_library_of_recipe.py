@@ -146,10 +146,10 @@ def test_proportions_stay_near_the_plants_own(recipe: Path) -> None:
     for image in range(12):
         drawn = planned(recipe, image)
         for name, species in drawn.drawn.species.items():
-            law, grown = (one.allometry.height_m for one in (species, modelled_species(drawn, name)))
+            law, grown = (one.allometry.height_m for one in (species, modelled_species(drawn.drawn, name)))
             assert abs(np.log(grown.scale / law.scale)) <= np.log(1.15) / 2 + 1e-12
             assert grown.exponent == law.exponent
-            assert modelled_species(drawn, name).allometry.width_m == species.allometry.width_m
+            assert modelled_species(drawn.drawn, name).allometry.width_m == species.allometry.width_m
 
 
 @pytest.mark.parametrize(
