@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from forestgen.community.population import Population
 from forestgen.community.simulation import (
@@ -28,7 +28,6 @@ from forestgen.dataset.formats.format import check_ids
 from forestgen.dataset.manifest import build_manifest, write_manifest
 from forestgen.dataset.settings import DatasetSettings, class_map
 from forestgen.dataset.writer import frame_folder_name, frame_row, write_frame, write_maps
-from forestgen.instruments.instrument import Instrument, KeysT, ReadingT
 from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
@@ -42,6 +41,9 @@ from forestgen.scene.plan import Plan, check_memory
 from forestgen.scene.planning import check_plan
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import Camera
+
+if TYPE_CHECKING:
+    from forestgen.instruments.instrument import Instrument, KeysT, ReadingT
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import BeforeValidator, ValidationError
+from pydantic import AllowInfNan, BeforeValidator, ValidationError
 
 from forestgen.core.arguments import listed, shown
 from forestgen.core.errors import RecipeError
@@ -115,7 +115,8 @@ def _key(read: Callable[[Any], Any]) -> BeforeValidator:
     return BeforeValidator(validated)
 
 
-PointKey = Annotated[Point, _key(point_of)]
+_Metres = Annotated[float, AllowInfNan(True)]  # whether it lies on the site is checked with the site
+PointKey = Annotated[tuple[_Metres, _Metres, _Metres], _key(point_of)]
 DirectionKey = Annotated[Point, _key(direction_of)]
 PointsKey = Annotated[tuple[PointKey, ...], _key(lambda value: tuple(listed(value, "at", "points")))]
 DirectionsKey = Annotated[tuple[DirectionKey, ...], _key(lambda value: tuple(listed(value, "normals", "directions")))]
