@@ -1,7 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,12 @@ from forestgen.dataset.writer import frame_bytes, write_frame
 from forestgen.recipe.camera_keys import Exposure
 from forestgen.recipe.spectra import load_bands
 from forestgen.render.frame import Radiance
+
+
+def replace(one, **changes):
+    """A copy of a dataclass, or of a section of a recipe."""
+    return one.model_copy(update=changes) if isinstance(one, Exposure) else dataclasses.replace(one, **changes)
+
 
 PLAIN = Exposure(f_number=4.0, shutter_s=0.01, iso=100.0, mosaic=False)
 SIDE = 64

@@ -78,9 +78,10 @@ def test_species_with_modules_have_their_materials(tmp_path: Path) -> None:
     for name, one in drawn.species.items():
         key = "modules_plant" if one.modules_plant is not None else "plant"
         plant = drawn.data["species"][name][key]
-        parameters = drawn.parse(GENERATORS.load(plant["generator"]).Parameters, plant, ("species", name, key))
-        used = {parameters.wood.material, parameters.wood.branch_material or parameters.wood.material}
-        assert used <= set(one.materials), name
+        if plant["generator"] == "branch_modules":
+            parameters = drawn.parse(GENERATORS.load(plant["generator"]).Parameters, plant, ("species", name, key))
+            used = {parameters.wood.material, parameters.wood.branch_material or parameters.wood.material}
+            assert used <= set(one.materials), name
         assert biome.shipped_plant_types()[name] == one.modules  # the quick reading of the section is the whole one
 
 
