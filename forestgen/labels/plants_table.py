@@ -89,13 +89,16 @@ def plant_views(
         row = rows_of(amodal.plant_id, plant_id)
         alone[row] = np.column_stack([amodal.pixels, amodal.box_px])
         area[row], full_box[row] = amodal.area_px, amodal.full_box_px
+    fraction = np.divide(visible.visible_area_px, area, out=np.full(count, np.nan), where=area > 0.0)
     return PlantViews(
         visible=visible,
         amodal_pixels=alone[:, 0],
         amodal_area_px=area,
         amodal_box_px=alone[:, 1:].astype(np.int32),
         full_box_px=full_box,
-        visible_fraction=_fraction(visible.visible_area_px, area),
+        visible_fraction=np.minimum(
+            fraction, 1.0
+        ),  # a ray along an edge may meet a plant in the scene and miss it alone
         truncation=truncation(full_box, frame.camera.size_px),
         stem_pixels=_counts(plant_id, pixels.instance[pixels.part == Part.TRUNK]),
         keypoint_px=keypoint_px,
@@ -121,14 +124,6 @@ def truncation(full_box_px: NDArray[np.float64], size_px: tuple[int, int]) -> ND
     share = np.divide(kept, extent, out=np.ones_like(kept), where=extent > 0.0).prod(axis=1)
     outside = 1.0 - np.where(within, share, 0.0)
     return np.asarray(np.where(np.isnan(full_box_px).any(axis=1), np.nan, outside))
-
-
-def _fraction(visible_px: NDArray[np.float64], alone_px: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Visible over amodal area; NaN where the latter is none or unknown."""
-    share = np.full(len(visible_px), np.nan)
-    np.divide(visible_px, alone_px, out=share, where=alone_px > 0.0)
-    # A ray along the edge of two triangles may meet a plant in the scene and miss it alone.
-    return np.asarray(np.minimum(share, 1.0))
 
 
 def _states(
@@ -163,24 +158,19 @@ def visible_plants(
     instance : (H, W) from `forestgen.labels.masks.instance_mask`.
     """
     pixels, box = _boxes(plant_id, instance)
+    ids, count = np.unique(samples, return_counts=True)
+    area = np.zeros(len(plant_id))
+    area[rows_of(ids[ids != 0], plant_id)] = count[ids != 0] / samples.shape[2]
     height, width = instance.shape
     far = box[:, :2] + box[:, 2:]
     touches = (box[:, 0] == 0) | (box[:, 1] == 0) | (far[:, 0] == width) | (far[:, 1] == height)
     return VisiblePlants(
         plant_id=plant_id,
         visible_pixels=pixels,
-        visible_area_px=_areas(plant_id, samples),
+        visible_area_px=area,
         box_px=box,
         truncated=touches & (pixels > 0),
     )
-
-
-def _areas(plant_id: NDArray[np.uint32], samples: NDArray[np.uint32]) -> NDArray[np.float64]:
-    ids, count = np.unique(samples, return_counts=True)
-    plants = ids != 0
-    area = np.zeros(len(plant_id))
-    area[rows_of(ids[plants], plant_id)] = count[plants] / samples.shape[2]
-    return area
 
 
 def _boxes(plant_id: NDArray[np.uint32], instance: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:

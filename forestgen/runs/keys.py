@@ -17,7 +17,7 @@ _SOURCES = (
 # Of these, what only reads frames, writes the files over all of them, or checks and shows what people give and see.
 _WITHOUT = (
     "community/fitting/report.py", "community/point_statistics.py", "core/streams.py",
-    "dataset/card.py", "dataset/check", "dataset/checksums.py", "dataset/exr_chunks.py",
+    "dataset/card.py", "dataset/check", "dataset/exr_chunks.py",
     "dataset/frame.py", "dataset/index.py", "dataset/pack", "dataset/report",
 )  # fmt: skip
 _COMPUTE_WITH = (

@@ -177,11 +177,10 @@ def measures(frame: FrameData) -> Iterator[Finding]:
                     yield _finding(frame, problem, number(stored), number(got), one["plant_id"])
 
 
-def _has_amodal(frame: FrameData) -> bool:
-    return any("amodal_segmentation" in one for one in _annotations(frame))
-
-
-@frame_check("coco amodal", "amodal masks hold visible ones", _FILE, share=_FORMAT, when=_has_amodal, shared=True)
+@frame_check(
+    "coco amodal", "amodal masks hold visible ones", _FILE, share=_FORMAT, shared=True,
+    when=lambda frame: any("amodal_segmentation" in one for one in _annotations(frame)),
+)  # fmt: skip
 def amodal(frame: FrameData) -> Iterator[Finding]:
     """amodal_segmentation holds the visible mask; its area and box are its own."""
     for one in _annotations(frame):

@@ -129,7 +129,10 @@ def _png(root: Path, name: str) -> Iterator[Image]:
 
 
 def read_recipe(root: Path, name: str) -> dict[str, Any]:
-    """Sections labels, dataset, wind and render of a drawn recipe, and its species as a list of names in order."""
+    """Sections labels, dataset, wind and render of a drawn recipe, and the names of all that has instances.
+
+    Those, as `species`, are its species and then the kinds of its buildings, as in `Recipe.labelled_names`.
+    """
     try:
         recipe = parse_yaml(_excerpt(read_text(root, name)), name, error=DatasetError)[0]
     except DatasetError as error:
@@ -140,18 +143,22 @@ def read_recipe(root: Path, name: str) -> dict[str, Any]:
     for key, section in sections.items():
         if not isinstance(section, dict):
             raise UnreadableError(Finding(name, f"{key} is no section", expected="a mapping", got=str(section)[:80]))
-    return {**sections, "species": [str(species) for species in recipe["species"]]}
+    site = recipe.get("site")
+    kinds = [one["kind"] for one in site["buildings"]] if isinstance(site, dict) and site.get("buildings") else []
+    return {**sections, "species": [*map(str, recipe["species"]), *dict.fromkeys(map(str, kinds))]}
 
 
 def _excerpt(text: str) -> str:
-    """The wanted sections, and the species' names without what they are."""
+    """The wanted sections, the species' names without what they are, and the kinds of buildings."""
     sections = {block.partition(":")[0]: block for block in _SECTION.split(text)}
     kept = [sections[key] for key in _WANTED if key in sections]
     species = sections.get("species", "")
     if species.startswith("species:\n"):
         names = re.findall(r"(?m)^  (\S[^:\n]*):", species)
         species = "species:\n" + "".join(f"  {name}:\n" for name in names)
-    return "".join([species, *kept])
+    kinds = re.findall(r"(?m)^  - kind: \S+\n", sections.get("site", "").partition("\n  buildings:\n")[2])
+    site = ["site:\n  buildings:\n", *kinds] if kinds else []
+    return "".join([species, *site, *kept])
 
 
 def class_names(recipe: Mapping[str, Any]) -> list[str]:

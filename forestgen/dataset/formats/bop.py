@@ -36,7 +36,7 @@ import contextlib
 from collections.abc import Iterable, Mapping
 from itertools import groupby
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +128,7 @@ def _merge_scene(root: Path, scene: Path, folders: list[str]) -> None:
             shard = read_shard(home / SHARD_NAME, _SHARD)
             shard["scene_camera"]["frame"] = folder
             for name, stream in zip(SCENE_FILES, streams, strict=True):
-                _write_entry(stream, image, shard[name])
+                stream.write(("{\n" if image == 0 else ",\n") + f'"{image}":{json_text(shard[name])}')
             place(root / folder / "preview.png", scene / "rgb" / f"{image:06d}.png")
             place(home / "depth.png", scene / "depth" / f"{image:06d}.png")
             for mask in MASK_FOLDERS:
@@ -136,11 +136,6 @@ def _merge_scene(root: Path, scene: Path, folders: list[str]) -> None:
                     place(home / mask / f"{plant:06d}.png", scene / mask / f"{image:06d}_{plant:06d}.png")
         for stream in streams:
             stream.write("\n}\n")
-
-
-def _write_entry(stream: IO[str], image: int, content: Any) -> None:
-    """An image's entry of a file whose keys are images' numbers."""
-    stream.write(("{\n" if image == 0 else ",\n") + f'"{image}":{json_text(content)}')
 
 
 def _camera_entry(labelled: LabelledFrame, depth_unit_m: float) -> dict[str, Any]:

@@ -71,7 +71,9 @@ class Yolo(DatasetFormat):
             make_folder(home / "labels")
             for folder in frames:
                 shard = root / folder / f"yolo_{task}.txt"
-                _check_whole(shard)
+                text = read_bytes(shard)
+                if text and not text.endswith(b"\n"):  # it ends within a line
+                    raise damaged(shard)
                 place(shard, home / "labels" / f"{folder}.txt")
                 place(root / folder / "preview.png", home / "images" / f"{folder}.png")
             write_bytes(home / "data.yaml", f"train: images\nval: images\n{_names(settings)}".encode())
@@ -127,10 +129,3 @@ def box_lines(labelled: LabelledFrame) -> list[str]:
 def _shares(length_px: int) -> list[str]:
     """Text of the share of each pixel along a side."""
     return [f"{(pixel + _WITHIN_PIXEL) / length_px:.{_DIGITS}f}" for pixel in range(length_px)]
-
-
-def _check_whole(shard: Path) -> None:
-    """A file of lines that ends within a line was cut short."""
-    text = read_bytes(shard)
-    if text and not text.endswith(b"\n"):
-        raise damaged(shard)

@@ -55,7 +55,8 @@ class HuggingFace(Pack):
         while held is not None:
             with _File(folder / _FOLDER / f"{split}-{len(counts):05d}.part", schema, columns) as file:
                 while held is not None:
-                    size_bytes = _row_bytes(held, columns)
+                    texts_bytes = len(json_text([held.camera, held.row])) + len(columns) * _VALUE_BYTES
+                    size_bytes = sum(map(len, held.contents.values())) + texts_bytes
                     if file.frames and file.bytes_with(size_bytes) > contents.shard_bytes:
                         break
                     file.add(held, size_bytes)
@@ -117,11 +118,6 @@ def _schema(columns: Sequence[Column]) -> Any:
     text = json.dumps({"info": {"features": features}})
     fields = [(column.name, _arrow_type(column.feature)) for column in columns]
     return pa.schema(fields, metadata={"huggingface": text})
-
-
-def _row_bytes(sample: Sample, columns: Sequence[Column]) -> int:
-    contents = sum(len(content) for content in sample.contents.values())
-    return contents + len(json_text([sample.camera, sample.row])) + len(columns) * _VALUE_BYTES
 
 
 class _File:

@@ -175,7 +175,10 @@ def choose_channels(folders: Sequence[SafePath], wanted: Sequence[str] | None) -
     needs_exr = any(name not in CHANNELS or CHANNELS[name].part for name in wanted)
     exr = _read_exr(folder / _EXR_FILE) if needs_exr and (folder / _EXR_FILE).is_file() else {}
     for name in wanted:
-        if name not in CHANNELS or not (_has(folder, CHANNELS[name], exr) or _any_has(folders[1:], CHANNELS[name])):
+        channel = CHANNELS.get(name)
+        # A file that the first frame alone lacks is missing; arrays are judged by the first frame alone.
+        others = () if channel is None or channel.part else folders[1:]
+        if channel is None or not (_has(folder, channel, exr) or any((one / channel.file).is_file() for one in others)):
             exr = exr or _read_exr(folder / _EXR_FILE)
             known = [one for one in CHANNELS if _has(folder, CHANNELS[one], exr)]
             hint = "take depth_m, or make the data set with dataset.formats: [depth_png]" if name == "depth" else None
@@ -188,11 +191,6 @@ def choose_channels(folders: Sequence[SafePath], wanted: Sequence[str] | None) -
 def _has(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]]) -> bool:
     there = (folder / channel.file).is_file()
     return there and (not channel.part or all(one in exr.get(channel.part, {}) for one in channel.layers))
-
-
-def _any_has(folders: Sequence[SafePath], channel: Channel) -> bool:
-    """Whether another frame has the file, so that the first one lacks it. Arrays are judged by the first alone."""
-    return not channel.part and any((folder / channel.file).is_file() for folder in folders)
 
 
 def measure_frame(folder: SafePath, channels: Sequence[Channel]) -> int:

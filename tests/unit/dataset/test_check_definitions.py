@@ -197,12 +197,13 @@ def test_a_camera_that_is_none_is_refused(change):
 
 def test_of_a_recipe_the_labels_are_read(tmp_path):
     (tmp_path / "recipe.yaml").write_text(
-        "forestgen: 1\nspecies:\n  oak:\n    plant: {a: 1}\n    list:\n    - {b: 2}\n  red beech:\n    x: 1\n"
+        "forestgen: 1\nsite:\n  terrain: {kind: flat}\n  buildings:\n  - kind: house\n    size_m: [3, 4, 5]\n"
+        "  - kind: house\nspecies:\n  oak:\n    plant: {a: 1}\n    list:\n    - {b: 2}\n  red beech:\n    x: 1\n"
         "cameras:\n- name: a\n  labels: 3\nlabels:\n  samples: 4\n  classes:\n    tree trunk: [trunk]\n"
         "wind: {speed_m_per_s: 4}\n"
     )
     recipe = read_recipe(tmp_path, "recipe.yaml")
-    assert recipe["species"] == ["oak", "red beech"]
+    assert recipe["species"] == ["oak", "red beech", "house"]
     assert recipe["labels"] == {"samples": 4, "classes": {"tree trunk": ["trunk"]}}
     assert recipe["wind"] == {"speed_m_per_s": 4}
     assert recipe["dataset"] == {}

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
+import dataclasses
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,8 +18,18 @@ from forestgen.recipe.camera_keys import Exposure
 from forestgen.recipe.spectra import load_bands
 from forestgen.render.frame import Radiance
 
+
+def replace(one, **changes):
+    """A copy of a dataclass, or of a section of a recipe."""
+    return one.model_copy(update=changes) if isinstance(one, Exposure) else dataclasses.replace(one, **changes)
+
+
 PLAIN = Exposure(f_number=4.0, shutter_s=0.01, iso=100.0, mosaic=False)
 SIDE = 64
+
+
+def changed(exposure, **keys):
+    return exposure.model_copy(update=keys)
 
 
 def flat(value, size=SIDE, **kept):
@@ -75,7 +85,7 @@ def linear(made, camera):
 )
 def test_the_mean_leads_back_to_the_radiance(value, about, vignette, mosaic):
     camera = square(256)
-    exposure = replace(PLAIN, shutter_s=None, mosaic=mosaic, vignetting=vignette, compensation_ev=-1.0)
+    exposure = changed(PLAIN, shutter_s=None, mosaic=mosaic, vignetting=vignette, compensation_ev=-1.0)
     made = raw_image(flat(value, 256, **about), camera, exposure, 3)
     assert (made.facts["mosaic"] is not None) == (mosaic and len(value) == 3)
     for name, truth in zip(made.facts["channels"], value, strict=True):
@@ -88,7 +98,7 @@ def test_the_mean_leads_back_to_the_radiance(value, about, vignette, mosaic):
 
 def test_photon_transfer_curve():
     """Variance over mean has the slope 1 / gain, and begins at the read noise."""
-    exposure = replace(PLAIN, bits=16, read_noise_electrons=5.0, iso=400.0)
+    exposure = changed(PLAIN, bits=16, read_noise_electrons=5.0, iso=400.0)
     black, _, gain = levels(exposure)
     assert gain == pytest.approx(30_000 / 4 / (65_535 - black))
     mean, variance, count = [], [], 3 * SIDE**2
@@ -107,7 +117,7 @@ def test_photon_transfer_curve():
 @pytest.mark.parametrize("iso", [100.0, 200.0, 6400.0])
 def test_saturation_is_at_78_by_iso(iso):
     """ISO 12232; and it fills the well at the base iso, half of it at twice that."""
-    exposure = replace(PLAIN, iso=iso, read_noise_electrons=0.0)
+    exposure = changed(PLAIN, iso=iso, read_noise_electrons=0.0)
     black, white, gain = levels(exposure)
     assert gain * (white - black) == pytest.approx(30_000 * 100 / iso)
     below = raw_image(flat(0.8 * at_saturation(exposure)), square(), exposure, 0).planes["raw-R.png"]
@@ -121,7 +131,7 @@ def test_the_sun_is_white_and_the_dark_is_black():
     light.mean[0, 0] = 1.6e9
     light.mean[0, 1] = np.inf
     light.mean[1] = -3.0
-    exposure = replace(PLAIN, read_noise_electrons=2.0)
+    exposure = changed(PLAIN, read_noise_electrons=2.0)
     black, white, gain = levels(exposure)
     numbers = raw_image(light, square(), exposure, 0).planes["raw-G.png"].astype(float)
     assert (numbers[0, :2] == white).all()
@@ -162,7 +172,7 @@ def test_a_metered_picture_is_at_an_eighth_of_saturation(compensation, about):
 
 def test_a_camera_sees_white_in_its_own_colours():
     """Electrons are in proportion to the integral of response times light; the strongest is the luminance's."""
-    exposure = replace(PLAIN, read_noise_electrons=0.0)
+    exposure = changed(PLAIN, read_noise_electrons=0.0)
     level = 0.5 * at_saturation(exposure)
     own = CAMERA_BANDS["bands"]
     light = flat([band.mean(d65()) * level for band in own], 256, **CAMERA_BANDS)
@@ -228,7 +238,7 @@ def test_the_denoised_light_is_taken_where_there_is_one():
 
 
 def test_files_are_of_sixteen_bits(tmp_path):
-    made = raw_image(flat(500.0), square(), replace(PLAIN, mosaic=True, bits=16), 0)
+    made = raw_image(flat(500.0), square(), changed(PLAIN, mosaic=True, bits=16), 0)
     write_raw(tmp_path, made)
     with Image.open(tmp_path / "raw.png") as image:
         assert image.mode == "I;16"
@@ -250,11 +260,11 @@ def photographed(folder, exposure, about=None, **kept):
     return FrameData(FrameTask(folder, "000000-a", {}, {}))
 
 
-EXPOSED = replace(PLAIN, shutter_s=None, vignetting=0.7)
+EXPOSED = changed(PLAIN, shutter_s=None, vignetting=0.7)
 
 
 @pytest.mark.parametrize("denoised", [True, False])
-@pytest.mark.parametrize("exposure", [EXPOSED, replace(EXPOSED, mosaic=True), replace(EXPOSED, iso=25_600.0, bits=8)])
+@pytest.mark.parametrize("exposure", [EXPOSED, changed(EXPOSED, mosaic=True), changed(EXPOSED, iso=25_600.0, bits=8)])
 def test_what_is_written_passes_the_check(tmp_path, exposure, denoised):
     frame = photographed(tmp_path, exposure, denoised=denoised)
     assert light.raw.applies(frame)
@@ -279,7 +289,7 @@ def test_the_estimate_of_disk_space_holds(tmp_path):
 def test_rows_at_a_time_change_nothing(monkeypatch):
     light = flat(300.0)
     light.mean[::3] *= 2
-    exposure = replace(PLAIN, shutter_s=None, vignetting=1.0, mosaic=True)
+    exposure = changed(PLAIN, shutter_s=None, vignetting=1.0, mosaic=True)
     first = raw_image(light, square(), exposure, 7)
     monkeypatch.setattr(raw, "_ROWS", 10)
     again = raw_image(light, square(), exposure, 7)
@@ -327,7 +337,7 @@ def damaged(frame, what):
     ],
 )
 def test_the_check_finds_what_is_wrong(tmp_path, what, words):
-    frame = photographed(tmp_path, replace(EXPOSED, mosaic=True))
+    frame = photographed(tmp_path, changed(EXPOSED, mosaic=True))
     damaged(frame, what)
     found = [finding.problem for finding in light.raw.findings(frame)]
     assert any(words in problem for problem in found), found

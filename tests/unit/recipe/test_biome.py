@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.plants.generators.branch_modules import Parameters
+from forestgen.plants.registry import GENERATORS
 from forestgen.recipe import biome
 from forestgen.recipe.assets import list_assets, recipes_dir
 from forestgen.recipe.load import dump_yaml, load_recipe
@@ -71,7 +71,7 @@ def test_prototypes_that_types_name_exist() -> None:
         assert set(one.prototypes) <= known
 
 
-def test_species_with_modules_can_be_clothed(tmp_path: Path) -> None:
+def test_species_with_modules_have_their_materials(tmp_path: Path) -> None:
     names = list(biome.shipped_plant_types())
     path = recipe(tmp_path, "initial_plants: 1", f"species: {{{', '.join(name + ': ' for name in names)}}}\n")
     drawn = load_recipe(path).draw(0)
@@ -79,7 +79,7 @@ def test_species_with_modules_can_be_clothed(tmp_path: Path) -> None:
         key = "modules_plant" if one.modules_plant is not None else "plant"
         plant = drawn.data["species"][name][key]
         if plant["generator"] == "branch_modules":
-            parameters = drawn.parse(Parameters, plant, ("species", name, key))
+            parameters = drawn.parse(GENERATORS.load(plant["generator"]).Parameters, plant, ("species", name, key))
             used = {parameters.wood.material, parameters.wood.branch_material or parameters.wood.material}
             assert used <= set(one.materials), name
         assert biome.shipped_plant_types()[name] == one.modules  # the quick reading of the section is the whole one

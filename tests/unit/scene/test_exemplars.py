@@ -196,7 +196,7 @@ def test_a_variant_that_no_plant_has_is_not_grown():
 
 def test_levels_split_exemplars_by_what_their_plants_need():
     plants = population([1.0, 1.0, 2.0, 2.0, 3.0], [0, 0, 0, 0, 1])
-    plan = plan_exemplars(plants.split("level", 10, seed=0), np.array([0, 2, 1, 1, 0]))
+    plan = plan_exemplars(plants, 10, seed=0).split("level", np.array([0, 2, 1, 1, 0]))
     np.testing.assert_allclose(plan.radius_m, [1, 1, 2, 3])
     np.testing.assert_array_equal(plan.level, [0, 2, 1, 0])
     np.testing.assert_array_equal(plan.species, [0, 0, 0, 1])

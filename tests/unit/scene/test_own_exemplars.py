@@ -97,7 +97,7 @@ def test_a_unique_plant_is_itself_and_every_other_one_is_of_its_species():
     plants = stand()
     unique = chosen(plants, 11)
     given = {index: plan_own(plants, index, unique, 4, seed=2) for index in (0, 1)}
-    plan = plan_exemplars(plants.split("level", 3, 2, given=given), (plants.height_m > 10).astype(np.int64))
+    plan = plan_exemplars(plants, 3, 2, given=given).split("level", (plants.height_m > 10).astype(np.int64))
     mine = plan.exemplar_of_plant
     np.testing.assert_array_equal(plan.species[mine], plants.species)
     np.testing.assert_array_equal(plan.plant[mine][unique], np.flatnonzero(unique))
