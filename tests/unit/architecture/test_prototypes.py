@@ -122,7 +122,7 @@ def test_angles_are_those_between_segments(steps: list[tuple[float, float]]) -> 
         (FORK + "    thicknes: 1\n", "YAML", None),
         (FORK.replace("thickness", "thicknes"), "unknown", 6),
         (FORK.replace("apical_control: 0.5", "apical_control: 1.5"), "bad value", 1),
-        ("", "says nothing", None),
+        ("", "the text is empty", None),
     ],
 )
 def test_mistakes_are_told_with_their_line(tmp_path: Path, text: str, problem: str, line: int | None) -> None:
