@@ -8,16 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 from ruamel.yaml import YAML
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.foliage import Foliage
-from forestgen.plants.organs.shapes import OrganForm, organ_shape
+from forestgen.plants.organs.shapes import OrganForm, OrganShape
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.planning import make_plan
+
+ORGAN_SHAPE = TypeAdapter(OrganShape)
 
 ROOT = Path(__file__).parents[3]
 BLOCKS = re.findall(r"```yaml\n(.*?)```", (ROOT / "docs/organs.md").read_text(encoding="utf-8"), re.DOTALL)
@@ -41,7 +43,7 @@ SHEETS = (
 
 def shaped(name: str, detail: int) -> OrganForm:
     keys = dict(EXAMPLES[name])
-    return organ_shape(keys if keys["form"] == "disc" else keys | {"detail": detail})
+    return ORGAN_SHAPE.validate_python(keys if keys["form"] == "disc" else keys | {"detail": detail})
 
 
 def leaf_area_m2(form: OrganForm) -> float:
@@ -55,7 +57,7 @@ def corners(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_the_page_shows_every_form_and_rule() -> None:
     with pytest.raises(ValidationError) as caught:
-        organ_shape({"form": "none of them"})
+        ORGAN_SHAPE.validate_python({"form": "none of them"})
     known = set(re.findall(r"'(\w+)'", caught.value.errors()[0]["ctx"]["expected_tags"]))
     assert known == FORMS
     for block in READ:
@@ -106,7 +108,7 @@ def test_levels_of_detail_have_one_area_and_more_triangles(name: str) -> None:
 @pytest.mark.parametrize("name", [name for name, keys in EXAMPLES.items() if keys["form"] in SHEETS[:3]])
 def test_leaves_show_their_upper_side_and_are_as_light_as_promised(name: str) -> None:
     for detail, most in ((0, 12), (1, 50), (2, 180)):
-        mesh = organ_shape({**EXAMPLES[name], "detail": detail, "curl_deg": 0}).template()
+        mesh = ORGAN_SHAPE.validate_python({**EXAMPLES[name], "detail": detail, "curl_deg": 0}).template()
         a, b, c = corners(mesh)
         assert np.all(np.cross(b - a, c - a)[:, 2] > -1e-12)
         assert mesh.triangles <= most
@@ -115,7 +117,7 @@ def test_leaves_show_their_upper_side_and_are_as_light_as_promised(name: str) ->
 @pytest.mark.parametrize("name", ["bud", "acorn", "blackberry"])
 def test_bodies_are_wound_outward(name: str) -> None:
     keys = {key: value for key, value in EXAMPLES[name].items() if not key.startswith("stalk")}
-    for piece in organ_shape(keys | {"detail": 2}).pieces():
+    for piece in ORGAN_SHAPE.validate_python(keys | {"detail": 2}).pieces():
         a, b, c = corners(piece.mesh)
         middle = piece.mesh.vertices_m.mean(axis=0)
         assert np.sum((a - middle) * np.cross(b - middle, c - middle)) > 0.0
@@ -126,7 +128,7 @@ def test_drawing_fewer_needles_keeps_their_area(drawn: int) -> None:
     keys = EXAMPLES["spruce"] | {"diameter_m": 0.0}
     needles = round(keys["per_m"] * keys["length_m"])
     expected = needles * 0.8 * keys["needle_length_m"] * keys["needle_width_m"]
-    few = organ_shape(keys | {"drawn": drawn})
+    few = ORGAN_SHAPE.validate_python(keys | {"drawn": drawn})
     assert surface_area_m2(few.template()) == pytest.approx(expected, rel=0.03)
     assert few.template().triangles == drawn
 
@@ -136,7 +138,7 @@ def test_a_daisy_has_its_rays() -> None:
     by_material = {piece.material: piece for piece in daisy.pieces()}
     assert set(by_material) == {"ray", "disc", "stalk"}
     assert {piece.part for piece in daisy.pieces()} == {Part.FLOWER}
-    fewer = organ_shape(EXAMPLES["daisy"] | {"petals": 17})
+    fewer = ORGAN_SHAPE.validate_python(EXAMPLES["daisy"] | {"petals": 17})
     rays = {piece.material: piece.mesh.triangles for piece in fewer.pieces()}["ray"]
     assert by_material["ray"].mesh.triangles == 2 * rays
     width = np.ptp(by_material["ray"].mesh.vertices_m[:, 0])
@@ -167,7 +169,7 @@ def test_templates_are_made_once() -> None:
 )
 def test_a_wrong_leaf_is_refused(keys: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
-        organ_shape(EXAMPLES["beech"] | keys)
+        ORGAN_SHAPE.validate_python(EXAMPLES["beech"] | keys)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +188,7 @@ def test_a_wrong_leaf_is_refused(keys: dict[str, Any], message: str) -> None:
 )
 def test_a_wrong_organ_is_refused(name: str, keys: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
-        organ_shape(EXAMPLES[name] | keys)
+        ORGAN_SHAPE.validate_python(EXAMPLES[name] | keys)
 
 
 @pytest.mark.parametrize(

@@ -20,9 +20,11 @@ from forestgen.plants.budget import most_triangles
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.strands import Parameters as StrandParameters
-from forestgen.plants.organs.shapes import organ_shape
+from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.curves import Curve
+
+ORGAN_SHAPE = TypeAdapter(OrganShape)
 
 
 def read(name: str) -> tuple[Any, Any]:
@@ -91,12 +93,12 @@ def test_a_long_whole_number_is_a_curve_or_a_message(number: int) -> None:
 def test_a_stalk_is_none_or_long_enough_to_be_one() -> None:
     keys = {"form": "simple", "material": "leaf", "length_m": 0.05, "width_m": 0.03}
     for length_m in (0.0, 1e-4):
-        points = organ_shape({**keys, "stalk_m": length_m}).template()
+        points = ORGAN_SHAPE.validate_python({**keys, "stalk_m": length_m}).template()
         corner = points.vertices_m[points.faces].astype(np.float64)
         area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
         assert area.min() > 0.0
     with pytest.raises(ValidationError, match="0 for none"):
-        organ_shape({**keys, "stalk_m": 1e-12})
+        ORGAN_SHAPE.validate_python({**keys, "stalk_m": 1e-12})
 
 
 def test_the_estimate_of_triangles_holds_for_all_shipped_species() -> None:
