@@ -51,7 +51,7 @@ from forestgen.architecture.kernels import (
 )
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables
-from forestgen.core.threads import over_ranges
+from forestgen.core.threads import parallel_for
 
 _MOST_OPACITY = 0.99
 Types = NDArray[Any]  # (P,) index of each plant's type
@@ -102,7 +102,7 @@ def spheres(tables: Tables, modules: Modules, type_of_plant: Types) -> tuple[NDA
     shapes, poses = _packed(tables), _poses(modules, type_of_plant)
     centre, radius = np.empty((len(modules), 3), dtype=np.float32), np.empty(len(modules), dtype=np.float32)
     scale = tables.sphere_scale
-    over_ranges(len(modules), lambda first, end: fill_spheres(shapes, poses, scale, first, end, centre, radius))
+    parallel_for(len(modules), lambda first, end: fill_spheres(shapes, poses, scale, first, end, centre, radius))
     return centre, radius
 
 
@@ -120,7 +120,7 @@ def terminal_pose(
     kind, prototype = np.ascontiguousarray(kind, dtype=np.uint16), np.ascontiguousarray(prototype, dtype=np.uint8)
     poses = Poses(kind, prototype, tables.mature_age[kind], base_m, rotation)
     wanted = np.ascontiguousarray(node, dtype=np.int16)
-    over_ranges(count, lambda first, end: fill_terminals(shapes, poses, wanted, first, end, position, direction))
+    parallel_for(count, lambda first, end: fill_terminals(shapes, poses, wanted, first, end, position, direction))
     return position, direction
 
 
@@ -129,7 +129,7 @@ def node_positions(tables: Tables, modules: Modules, type_of_plant: Types) -> No
     shapes, poses = _packed(tables), _poses(modules, type_of_plant)
     start = np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype], dtype=np.int64)])
     position, length = np.empty((start[-1], 3), dtype=np.float32), np.empty(start[-1], dtype=np.float32)
-    over_ranges(len(modules), lambda first, end: fill_nodes(shapes, poses, start, first, end, position, length))
+    parallel_for(len(modules), lambda first, end: fill_nodes(shapes, poses, start, first, end, position, length))
     return Nodes(start, position, length)
 
 
@@ -160,7 +160,7 @@ def over_plants(modules: Modules, work: Any) -> None:
         begins = modules.first[:-1]
         work(int(np.searchsorted(begins, first)), int(np.searchsorted(begins, end)))
 
-    over_ranges(len(modules), of_modules)
+    parallel_for(len(modules), of_modules)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from forestgen.core.compiled import borrowed, compiled
+from forestgen.core.compiled import compiled, unowned_view
 
 
 class Shapes(NamedTuple):
@@ -108,7 +108,7 @@ def place_module(shapes, modules, row, turned, place, metres):  # type: ignore[n
 @compiled
 def fill_spheres(shapes, modules, scale, first, end, centre, radius):  # type: ignore[no-untyped-def]
     """Fill `centre` (M, 3) and `radius` (M,) of modules `first` to `end`."""
-    shapes, modules = borrowed(shapes), borrowed(modules)
+    shapes, modules = unowned_view(shapes), unowned_view(modules)
     base = modules.base
     n = shapes.parent.shape[1]
     turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
@@ -137,7 +137,7 @@ def fill_spheres(shapes, modules, scale, first, end, centre, radius):  # type: i
 @compiled
 def fill_terminals(shapes, modules, wanted, first, end, position, direction):  # type: ignore[no-untyped-def]
     """Fill `position` (K, 3) and `direction` (K, 3) of nodes `wanted` of grown modules `first` to `end`."""
-    shapes, modules = borrowed(shapes), borrowed(modules)
+    shapes, modules = unowned_view(shapes), unowned_view(modules)
     n = shapes.parent.shape[1]
     turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
     for row in range(first, end):
@@ -152,7 +152,7 @@ def fill_terminals(shapes, modules, wanted, first, end, position, direction):  #
 @compiled
 def fill_nodes(shapes, modules, start, first, end, position, length):  # type: ignore[no-untyped-def]
     """Fill `position` (., 3) and `length` (.,) of the nodes of modules `first` to `end`, row's from start[row]."""
-    shapes, modules = borrowed(shapes), borrowed(modules)
+    shapes, modules = unowned_view(shapes), unowned_view(modules)
     n = shapes.parent.shape[1]
     turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
     for row in range(first, end):
@@ -192,7 +192,7 @@ def fill_diameters(shapes, plants, first, end, start, root_m, node_m):  # type: 
 
     `node_m` (.,) takes those of all nodes, module row's from start[row]; of no length: not wanted.
     """
-    shapes, plants = borrowed(shapes), borrowed(plants)
+    shapes, plants = unowned_view(shapes), unowned_view(plants)
     prototype, counts, terminal_index = plants.prototype, shapes.count, shapes.terminal_index
     n = shapes.parent.shape[1]
     squared, borne = np.empty(n), np.empty(n)
@@ -222,7 +222,7 @@ def fill_diameters(shapes, plants, first, end, start, root_m, node_m):  # type: 
 @compiled
 def fill_sizes(shapes, plants, leaf_area, first, end, sizes):  # type: ignore[no-untyped-def]
     """Fill `sizes` (P, 6) of plants `first` to `end`, in the order of `PlantSizes`, less the number of modules."""
-    shapes, plants = borrowed(shapes), borrowed(plants)
+    shapes, plants = unowned_view(shapes), unowned_view(plants)
     parents, counts, births, first_child = shapes.parent, shapes.count, shapes.birth, shapes.first_child
     terminal_index, most_terminals = shapes.terminal_index, shapes.most_terminals
     parent_of, node_of, prototype, age, base = plants.parent, plants.node, plants.prototype, plants.age, plants.base

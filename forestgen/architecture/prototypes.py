@@ -38,7 +38,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from forestgen.core.errors import AssetError
 from forestgen.recipe.assets import find_asset, list_assets
-from forestgen.recipe.fields import Fraction, Number, Positive, Section, Text, Whole, mistake
+from forestgen.recipe.fields import Fraction, Number, Positive, Section, Text, Whole, violation
 from forestgen.recipe.messages import Explainer
 from forestgen.recipe.sources import read_yaml
 from forestgen.recipe.species import PlantType
@@ -93,11 +93,11 @@ class PrototypeNode(Section):
     def _one_way(self) -> Self:
         if (self.direction is None) == (self.angle_deg is None):
             got = "neither" if self.direction is None else "both"
-            raise mistake("direction, or angle_deg", problem="the segment's direction is not told once", got=got)
+            raise violation("direction, or angle_deg", problem="the segment's direction is not told once", got=got)
         if self.direction is not None and float(np.linalg.norm(self.direction)) <= 1e-6:
-            raise mistake("a vector of some length", got=str(list(self.direction)), at=("direction",))
+            raise violation("a vector of some length", got=str(list(self.direction)), at=("direction",))
         if self.direction is not None and "azimuth_deg" in self.model_fields_set:
-            raise mistake("no azimuth_deg beside direction", got=f"{self.azimuth_deg:g}", at=("azimuth_deg",))
+            raise violation("no azimuth_deg beside direction", got=f"{self.azimuth_deg:g}", at=("azimuth_deg",))
         return self
 
 
@@ -116,14 +116,14 @@ class PrototypeFile(Section):
         births = [0.0]
         for number, node in enumerate(self.nodes, 1):
             if node.parent >= number:
-                raise mistake(
+                raise violation(
                     f"0 (the root) to {number - 1}: the first entry is node 1",
                     problem=f"node {number} grows from a node that stands after it, or from itself",
                     got=str(node.parent),
                     at=("nodes", number - 1, "parent"),
                 )
             if node.birth < births[node.parent]:
-                raise mistake(
+                raise violation(
                     f"at least its parent's: {births[node.parent]:g}",
                     problem=f"node {number} is born before the node it grows from",
                     got=f"{node.birth:g}",

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.core.compiled import borrowed, compiled, inlined_exactly
-from forestgen.core.threads import over_ranges
+from forestgen.core.compiled import compiled, inlined_exactly, unowned_view
+from forestgen.core.threads import parallel_for
 
 _OPAQUE = 40.0  # 1 - exp(-40) is 1 in single precision
 _HALVINGS = 14  # of a ray across the box: to a 16,000th
@@ -150,7 +150,7 @@ def optical_depth(
     start = np.ascontiguousarray(start.reshape(-1, 3))
     step = np.ascontiguousarray((direction * per_m).reshape(-1, 3), dtype=np.float64)
     length = np.ascontiguousarray(np.broadcast_to(distance_m, shape).reshape(-1), dtype=np.float64)
-    over_ranges(len(out), lambda first, end: _integrate(value, start, step, length, enough, first, end, out))
+    parallel_for(len(out), lambda first, end: _integrate(value, start, step, length, enough, first, end, out))
     return out.reshape(shape)
 
 
@@ -191,7 +191,7 @@ def _integrate(value, start, step, length, enough, first_ray, end_ray, out):  # 
     Piece n along an axis lies between the centres of cells n and n + 1; -1 and the last are the halves of cells at the
     border.
     """
-    value = borrowed(value)
+    value = unowned_view(value)
     layers, rows, columns = value.shape
     pieces = (columns, rows, layers)
     for ray in range(first_ray, end_ray):

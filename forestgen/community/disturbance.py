@@ -29,7 +29,7 @@ from pydantic import Field, model_validator
 
 from forestgen.community.population import Floats, Population, Status
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.fields import Coordinate, Fraction, Name, NonNegative, Number, Positive, Section, Whole, mistake
+from forestgen.recipe.fields import Coordinate, Fraction, Name, NonNegative, Number, Positive, Section, Whole, violation
 from forestgen.recipe.sources import Keys
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class Rectangle(Section):
     @model_validator(mode="after")
     def _has_an_area(self) -> Self:
         if not (self.min_m[0] < self.max_m[0] and self.min_m[1] < self.max_m[1]):
-            raise mistake("max_m north-east of min_m", problem="a rectangle without area", got=str(list(self.max_m)))
+            raise violation("max_m north-east of min_m", problem="a rectangle without area", got=str(list(self.max_m)))
         return self
 
     def corners(self) -> Sequence[PointOnGround]:
@@ -113,7 +113,7 @@ class Polygon(Section):
         twice = abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
         # Random places would never be found inside a narrower sliver.
         if twice <= 2e-6 * float(np.ptp(x) * np.ptp(y)) or twice == 0:
-            raise mistake("corners that go around an area", problem="a polygon without area", at=("corners_m",))
+            raise violation("corners that go around an area", problem="a polygon without area", at=("corners_m",))
         return self
 
     def corners(self) -> Sequence[PointOnGround]:
@@ -140,7 +140,7 @@ class Region(Section):
     def _one_shape(self) -> Self:
         if len(self.shapes()) > 1:
             expected, got = "at most one of circle, rectangle, polygon", ", ".join(self.shapes())
-            raise mistake(expected, problem="more than one region", got=got, hint="write two disturbances")
+            raise violation(expected, problem="more than one region", got=got, hint="write two disturbances")
         return self
 
     def shapes(self) -> dict[str, Circle | Rectangle | Polygon]:
@@ -195,7 +195,7 @@ class Selection(Region):
     @model_validator(mode="after")
     def _sizes_in_order(self) -> Self:
         if self.max_radius_m is not None and self.max_radius_m < self.min_radius_m:
-            raise mistake(
+            raise violation(
                 f"at least min_radius_m = {self.min_radius_m:g}",
                 problem="no plant is that large and that small",
                 got=f"{self.max_radius_m:g}",
@@ -245,9 +245,9 @@ class Plant(Region):
     @model_validator(mode="after")
     def _places_or_a_number(self) -> Self:
         if (self.positions_m is None) == (self.count is None):
-            raise mistake("either positions_m or count", problem="it must be clear where and how many to plant")
+            raise violation("either positions_m or count", problem="it must be clear where and how many to plant")
         if self.positions_m is not None and self.shapes():
-            raise mistake("a region with count only", problem="positions_m already say where to plant")
+            raise violation("a region with count only", problem="positions_m already say where to plant")
         return self
 
     @property
@@ -284,11 +284,11 @@ class Disturbance(Section):
     @model_validator(mode="after")
     def _one_time_one_kind(self) -> Self:
         if (self.at_yr is None) == (self.at_step is None):
-            raise mistake("either at_yr or at_step", problem="it must be clear when this happens")
+            raise violation("either at_yr or at_step", problem="it must be clear when this happens")
         kinds = [key for key in KINDS if getattr(self, key) is not None]
         if len(kinds) != 1:
             got = ", ".join(kinds) or "none"
-            raise mistake(f"one of {', '.join(KINDS)}", problem="one thing happens at a time", got=got)
+            raise violation(f"one of {', '.join(KINDS)}", problem="one thing happens at a time", got=got)
         return self
 
     def step(self, step_yr: float) -> int:

@@ -27,7 +27,7 @@ from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.population import Floats
 from forestgen.core.cache import BoundedCache
 from forestgen.core.compiled import compiled
-from forestgen.core.threads import over_ranges
+from forestgen.core.threads import parallel_for
 from forestgen.recipe.fields import Section
 
 _LINES = 256  # in which places are looked at in turn
@@ -149,7 +149,7 @@ def _at(
     tables = (kernels.values, kernels.reach, kernels.in_radii, counts)
     # Along lines: neighbours in turn find each other's cells in the cache.
     order = np.lexsort((x_m[:, 0], np.floor(x_m[:, 1] / rivals.size_m[1] * _LINES)))
-    over_ranges(len(order), lambda first, end: _products(first, end, order, asked, cells, acting, tables, most, out))
+    parallel_for(len(order), lambda first, end: _products(first, end, order, asked, cells, acting, tables, most, out))
     return out
 
 

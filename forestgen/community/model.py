@@ -16,7 +16,7 @@ from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.population import Floats, Population
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.buildings import Building
-from forestgen.recipe.fields import Whole, mistake
+from forestgen.recipe.fields import Whole, violation
 from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
 
@@ -70,7 +70,7 @@ class CommunityParameters(BaseModel):
         """Refuse another model's key as such: a similar key of this one would mean something else."""
         for key in map(str, data) if isinstance(data, Mapping) else ():
             if key not in cls.model_fields and (owners := _models_with(key)):
-                raise mistake(
+                raise violation(
                     f"one of {', '.join(cls.model_fields)}",
                     problem=f"another model's key, {key!r}",
                     got=show(data[key]),
@@ -88,7 +88,7 @@ class CommunityParameters(BaseModel):
     def _plantings_have_known_columns(self) -> Self:
         for index, one in enumerate(self.disturbances):
             if one.plant is not None and one.plant.vigour is not None and "vigour" not in self.planting_columns:
-                raise mistake(
+                raise violation(
                     "a planting without vigour",
                     problem="plants of this model have no vigour",
                     got=f"{one.plant.vigour:g}",
@@ -108,7 +108,7 @@ class CommunityParameters(BaseModel):
 
 def _models_with(key: str) -> list[str]:
     """Names of the community models whose parameters have this key."""
-    from forestgen.community.registry import COMMUNITY_MODELS  # imports all models: only for a mistake
+    from forestgen.community.registry import COMMUNITY_MODELS  # imports all models: only for a violation
 
     return sorted(name for name, one in COMMUNITY_MODELS.parts() if key in one.Parameters.model_fields)
 

@@ -27,7 +27,7 @@ from forestgen.lsystem.parsing import parse_text
 from forestgen.lsystem.program import Program
 from forestgen.lsystem.syntax import ProgramAST
 from forestgen.recipe.assets import find_asset
-from forestgen.recipe.fields import Section, Text, mistake, part_name
+from forestgen.recipe.fields import Section, Text, part_name, violation
 
 OF_SPECIES = (
     "growth_m_per_yr", "max_radius_m", "shade_tolerance", "old_age_survival", "seedlings_per_ha_per_yr",
@@ -70,7 +70,7 @@ class CompetitionChoice(BaseModel):
         except ValidationError as failure:
             first = failure.errors()[0]
             expected = first["msg"].removeprefix("Input should be ").lower()
-            raise mistake(expected, got=repr(first["input"]), at=("environment", *first["loc"])) from failure
+            raise violation(expected, got=repr(first["input"]), at=("environment", *first["loc"])) from failure
 
     def parameters(self) -> Any:
         """The competition model's own parameters."""
@@ -126,12 +126,12 @@ class MultisetParameters(CommunityParameters):
         for name, value in self.parameters.items():
             if name in (*OF_SITE, *OF_SPECIES):
                 source = "the species' ecology" if name in OF_SPECIES else "the recipe's site, step and species"
-                raise mistake(
+                raise violation(
                     f"parameters without {name}", problem=f"{source} set {name}", got=name, at=("parameters", name)
                 )
             if name not in asked:
                 own = sorted(asked.difference(OF_SITE, OF_SPECIES))
-                raise mistake(
+                raise violation(
                     f"one of {', '.join(own)}" if own else "none: the program has no parameters",
                     problem=f"the program {self.program.name} has no parameter {name}",
                     got=name,
@@ -145,10 +145,10 @@ class MultisetParameters(CommunityParameters):
         try:
             with_values(listing, {name: value})
         except LsystemError as error:
-            raise mistake(error.expected or "another value", got=repr(value), at=("parameters", name)) from error
+            raise violation(error.expected or "another value", got=repr(value), at=("parameters", name)) from error
         numbers = [value] if isinstance(value, int | float) else [one for one in value if isinstance(one, int | float)]
         if name == "initial_plants_per_ha" and any(one < 0 for one in numbers):
-            raise mistake("numbers of at least 0", got=repr(value), at=("parameters", name))
+            raise violation("numbers of at least 0", got=repr(value), at=("parameters", name))
 
 
 def program_of(parameters: MultisetParameters, site: Site, species: Ecologies) -> tuple[Program, Form]:

@@ -51,7 +51,7 @@ from numpy.typing import NDArray
 
 from forestgen.community.model import Site
 from forestgen.core.compiled import compiled
-from forestgen.core.threads import cores, over_ranges
+from forestgen.core.threads import cores, parallel_for
 
 Floats = NDArray[np.float64]
 Map = NDArray[np.floating] | float
@@ -148,7 +148,7 @@ class Transport:
         def work(first: int, end: int) -> None:
             _step(field, out, *shares, self.ground.periodic, -(-first // cols), -(-end // cols))
 
-        over_ranges(rows * cols, work)
+        parallel_for(rows * cols, work)
         return out
 
     def _transformed(self, field: Floats, days: float) -> Floats:
@@ -407,7 +407,7 @@ class SoilWater:
         p = self.parameters
         flat, flat_sinks = Fields(*(one.reshape(-1, copy=False) for one in fields)), sinks.reshape(-1, copy=False)
         rates = (p.uptake_mm_m2_per_g_day, p.half_uptake_mm, p.loss_per_day)
-        over_ranges(sinks.size, lambda first, end: exchange(flat, flat_sinks, rates, days, first, end))
+        parallel_for(sinks.size, lambda first, end: exchange(flat, flat_sinks, rates, days, first, end))
 
 
 def _mean(field: Floats) -> float:

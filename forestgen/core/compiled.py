@@ -24,7 +24,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     return _compiled(function)
 
 
-def contracted(function: Callable[..., Any]) -> Callable[..., Any]:
+def fma_njit(function: Callable[..., Any]) -> Callable[..., Any]:
     """As `compiled`; a product that is added is rounded once, with the sum, where the processor can do so.
 
     For kernels whose results need not equal bit by bit those of a processor that cannot (x86 from before 2013).
@@ -33,7 +33,7 @@ def contracted(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `contracted`, for small functions, whose machine code becomes part of their callers."""
+    """As `fma_njit`, for small functions, whose machine code becomes part of their callers."""
     return _compiled(function, fastmath={"contract"}, forceinline=True)
 
 
@@ -83,12 +83,12 @@ def _module_of(value: object) -> str:
 
 
 @intrinsic
-def borrowed(typing_context, arrays):  # type: ignore[no-untyped-def]
+def unowned_view(typing_context, arrays):  # type: ignore[no-untyped-def]
     """The same array, or tuple of arrays and numbers, without a claim on its memory, inside compiled code.
 
     Numba counts references to an array in every call that passes it, by two locked instructions; in kernels that call
     small functions for each element this takes most of the time. The caller must keep the original alive: numba frees
-    an array that the kernel itself made once its name is no longer read, even if it is borrowed. So borrow arguments;
+    an array that the kernel itself made once its name is no longer read, even if it has a view. So take views of arguments;
     for an array made inside, read its name again in or after the last loop.
     """
 

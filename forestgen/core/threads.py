@@ -22,7 +22,7 @@ def limit_cores(most: int | None) -> None:
 
 
 def cores() -> int:
-    """Number of cores that this process may use; inside a job of `apart` one."""
+    """Number of cores that this process may use; inside a job of `parallel_map` one."""
     if getattr(_ALONE, "yes", False):
         return 1
     there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -68,7 +68,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_POOL.forget)
 
 
-def apart(jobs: Sequence[Callable[[], T]]) -> list[T]:
+def parallel_map(jobs: Sequence[Callable[[], T]]) -> list[T]:
     """The results of large independent jobs, each on a core of its own.
 
     The loops inside a job stay on its core, so they do not wait for each other's ends.
@@ -103,7 +103,7 @@ def map_ranges(n: int, work: Callable[[int, int], T]) -> list[T]:
     return _in_pieces(n, work, max(1, min(cores(), n // _LEAST_PER_THREAD)))
 
 
-def over_ranges(n: int, work: Callable[[int, int], None]) -> None:
+def parallel_for(n: int, work: Callable[[int, int], None]) -> None:
     """``work(first, end)`` over 0 ... n in disjoint ranges, on all cores. Results must not depend on the ranges."""
     threads = min(cores(), n // _LEAST_PER_THREAD)
     _in_pieces(n, work, 1 if threads < 2 else 4 * threads)  # four each, so that no thread waits long for the last
@@ -125,4 +125,4 @@ def over_slabs(count: int, cells_each: int, work: Callable[[int, int], None]) ->
         if first < end:
             work(first, end)
 
-    over_ranges(count * cells_each, slab)
+    parallel_for(count * cells_each, slab)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from forestgen.core.compiled import borrowed, contracted
+from forestgen.core.compiled import fma_njit, unowned_view
 from forestgen.geometry.sweep_points import HUB_SIDES, Vector, cross, dot, fill_matrices, fill_path, unit
 
 _LEVEL = 0.24  # share of a segment's length: rings that lean less along it need no look at the quads' diagonals
@@ -62,13 +62,13 @@ class Ring(NamedTuple):
     o: Vector
 
 
-@contracted
+@fma_njit
 def circumradius(sides: int) -> float:
     """Of the regular polygon whose area is that of the unit circle."""
     return sqrt(2.0 * pi / (sides * sin(2.0 * pi / sides)))
 
 
-@contracted
+@fma_njit
 def _twice_area_squared(vertices: Any, a: int, b: int, c: int) -> float:
     ux = float(vertices[b, 0]) - float(vertices[a, 0])
     uy = float(vertices[b, 1]) - float(vertices[a, 1])
@@ -80,7 +80,7 @@ def _twice_area_squared(vertices: Any, a: int, b: int, c: int) -> float:
     return x * x + y * y + z * z
 
 
-@contracted
+@fma_njit
 def _face(vertices: Any, faces: Any, f: int, a: int, b: int, c: int) -> int:
     """Write a face; one without area is marked by equal corners. Returns the number of such."""
     empty = _twice_area_squared(vertices, a, b, c) == 0.0
@@ -88,7 +88,7 @@ def _face(vertices: Any, faces: Any, f: int, a: int, b: int, c: int) -> int:
     return 1 if empty else 0
 
 
-@contracted
+@fma_njit
 def _wall(vertices: Any, faces: Any, face: int, lower: int, upper: int, sides: int) -> int:
     """Two triangles per side between two rings, by the better diagonal where they differ. Returns the empty ones."""
     empty = 0
@@ -108,7 +108,7 @@ def _wall(vertices: Any, faces: Any, face: int, lower: int, upper: int, sides: i
     return empty
 
 
-@contracted
+@fma_njit
 def _cap(
     out: Surface, vertex: int, face: int, first_of_ring: int, sides: int, ring: Ring, facing: Vector, tile: Any
 ) -> int:
@@ -138,12 +138,12 @@ def _cap(
     return empty
 
 
-@contracted
+@fma_njit
 def _factor(factor: Any, i: int, j: int) -> Any:
     return max(factor[i, j], _LEAST_FACTOR)
 
 
-@contracted
+@fma_njit
 def _ring(
     out: Surface,
     vertex: int,
@@ -197,12 +197,12 @@ def _ring(
     uv[vertex + sides, 1] = texture[1]
 
 
-@contracted
+@fma_njit
 def _single(x: float, y: float, z: float) -> Any:
     return np.float32(x), np.float32(y), np.float32(z)
 
 
-@contracted
+@fma_njit
 def _round_ring(
     out: Surface, vertex: int, sides: int, ring: Ring, m: Any, length: float, slope: float, turns: Any, texture: Any
 ) -> None:
@@ -241,7 +241,7 @@ def _round_ring(
         at, seam = at + one, seam + one
 
 
-@contracted
+@fma_njit
 def _even_wall(faces: Any, face: int, lower: int, upper: int, sides: int) -> None:
     """As `_wall` where the first diagonal is known to be good: flat `faces`."""
     one, at = np.uint64(1), np.uint64(3 * face)
@@ -257,7 +257,7 @@ def _even_wall(faces: Any, face: int, lower: int, upper: int, sides: int) -> Non
         a, d, at = b, c, at + np.uint64(6)
 
 
-@contracted
+@fma_njit
 def _tip(out: Surface, vertex: int, face: int, ring: int, sides: int, point: Vector, texture: Any) -> int:
     """A fan from a ring to a point, which has a vertex, a normal and a u for each side. Returns the empty ones."""
     vertices, normals, uv, faces = out
@@ -276,16 +276,16 @@ def _tip(out: Surface, vertex: int, face: int, ring: int, sides: int, point: Vec
     return empty
 
 
-@contracted
+@fma_njit
 def fill(first: int, end: int, tubes: Tubes, tile: Any, turns_of: Turns, out: Surface) -> int:
     """Rings, walls and ends of tubes first ... end. Returns how many triangles came out without area."""
     empty = 0
     none = (0.0, 0.0, 0.0)
-    points, radius, ratio, factor, offset, kept, count, least, sides_of, pointed, vertex_start, face_start = borrowed(
-        tubes
+    points, radius, ratio, factor, offset, kept, count, least, sides_of, pointed, vertex_start, face_start = (
+        unowned_view(tubes)
     )
-    table, cosines, sines = borrowed(turns_of)
-    tile, out = borrowed(tile), borrowed(out)
+    table, cosines, sines = unowned_view(turns_of)
+    tile, out = unowned_view(tile), unowned_view(out)
     vertices, faces = out.vertices, out.faces
     flat = Surface(vertices.reshape(-1), out.normals.reshape(-1), out.uv.reshape(-1), faces.reshape(-1))
     shaped = factor.shape[0] > 0

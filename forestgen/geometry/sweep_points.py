@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.core.compiled import contracted
+from forestgen.core.compiled import fma_njit
 
 HUB_SIDES = 8  # from this many sides on, a cap is a fan about its centre, so that a star-shaped ring is capped well
 _RESOLUTION = 2.0**-20  # share of the greatest coordinate: eight times the spacing of float32
@@ -19,7 +19,7 @@ _TURNS_BACK = -0.98  # cosine of the turn beyond which a line folds back on itse
 Vector = tuple[float, float, float]
 
 
-@contracted
+@fma_njit
 def unit(x: float, y: float, z: float) -> Vector:
     length = sqrt(x * x + y * y + z * z)
     if length == 0.0:
@@ -28,7 +28,7 @@ def unit(x: float, y: float, z: float) -> Vector:
     return x * scale, y * scale, z * scale
 
 
-@contracted
+@fma_njit
 def way(points: Any, i: int, j: int) -> tuple[float, float, float, float]:
     """Unit vector from point i to point j, and their distance."""
     x, y, z = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
@@ -39,12 +39,12 @@ def way(points: Any, i: int, j: int) -> tuple[float, float, float, float]:
     return x * scale, y * scale, z * scale, length
 
 
-@contracted
+@fma_njit
 def dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@contracted
+@fma_njit
 def perpendicular(a: Vector) -> Any:
     """A unit vector at right angles to `a`, taken against the world axis that is least aligned with it."""
     x, y, z = abs(a[0]), abs(a[1]), abs(a[2])
@@ -55,7 +55,7 @@ def perpendicular(a: Vector) -> Any:
     return unit(a[1], -a[0], 0.0)
 
 
-@contracted
+@fma_njit
 def _bisector(b: Vector, f: Vector) -> Any:
     """Tangent where unit vectors `b` (to the point) and `f` (from it) meet; a zero vector is a missing segment."""
     t = unit(b[0] + f[0], b[1] + f[1], b[2] + f[2])
@@ -64,7 +64,7 @@ def _bisector(b: Vector, f: Vector) -> Any:
     return t
 
 
-@contracted
+@fma_njit
 def _carried(way: Vector, t0: Vector, t1: Vector, r0: Vector) -> Any:
     """Reference vector at the way's end: reflected in the plane that halves the way, then in one that aligns t1."""
     along = 2.0 * dot(way, r0)
@@ -80,7 +80,7 @@ def _carried(way: Vector, t0: Vector, t1: Vector, r0: Vector) -> Any:
     return n if dot(n, n) > 0.5 else perpendicular(t1)
 
 
-@contracted
+@fma_njit
 def frames(points: Any, offset: Any, tangent: Any, normal: Any) -> None:
     """Tangents and carried normals of all points; a point that repeats the one before has that one's frame."""
     for a in range(len(offset) - 1):
@@ -110,7 +110,7 @@ def frames(points: Any, offset: Any, tangent: Any, normal: Any) -> None:
                 normal[i, k] = n[k]
 
 
-@contracted
+@fma_njit
 def keep(points: Any, radius: Any, offset: Any, kept: Any, count: Any, least: Any) -> None:
     """Points of each tube that are meshed: ``kept[offset[a] : offset[a] + count[a]]``; count 0: no tube.
 
@@ -156,7 +156,7 @@ def keep(points: Any, radius: Any, offset: Any, kept: Any, count: Any, least: An
         count[a] = top - begin if top - begin >= 2 and thickest >= floor else 0
 
 
-@contracted
+@fma_njit
 def starts(sides_of: Any, pointed: Any, count: Any, vertex_start: Any, face_start: Any) -> None:
     """First vertex and first face of each tube, and the totals; (A + 1,) each. `fill` fills in this order."""
     vertex, face = 0, 0
@@ -171,12 +171,12 @@ def starts(sides_of: Any, pointed: Any, count: Any, vertex_start: Any, face_star
     vertex_start[len(count)], face_start[len(count)] = vertex, face
 
 
-@contracted
+@fma_njit
 def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@contracted
+@fma_njit
 def _ring_matrices(b: Vector, f: Vector, n: Vector, o: Vector, ratio: float) -> Any:
     """Matrix of a ring in its frame (normal n, binormal o), row by row, and its inverse transposed.
 
@@ -211,7 +211,7 @@ def _ring_matrices(b: Vector, f: Vector, n: Vector, o: Vector, ratio: float) -> 
     return (m00, m01, m10, m11, v00, v01, v10, v11), lean
 
 
-@contracted
+@fma_njit
 def fill_path(points: Any, kept: Any, begin: int, rings: int, count: int, path: Any) -> None:
     """Directions, lengths and frames of a cleaned tube, in loops short enough to overlap in the processor.
 
@@ -258,7 +258,7 @@ def fill_path(points: Any, kept: Any, begin: int, rings: int, count: int, path: 
         path[j, 7], path[j, 8], path[j, 9] = n
 
 
-@contracted
+@fma_njit
 def fill_matrices(path: Any, kept: Any, begin: int, rings: int, count: int, ratio: Any, matrix: Any) -> None:
     """`_ring_matrices` of a tube's rings: columns 0 ... 7, and 8 the lean."""
     for j in range(rings):

@@ -12,7 +12,7 @@ from forestgen.core.arguments import listed, shown
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress, Timings
 from forestgen.recipe.camera_keys import DIRECTIONS
-from forestgen.recipe.fields import Section, mistake
+from forestgen.recipe.fields import Section, violation
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.messages import Explainer
 from forestgen.recipe.sources import Place, SourceMap
@@ -110,7 +110,7 @@ def _key(read: Callable[[Any], Any]) -> BeforeValidator:
         try:
             return read(value)
         except RecipeError as error:
-            raise mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
+            raise violation(error.expected or "", problem=error.problem, got=error.got, hint=error.hint) from error
 
     return BeforeValidator(validated)
 

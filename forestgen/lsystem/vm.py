@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from forestgen.core.compiled import borrowed, compiled
+from forestgen.core.compiled import compiled, unowned_view
 from forestgen.lsystem import vm_layout as layout
 from forestgen.lsystem.multiset import OPEN
 from forestgen.lsystem.vm_expressions import GOLDEN, mix, run, uniform
@@ -167,9 +167,9 @@ def rewrite(memory, key, how, text, words, made, pile, out, out_words):  # type:
     after MORE_SPACE the call can be repeated with larger `out`, `out_words` and `pile`, and goes on at that word.
     The tuples are those of `vm_layout`.
     """
-    t, v, m = borrowed(memory)
-    text, words, made, pile = borrowed(text), borrowed(words), borrowed(made), borrowed(pile)
-    out, out_words = borrowed(out), borrowed(out_words)
+    t, v, m = unowned_view(memory)
+    text, words, made, pile = unowned_view(text), unowned_view(words), unowned_view(made), unowned_view(pile)
+    out, out_words = unowned_view(out), unowned_view(out_words)
     codes, parameters = text.code, text.parameter
     out_code, out_parameter = out
     rules, inner = how.rules, how.inner

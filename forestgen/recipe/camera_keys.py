@@ -27,8 +27,8 @@ from forestgen.recipe.fields import (
     Whole,
     known_part,
     list_names,
-    mistake,
     shorthand,
+    violation,
 )  # fmt: skip
 from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS, RIGS
 from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, RigKeys
@@ -104,14 +104,14 @@ class Exposure(Section):
         if self.shutter_s is not None and self.ev is not None:
             problem, got = "the exposure is given twice", f"shutter_s {self.shutter_s:g} and ev {self.ev:g}"
             hint = "leave one out; without both the picture is metered"
-            raise mistake("shutter_s or ev, not both", problem=problem, got=got, hint=hint, at="ev")
+            raise violation("shutter_s or ev, not both", problem=problem, got=got, hint=hint, at="ev")
         if self.compensation_ev and not metered:
             problem, got = "only a metered exposure is compensated", f"{self.compensation_ev:g}"
-            raise mistake("0, or neither shutter_s nor ev", problem=problem, got=got, at="compensation_ev")
+            raise violation("0, or neither shutter_s nor ev", problem=problem, got=got, at="compensation_ev")
         if self.iso < self.base_iso:
             problem, expected = "the well is full before such an iso saturates", f"base_iso or more: {self.base_iso:g}"
             hint = "lower base_iso with it for a sensor of less sensitivity"
-            raise mistake(expected, problem=problem, got=f"{self.iso:g}", hint=hint, at="iso")
+            raise violation(expected, problem=problem, got=f"{self.iso:g}", hint=hint, at="iso")
         return self
 
     def shutter_for_s(self, luminance_cd_m2: float) -> float:

@@ -10,7 +10,7 @@ from pydantic import BeforeValidator, GetJsonSchemaHandler, SerializeAsAny, mode
 from pydantic_core import PydanticCustomError
 
 from forestgen.recipe.camera_keys import CameraKeys
-from forestgen.recipe.fields import mistake
+from forestgen.recipe.fields import violation
 from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS
 from forestgen.recipe.rigs import MOST_FRAMES
 
@@ -30,7 +30,9 @@ class Camera(CameraKeys):
                 mine = cls.own_keys()
                 expected = f"of these keys: {', '.join(mine)}" if mine else f"none of {', '.join(owners)}"
                 problem, hint = f"{_article(kind)} camera has no {key}", f"choose kind: {' or '.join(owners[key])}"
-                raise mistake(expected, problem=problem, got=str(data[key]), hint=f"leave {key} out, or {hint}", at=key)
+                raise violation(
+                    expected, problem=problem, got=str(data[key]), hint=f"leave {key} out, or {hint}", at=key
+                )
         unsaid = {key for key in strange if key in owners}
         unsaid |= {key for key in cls.own_keys() if isinstance(data, Mapping) and data.get(key, 0) is None}
         return {key: value for key, value in data.items() if key not in unsaid} if unsaid else data
@@ -107,12 +109,12 @@ def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
         missing = next((key for key in needed if getattr(camera, key) is None), None)
         if missing is None:
             return None
-        return mistake("x, y, z in metres", problem=f"the key {missing!r} is missing", got="nothing", at=missing)
+        return violation("x, y, z in metres", problem=f"the key {missing!r} is missing", got="nothing", at=missing)
     rig, part = camera.rig.kind, camera.rig_part
     for key in part.decides:
         if getattr(camera, key) is not None:
             problem = f"{_article(rig)} says itself where the camera {'looks' if 'look' in key else 'is'}"
-            return mistake("no such key beside this rig", problem=problem, got=key, hint=f"leave {key} out", at=key)
+            return violation("no such key beside this rig", problem=problem, got=key, hint=f"leave {key} out", at=key)
     wrong: PydanticCustomError | None = part.check(camera)
     return wrong
 
@@ -122,10 +124,10 @@ def _looking(camera: CameraKeys) -> PydanticCustomError | None:
         return None
     if camera.look_at_m is not None or (camera.path is not None and camera.path.look_at_m):
         at = ("look_at_m",) if camera.look_at_m is not None else ("path", "look_at_m")
-        return mistake("look or look_at_m, not both", problem="two ways to look", got=f"look: {camera.look}", at=at)
+        return violation("look or look_at_m, not both", problem="two ways to look", got=f"look: {camera.look}", at=at)
     if camera.is_level and camera.look in ("up", "down"):
         expected = "north, east, south or west: what is in the image's middle"
-        return mistake(expected, problem=f"{_article(camera.kind)} is level", got=camera.look, at="look")
+        return violation(expected, problem=f"{_article(camera.kind)} is level", got=camera.look, at="look")
     return None
 
 
@@ -139,10 +141,10 @@ def _looks_at_itself(camera: CameraKeys) -> PydanticCustomError | None:
             got = str([round(x, 6) for x in look_at])
             if camera.path is None or index == 0:
                 expected, problem = "a look_at_m away from position_m", "the camera looks at itself"
-                return mistake(expected, problem=problem, got=got, at="look_at_m")
+                return violation(expected, problem=problem, got=got, at="look_at_m")
             expected, problem = "a look_at_m away from position_m all the way", "the camera looks at itself in frame"
             at = ("path", "look_at_m" if camera.path.look_at_m else "position_m")
-            return mistake(expected, problem=f"{problem} {index} of its path", got=got, at=at)
+            return violation(expected, problem=f"{problem} {index} of its path", got=got, at=at)
     return None
 
 
@@ -155,7 +157,7 @@ def check_cameras(cameras: Sequence[Camera]) -> None:
         if frames > MOST_FRAMES:
             at = (index, "path", "frames") if camera.path else (index, "rig") if camera.rig else (index,)
             expected, got = f"at most {MOST_FRAMES} frames of all cameras together", sum(one.frames for one in cameras)
-            raise mistake(expected, problem="too many frames", got=str(got), at=at)
+            raise violation(expected, problem="too many frames", got=str(got), at=at)
         for name in {camera.name: None, **dict.fromkeys(camera.frame_names)}:
             # Compared without case: the names become files, and some file systems ignore case.
             first = owner.setdefault(name.lower(), index)
@@ -167,7 +169,7 @@ def check_motion(cameras: Sequence[Camera], *, plants_move: bool) -> None:
     """Raise an error of validation if all images of a path would be the same."""
     for index, camera in enumerate(cameras):
         if camera.path is not None and not camera.moves and not plants_move:
-            raise mistake(
+            raise violation(
                 "points in position_m or look_at_m that differ from the camera's own, or gusty wind",
                 problem="nothing moves along this path: all of its images would be the same",
                 got=f"{camera.frames} frames",
@@ -179,6 +181,8 @@ def check_motion(cameras: Sequence[Camera], *, plants_move: bool) -> None:
 def _collision(cameras: Sequence[Camera], first: int, second: int, name: str) -> PydanticCustomError:
     one, other, at = cameras[first].name, cameras[second].name, (second, "name")
     if one.lower() == other.lower():
-        return mistake("a different name for each camera", problem="two cameras of one name", got=other, at=at)
+        return violation("a different name for each camera", problem="two cameras of one name", got=other, at=at)
     expected = "other names than those of a path's frames, NAME-0000, NAME-0001, ..."
-    return mistake(expected, problem=f"two images of one name, {name}", got=f"{other}, beside the camera {one}", at=at)
+    return violation(
+        expected, problem=f"two images of one name, {name}", got=f"{other}, beside the camera {one}", at=at
+    )

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pydantic_core import PydanticCustomError
 
 from forestgen.core.parts import Part
-from forestgen.recipe.fields import mistake
+from forestgen.recipe.fields import violation
 from forestgen.recipe.suggestions import did_you_mean
 
 OTHERS = "others"  # all species that no class names
@@ -46,7 +46,7 @@ def wrong_classes(classes: Mapping[str, Sequence[str]], species: Sequence[str]) 
 def _wrong(
     keys: tuple[str | int, ...], problem: str, expected: str, got: str, hint: str | None = None
 ) -> PydanticCustomError:
-    return mistake(expected, problem=problem, got=got, hint=hint, at=("labels", "classes", *keys))
+    return violation(expected, problem=problem, got=got, hint=hint, at=("labels", "classes", *keys))
 
 
 def _left_over(

@@ -64,7 +64,7 @@ def known_part(registry: Registry) -> AfterValidator:
         try:
             registry.check(name)
         except RecipeError as error:
-            raise _as_mistake(error) from error
+            raise _as_violation(error) from error
         return name
 
     return AfterValidator(known)
@@ -91,7 +91,7 @@ def each_once(names: tuple[str, ...]) -> tuple[str, ...]:
     """A validator that refuses a name that stands twice in a list."""
     for index, name in enumerate(names):
         if name in names[:index]:
-            raise mistake("each one once", problem="a name that stands twice", got=name, at=(index,))
+            raise violation("each one once", problem="a name that stands twice", got=name, at=(index,))
     return names
 
 
@@ -121,7 +121,7 @@ class PartSection(Section):
         try:
             part = cls.registry.load(cls.named_by(data))
         except RecipeError as error:
-            raise _as_mistake(error, at=cls.selector) from error
+            raise _as_violation(error, at=cls.selector) from error
         parameters: type[Self] = part.Parameters
         return parameters
 
@@ -151,9 +151,9 @@ class PartSection(Section):
         elif own.model_config.get("extra") == "allow":
             keys = {inner for one in parameters.values() for inner in one.model_fields}
             hint = did_you_mean(key, keys, cutoff=0.5)
-            raise mistake("one of " + ", ".join(sorted(keys)), problem=f"unknown key {key!r}", hint=hint, at=(key,))
+            raise violation("one of " + ", ".join(sorted(keys)), problem=f"unknown key {key!r}", hint=hint, at=(key,))
         elif owners:
-            raise mistake(
+            raise violation(
                 "one of " + ", ".join(sorted(own.model_fields)),
                 problem=f"the {cls.registry.kind} {cls.named_by(data)} has no {key}",
                 got=key,
@@ -175,7 +175,7 @@ class PartSection(Section):
         return schema
 
 
-def mistake(
+def violation(
     expected: str,
     *,
     problem: str = "bad value",
@@ -189,11 +189,11 @@ def mistake(
     """
     path = (at,) if isinstance(at, str) else at
     context = {"problem": problem, "expected": expected, "got": got, "hint": hint, "at": path}
-    return PydanticCustomError("mistake", "{problem}: expected {expected}", context)
+    return PydanticCustomError("violation", "{problem}: expected {expected}", context)
 
 
-def _as_mistake(error: RecipeError, at: str = "") -> PydanticCustomError:
-    return mistake(error.expected or "", problem=error.problem, got=error.got, hint=error.hint, at=at or ())
+def _as_violation(error: RecipeError, at: str = "") -> PydanticCustomError:
+    return violation(error.expected or "", problem=error.problem, got=error.got, hint=error.hint, at=at or ())
 
 
 def spelled_out(value: Any, key: str) -> Any:

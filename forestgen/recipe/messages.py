@@ -137,7 +137,7 @@ class Explainer:
         if kind in ("union_tag_invalid", "union_tag_not_found"):
             return self._which_form(keys, value, str(context["discriminator"]).strip("'"))
         keys = self._real(self._written_keys(keys))
-        if kind == "mistake":
+        if kind == "violation":
             got = context["got"] or show(value)
             return self._at(keys + tuple(context["at"]), context["problem"], context["expected"], got, context["hint"])
         expected = expectation(kind, context, details["msg"])

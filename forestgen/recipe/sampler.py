@@ -28,7 +28,7 @@ from forestgen.recipe.curves import RESERVED
 from forestgen.recipe.dataset import place_in_splits
 from forestgen.recipe.distributions import Choice, Distribution, Integers
 from forestgen.recipe.distributions import Sequence as InOrder
-from forestgen.recipe.fields import Number, Section, Text, Whole, mistake
+from forestgen.recipe.fields import Number, Section, Text, Whole, violation
 from forestgen.recipe.points import MOST_KEYS, InfeasibleError, Method, cell_of, cholesky_factor, correlated, point
 from forestgen.recipe.sources import Keys, SourceMap, dotted
 from forestgen.recipe.variables import SECTION as VARIABLES
@@ -45,7 +45,7 @@ def _is_strata(value: Any) -> Any:
     levels = isinstance(value, list | tuple) and not any(isinstance(one, dict | list | tuple) for one in value)
     if value == "all" or number or levels:
         return value
-    raise mistake(f"all, a number of bins from 1 to {MOST_CELLS}, or a list of the choice's values")
+    raise violation(f"all, a number of bins from 1 to {MOST_CELLS}, or a list of the choice's values")
 
 
 _Strata = Annotated[Literal["all"] | Whole | tuple[_Level, ...], BeforeValidator(_is_strata)]
@@ -63,7 +63,7 @@ class Correlation(Section):
     @classmethod
     def _differ(cls, value: tuple[str, str]) -> tuple[str, str]:
         if value[0] == value[1]:
-            raise mistake("two different keys", problem="a key correlated with itself", got=value[0])
+            raise violation("two different keys", problem="a key correlated with itself", got=value[0])
         return value
 
 
@@ -103,7 +103,7 @@ class Sampling(Section):
         for name in value:
             if name in RESERVED:
                 taken = ", ".join(sorted(RESERVED))
-                raise mistake(f"another name than {taken}", problem="formulas use this name", got=name, at=name)
+                raise violation(f"another name than {taken}", problem="formulas use this name", got=name, at=name)
         return value
 
     @model_validator(mode="after")
@@ -113,7 +113,7 @@ class Sampling(Section):
             if name in self.model_fields_set and self.method not in methods and getattr(self, name) is not None:
                 expected = f"method: {' or '.join(methods)}, where there is {name}"
                 at = "method" if "method" in self.model_fields_set else name
-                raise mistake(expected, problem=f"the method {self.method} has no {name}", got=self.method, at=at)
+                raise violation(expected, problem=f"the method {self.method} has no {name}", got=self.method, at=at)
         return self
 
 

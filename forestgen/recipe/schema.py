@@ -41,9 +41,9 @@ from forestgen.recipe.fields import (
     Text,
     Whole,
     each_once,
-    mistake,
     part_name,
     shorthand,
+    violation,
 )  # fmt: skip
 from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, TERRAINS
 from forestgen.recipe.sampler import Sampling
@@ -147,7 +147,7 @@ class Site(Section):
                 x, y = one.position_m
                 expected = f"all of its ground plan within x from 0 to {width:g} and y from 0 to {depth:g} metres"
                 problem, got = "this building does not lie on the site", f"[{x:g}, {y:g}], from [{low}] to [{high}]"
-                raise mistake(expected, problem=problem, got=got, at=("buildings", index, "position_m"))
+                raise violation(expected, problem=problem, got=got, at=("buildings", index, "position_m"))
         return self
 
 
@@ -224,11 +224,11 @@ class Plants(Section):
         if self.library is not None and self.library < self.variants_per_size:
             expected = f"at least variants_per_size = {self.variants_per_size}"
             problem = "the library has fewer plants of a size than an image shows"
-            raise mistake(expected, problem=problem, got=str(self.library), at="library")
+            raise violation(expected, problem=problem, got=str(self.library), at="library")
         if self.library is not None and self.traits:
             problem = "a library's plants are grouped by their size alone"
             hint = "leave out plants.traits, or plants.library"
-            raise mistake("no traits", problem=problem, got=", ".join(self.traits), hint=hint, at="traits")
+            raise violation("no traits", problem=problem, got=", ".join(self.traits), hint=hint, at="traits")
         return self
 
 
@@ -280,7 +280,7 @@ class Render(Section):
         if open_ended and self.most_samples < self.samples:
             expected, hint = f"at least samples, {self.samples}", "lower samples, or raise most_samples"
             problem, got = "fewer samples than it begins with", str(self.most_samples)
-            raise mistake(expected, problem=problem, got=got, hint=hint, at="most_samples")
+            raise violation(expected, problem=problem, got=got, hint=hint, at="most_samples")
         return self
 
 
@@ -305,7 +305,7 @@ class Labels(Section):
     @classmethod
     def _is_square(cls, value: int) -> int:
         if math.isqrt(value) ** 2 != value:
-            raise mistake("a square number: 1, 4, 9, 16, 25, ...")
+            raise violation("a square number: 1, 4, 9, 16, 25, ...")
         return value
 
 
@@ -320,7 +320,7 @@ def _is_same_stand(value: Any) -> Any:
     if isinstance(value, bool) or value == "by_split":
         return value
     hint = "this key may not be a distribution" if isinstance(value, Mapping) else None
-    raise mistake("true, false or by_split", hint=hint)
+    raise violation("true, false or by_split", hint=hint)
 
 
 class Recipe(Section):
@@ -390,7 +390,7 @@ class Recipe(Section):
             problem, got = "the sun by date needs a place on earth", "no " + " and no ".join(missing)
             hint = "site: {latitude_deg: 51.0, longitude_deg: 13.7} is Dresden"
             expected = "site.latitude_deg and site.longitude_deg, degrees"
-            raise mistake(expected, problem=problem, got=got, hint=hint, at=("site", missing[0]))
+            raise violation(expected, problem=problem, got=got, hint=hint, at=("site", missing[0]))
         reserved = (*NO_SPECIES, *(one.kind for one in self.site.buildings))
         for name in self.species:
             if name.lower() in reserved:
@@ -398,7 +398,7 @@ class Recipe(Section):
                     f"another name than {', '.join(reserved)}",
                     "labels use this name for what is no plant",
                 )
-                raise mistake(expected, problem=problem, got=name, at=("species", name))
+                raise violation(expected, problem=problem, got=name, at=("species", name))
         wrong = None if self.labels.classes is None else wrong_classes(self.labels.classes, self.labelled_names)
         if wrong is not None:
             raise wrong

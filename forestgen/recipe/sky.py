@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from forestgen.recipe.fields import GivenSection, Number, PartSection, Text, mistake, shorthand
+from forestgen.recipe.fields import GivenSection, Number, PartSection, Text, shorthand, violation
 from forestgen.recipe.registries import CLOUD_SOURCES, SKIES
 
 FileName = Annotated[Text, Field(min_length=1, max_length=4000)]
@@ -105,12 +105,12 @@ class Sun(GivenSection):
         try:
             moment = datetime.datetime.fromisoformat(value)
         except ValueError as cause:
-            raise mistake(expected, problem="not a date") from cause
+            raise violation(expected, problem="not a date") from cause
         if len(value) > 10 and moment.tzinfo is None:
             hint = "add the offset: Z is UTC, +02:00 central Europe's summer"
-            raise mistake(expected, problem="a time without its offset from UTC", hint=hint)
+            raise violation(expected, problem="a time without its offset from UTC", hint=hint)
         if not YEARS[0] <= moment.year <= YEARS[1]:
-            raise mistake(f"a year from {YEARS[0]} to {YEARS[1]}", problem="too far away")
+            raise violation(f"a year from {YEARS[0]} to {YEARS[1]}", problem="too far away")
         return value
 
     @field_validator("time", mode="before")
@@ -119,7 +119,7 @@ class Sun(GivenSection):
         number = isinstance(value, int | float) and not isinstance(value, bool)
         good = (number and 0 <= value < 24) or (isinstance(value, str) and _hours(value) < 24)
         if value is not None and not good:
-            raise mistake("'HH:MM' or 'HH:MM:SS', or hours since midnight from 0 to 24", problem="not a time of day")
+            raise violation("'HH:MM' or 'HH:MM:SS', or hours since midnight from 0 to 24", problem="not a time of day")
         return value
 
     @model_validator(mode="after")
@@ -131,15 +131,15 @@ class Sun(GivenSection):
         if angles:
             expected, hint = "elevation_deg and azimuth_deg; or date, time and utc_offset_h", " and ".join(angles)
             problem, got = "the sun is given twice, by angle and by date", ", ".join(angles + given)
-            raise mistake(expected, problem=problem, got=got, hint=f"leave out {hint} or the date", at=angles[0])
+            raise violation(expected, problem=problem, got=got, hint=f"leave out {hint} or the date", at=angles[0])
         needed = ("date",) if self.date is not None and len(self.date) > 10 else _DATE
         missing = [key for key in needed if key not in given]
         if missing:
             hint = "add " + " and ".join(f"{key}: {_EXAMPLES[key]}" for key in missing)
-            raise mistake(" and ".join(needed), problem="half a date", got=", ".join(given), hint=hint, at=given[0])
+            raise violation(" and ".join(needed), problem="half a date", got=", ".join(given), hint=hint, at=given[0])
         if given != list(needed):
             problem, hint = "the time is given twice, in the date and beside it", "leave out time and utc_offset_h"
-            raise mistake(" and ".join(needed), problem=problem, got=", ".join(given), hint=hint, at=given[1])
+            raise violation(" and ".join(needed), problem=problem, got=", ".join(given), hint=hint, at=given[1])
         return self
 
 

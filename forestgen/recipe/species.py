@@ -23,8 +23,8 @@ from forestgen.recipe.fields import (
     Positive,
     Section,
     Text,
-    mistake,
     shorthand,
+    violation,
 )  # fmt: skip
 from forestgen.recipe.spectra import MOST_BYTES, Season
 
@@ -117,7 +117,7 @@ class Bark(Section):
         most = 0.5 * min(self.tile_m)
         if self.scale_m is not None and self.scale_m > most:
             problem = "the texture's repeat is too small for features of this size"
-            raise mistake(
+            raise violation(
                 f"at most half of tile_m: {most:g} m", problem=problem, got=f"{self.scale_m:g} m", at="scale_m"
             )
         return self
@@ -163,22 +163,22 @@ class Material(Section):
     @model_validator(mode="after")
     def _says_it_once(self) -> Self:
         if self.spectrum is None and self.reflectance is None:
-            raise mistake("reflectance, or a spectrum", problem="a material without colour", got="neither")
+            raise violation("reflectance, or a spectrum", problem="a material without colour", got="neither")
         if self.spectrum is None and self.season is not None:
-            raise mistake("a season of a spectrum", problem="colours have no season", got=self.season, at="season")
+            raise violation("a season of a spectrum", problem="colours have no season", got=self.season, at="season")
         if self.spectrum is not None and (self.reflectance is not None or max(self.transmittance) > 0):
             expected = "a spectrum, or reflectance and transmittance"
             problem = "colours beside a spectrum, of which they follow"
             hint = "leave one out; `spectrum: null` takes back a species file's"
-            raise mistake(expected, problem=problem, got="both", hint=hint)
+            raise violation(expected, problem=problem, got="both", hint=hint)
         if self.bark is not None and max(self.transmittance) > 0:
-            raise mistake("no transmittance, or no bark", problem="bark lets no light through", got="both")
+            raise violation("no transmittance, or no bark", problem="bark lets no light through", got="both")
         reflectance = self.reflectance or (0.0, 0.0, 0.0)
         for channel, r, t in zip(("red", "green", "blue"), reflectance, self.transmittance, strict=True):
             if r + t > 1.0 + 1e-9:
                 expected = "reflectance + transmittance of at most 1 in every channel"
                 got = f"{r:g} + {t:g} in {channel}"
-                raise mistake(expected, problem="more light leaves than arrives", got=got)
+                raise violation(expected, problem="more light leaves than arrives", got=got)
         return self
 
 
@@ -299,11 +299,13 @@ class PlantType(Section):
     def _can_grow(self) -> Self:
         if self.vigour_min >= self.vigour_max:
             expected, problem = f"below vigour_max = {self.vigour_max:g}", "no vigour lets a module grow"
-            raise mistake(expected, problem=problem, got=f"{self.vigour_min:g}", at="vigour_min")
+            raise violation(expected, problem=problem, got=f"{self.vigour_min:g}", at="vigour_min")
         if self.sprouting * self.vigour_min >= 1.0:
             most = 1.0 / self.vigour_min
             expected = f"below {most:g}, so that sprouting x vigour_min is less than the 1 of full light"
-            raise mistake(expected, problem="no light lets a seed germinate", got=f"{self.sprouting:g}", at="sprouting")
+            raise violation(
+                expected, problem="no light lets a seed germinate", got=f"{self.sprouting:g}", at="sprouting"
+            )
         return self
 
 
@@ -342,7 +344,7 @@ class Species(Section):
         if not 0 < height_m <= TALLEST_M:
             expected, problem = f"a mature height of at most {TALLEST_M:g} m", "the allometry gives no plant's height"
             got = f"{height_m:g} m = allometry.height_m at ecology.max_radius_m"
-            raise mistake(expected, problem=problem, got=got)
+            raise violation(expected, problem=problem, got=got)
         return self
 
     @property

@@ -40,8 +40,8 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import advanced, clipped, entered, inside
-from forestgen.core.compiled import borrowed, compiled, inlined
-from forestgen.core.threads import over_ranges
+from forestgen.core.compiled import compiled, inlined, unowned_view
+from forestgen.core.threads import parallel_for
 
 BRICK = 8  # cells along its side
 _FAINT = 0.1  # weight below which a path may end by chance
@@ -135,7 +135,7 @@ def gather(
             first, end = begin - (-first // samples), begin - (-end // samples)
             _gather(*given, samples, disc, first, end, out)
 
-        over_ranges(here * samples, work)
+        parallel_for(here * samples, work)
     out /= samples
     return Gathered(out[..., :-1], out[..., -1])
 
@@ -143,7 +143,7 @@ def gather(
 @compiled
 def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, samples, disc, first, end, out):  # type: ignore[no-untyped-def]
     """Add the light of rays `first` to `end` to `out` (N, 3, C + 1); lengths are from the grid's low corner."""
-    value, most = borrowed(value), borrowed(most)
+    value, most = unowned_view(value), unowned_view(most)
     per_x, per_y, per_z = per_m
     albedo, forward, backward, share = scattering
     sun_x, sun_y, sun_z, sun_cos = sun

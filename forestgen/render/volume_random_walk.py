@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import advanced, clipped, corners, entered, inside, mixed, piece
-from forestgen.core.compiled import borrowed, compiled
-from forestgen.core.threads import over_ranges
+from forestgen.core.compiled import compiled, unowned_view
+from forestgen.core.threads import parallel_for
 from forestgen.render.cloud_paths import scrambled
 
 _BOX_CELLS = 4  # along the side of a box with one largest extinction
@@ -92,13 +92,13 @@ class WalkField:
         light, weight = np.zeros(count), np.ones(count)
         sun = np.zeros(13) if disc is None else disc
         given = (self.value, self.box_most, self.low_m, self.cell_m, self.optics, sun, np.uint64(seed % 2**64))
-        over_ranges(count, lambda first, end: _walk(*given, first, end, leaves, heading, light, weight))
+        parallel_for(count, lambda first, end: _walk(*given, first, end, leaves, heading, light, weight))
         return Walks(light, leaves, heading, weight)
 
 
 @compiled
 def _walk(value, most, low, cell, optics, disc, seed, first_ray, end_ray, leaves, heading, light, weight):  # type: ignore[no-untyped-def]
-    value, most = borrowed(value), borrowed(most)
+    value, most = unowned_view(value), unowned_view(most)
     albedo, g1, g2, share = optics[0], optics[1], optics[2], optics[3]
     scale_x, scale_y, scale_z = 1.0 / cell[0], 1.0 / cell[1], 1.0 / cell[2]
     state = np.zeros(1, dtype=np.uint64)

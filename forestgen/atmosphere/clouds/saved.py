@@ -31,7 +31,7 @@ from forestgen.atmosphere.clouds.source import (
 from forestgen.atmosphere.grid import CloudGrid, Weather
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.assets import inside
-from forestgen.recipe.fields import mistake, spelled_out
+from forestgen.recipe.fields import spelled_out, violation
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import known_file
 from forestgen.recipe.sky import NamedFile
@@ -55,9 +55,9 @@ class SavedKeys(PlacedKeys):
     @model_validator(mode="after")
     def _is_a_sky(self) -> Self:
         if self.file is None:
-            raise mistake("file: sky.nc", problem="no file is named", got="type: file", at=("type",))
+            raise violation("file: sky.nc", problem="no file is named", got="type: file", at=("type",))
         if not self.file.file.lower().endswith((".nc", ".vol")):
-            raise mistake(
+            raise violation(
                 "a state of the air, NAME.nc, or a volume of extinction, NAME.vol",
                 problem="this file holds no sky",
                 got=self.file.file,

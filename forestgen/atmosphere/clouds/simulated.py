@@ -56,7 +56,7 @@ from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding, first_
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.raster import read_raster
-from forestgen.recipe.fields import NonNegative, Whole, mistake
+from forestgen.recipe.fields import NonNegative, Whole, violation
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import known_file
 from forestgen.recipe.registries import CLOUD_SOURCES
@@ -110,17 +110,17 @@ class SimulatedKeys(WeatherKeys, PlacedKeys):
         if twice:
             hint = f"move {twice[0]} into the phases"
             problem = "the weather is given twice, beside the story and in it"
-            raise mistake("a story, or its keys", problem=problem, got=", ".join(twice), hint=hint, at=(twice[0],))
+            raise violation("a story, or its keys", problem=problem, got=", ".join(twice), hint=hint, at=(twice[0],))
         if self.type != self.story[0].type:
             problem = "the story begins with another type"
-            raise mistake(self.story[0].type, problem=problem, got=self.type, hint="leave out type", at=("type",))
+            raise violation(self.story[0].type, problem=problem, got=self.type, hint="leave out type", at=("type",))
         if self.story[0].at_s != 0:
-            raise mistake("at_s: 0", problem="the story begins late", got=f"{self.story[0].at_s:g}", at=("story", 0))
+            raise violation("at_s: 0", problem="the story begins late", got=f"{self.story[0].at_s:g}", at=("story", 0))
         for index, (one, other) in enumerate(pairwise(self.story), start=1):
             if other.at_s <= one.at_s:
                 expected = f"more than {one.at_s:g} s, when the phase before it begins"
                 place = ("story", index, "at_s")
-                raise mistake(expected, problem="phases out of order", got=f"{other.at_s:g}", at=place)
+                raise violation(expected, problem="phases out of order", got=f"{other.at_s:g}", at=place)
         return self
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, field_validator, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.fields import Fraction, GivenSection, NonNegative, Number, Positive, Text, mistake, spelled_out
+from forestgen.recipe.fields import Fraction, GivenSection, NonNegative, Number, Positive, Text, spelled_out, violation
 from forestgen.recipe.registries import CLOUD_SOURCES
 from forestgen.recipe.sky import FileName, NamedFile, Sha256
 
@@ -71,7 +71,7 @@ class SoundingSection(GivenSection):
         of_files = {"file", "sha256", "ground_pressure_hpa"}  # a table has no pressure
         given = [key for key in self.model_fields_set - of_files if getattr(self, key) is not None]
         if self.file is not None and given:
-            raise mistake(
+            raise violation(
                 "a file, or numbers",
                 problem="the sounding is given twice",
                 got=f"file and {', '.join(sorted(given))}",
@@ -113,7 +113,7 @@ class EmissionSection(GivenSection):
     def _vapour_once(self) -> Self:
         for one, other in (("latent_w_per_m2", "vapour_g_per_m2_s"), ("map", "patch_m"), ("map", "contrast")):
             if getattr(self, one) is not None and getattr(self, other) is not None:
-                raise mistake(f"{one} or {other}", problem="given twice", got=f"{one}, {other}", at=(other,))
+                raise violation(f"{one} or {other}", problem="given twice", got=f"{one}, {other}", at=(other,))
         return self
 
 
@@ -171,4 +171,4 @@ class Phase(WeatherKeys):
         except RecipeError:
             pass
         simulated = [name for name, part in CLOUD_SOURCES.parts() if hasattr(part, "conditions")]
-        raise mistake("one of " + ", ".join(simulated), problem="no simulated weather is called so", got=value)
+        raise violation("one of " + ", ".join(simulated), problem="no simulated weather is called so", got=value)

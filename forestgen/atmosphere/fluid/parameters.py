@@ -27,7 +27,7 @@ from forestgen.atmosphere.sounding import (
     WATER_KG_PER_KMOL,
     Sounding,
 )
-from forestgen.core.compiled import borrowed, unchecked
+from forestgen.core.compiled import unchecked, unowned_view
 from forestgen.core.threads import at_once, over_slabs
 
 HEAT_CAPACITY_J_PER_KG_K = GAS_CONSTANT_AIR_J_PER_KG_K / AIR_EXPONENT  # of dry air at constant pressure
@@ -125,7 +125,7 @@ def crossing_per_s(velocity: Velocity, cell_m: tuple[float, float, float]) -> fl
 
 @unchecked
 def _crossing(most, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
-    u, v, w = borrowed(u), borrowed(v), borrowed(w)
+    u, v, w = unowned_view(u), unowned_view(v), unowned_view(w)
     rows, columns = u.shape[1], u.shape[2]
     rate = np.zeros(columns, np.float32)
     for layer in range(first, end):

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes, volume_in_boxes
-from forestgen.core.compiled import borrowed, compiled
-from forestgen.core.threads import over_ranges
+from forestgen.core.compiled import compiled, unowned_view
+from forestgen.core.threads import parallel_for
 
 LEAST_RADIUS_M = 1e-3
 _LEVELS = 6
@@ -139,17 +139,17 @@ def runs(x, y, z, radius, cells, out):  # type: ignore[no-untyped-def]
 @compiled
 def _sum_overlaps(first, end, cells, parent, boxes, total):  # type: ignore[no-untyped-def]
     """Set `total` of the spheres `first` to `end` of the grid to the sum of their common volumes with others, m3."""
-    cells, parent, total, boxes = borrowed(cells), borrowed(parent), borrowed(total), borrowed(boxes)
+    cells, parent, total, boxes = unowned_view(cells), unowned_view(parent), unowned_view(total), unowned_view(boxes)
     sphere, rows, width, height = cells.sphere, cells.row, cells.width, cells.height
     room = np.empty((256, 2), dtype=np.int64)
-    run = borrowed(room)
+    run = unowned_view(room)
     for i in range(first, end):
         x, y, z, r, own = sphere[i, 0], sphere[i, 1], sphere[i, 2], sphere[i, 3], rows[i]
         bearer = parent[own]
         count = runs(x, y, z, r, cells, run)
         while count < 0:
             room = np.empty((2 * len(room), 2), dtype=np.int64)
-            run = borrowed(room)
+            run = unowned_view(room)
             count = runs(x, y, z, r, cells, run)
         volume = 0.0
         for k in range(count):
@@ -336,7 +336,7 @@ def overlap_volumes(grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Bo
     parent = np.ascontiguousarray(parent_row, dtype=np.int64)
     if len(grid):
         cells, rows = grid.cells, boxes.rows
-        over_ranges(len(grid), lambda first, end: _sum_overlaps(first, end, cells, parent, rows, total))
+        parallel_for(len(grid), lambda first, end: _sum_overlaps(first, end, cells, parent, rows, total))
     return total
 
 

@@ -40,8 +40,8 @@ from forestgen.community.branch_modules.crowding import (
     runs,
     without,
 )
-from forestgen.core.compiled import borrowed, compiled, unchecked
-from forestgen.core.threads import over_ranges
+from forestgen.core.compiled import compiled, unchecked, unowned_view
+from forestgen.core.threads import parallel_for
 
 SHRINKING = 0.7  # of the angle from step to step
 _CHOICES = 5
@@ -185,9 +185,19 @@ def _below(z, r, ground):  # type: ignore[no-untyped-def]
 @compiled
 def _turn(first, end, parity, angle, table, rows, fixed, moving, boxes, at, rotation, new_at, new_rotation):  # type: ignore[no-untyped-def]
     """Best choice of each module at places `first` to `end` of `moving`, of that parity; all are `at`, `rotation`."""
-    table, rows, fixed, moving, at = borrowed(table), borrowed(rows), borrowed(fixed), borrowed(moving), borrowed(at)
+    table, rows, fixed, moving, at = (
+        unowned_view(table),
+        unowned_view(rows),
+        unowned_view(fixed),
+        unowned_view(moving),
+        unowned_view(at),
+    )
     room, space, shared = np.empty((256, 2), dtype=np.int64), np.empty((4, 256)), np.empty(256)
-    run, near, common = borrowed(room), borrowed(space), borrowed(shared)  # the loop reads all three: they live
+    run, near, common = (
+        unowned_view(room),
+        unowned_view(space),
+        unowned_view(shared),
+    )  # the loop reads all three: they live
     c, s, width, height = cos(angle), sin(angle), fixed.width, fixed.height
     for place in range(first, end):
         i = moving.row[place]
@@ -198,10 +208,10 @@ def _turn(first, end, parity, angle, table, rows, fixed, moving, boxes, at, rota
         while count < 0:
             if count == -1:
                 room = np.empty((2 * len(room), 2), dtype=np.int64)
-                run = borrowed(room)
+                run = unowned_view(room)
             else:
                 space, shared = np.empty((4, 2 * space.shape[1])), np.empty(2 * len(shared))
-                near, common = borrowed(space), borrowed(shared)
+                near, common = unowned_view(space), unowned_view(shared)
             count = _neighbours(i, (x, y, z), r + angle * table[i, _ARM], fixed, moving, at, rows, run, near)
         start = (rotation[i, 0], rotation[i, 1], rotation[i, 2], rotation[i, 3])
         m = _matrix(start)
@@ -259,7 +269,7 @@ def orient(
     def turn_half(parity: int, angle: float, moving: Cells) -> None:
         others = fixed, moving, boxes_rows
         places = at, rotation, new_at, new_rotation
-        over_ranges(n, lambda first, end: _turn(first, end, parity, angle, table, rows, *others, *places))
+        parallel_for(n, lambda first, end: _turn(first, end, parity, angle, table, rows, *others, *places))
         at[:], rotation[:] = new_at, new_rotation
 
     for step in range(steps):

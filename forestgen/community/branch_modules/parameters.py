@@ -34,7 +34,7 @@ from forestgen.community.disturbance import KINDS
 from forestgen.community.model import CommunityParameters
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.recipe.biome import COLDEST_C, DRIEST_MM, WARMEST_C, WETTEST_MM
-from forestgen.recipe.fields import Flag, Fraction, NonNegative, Number, Positive, Section, Text, Whole, mistake
+from forestgen.recipe.fields import Flag, Fraction, NonNegative, Number, Positive, Section, Text, Whole, violation
 from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import PlantType
@@ -63,7 +63,7 @@ class Change(Section):
         for key in data if isinstance(data, Mapping) else ():
             kind = None if key in cls.model_fields else nearest(str(key), KINDS)
             if kind is not None:
-                raise mistake(
+                raise violation(
                     "at_yr and set",
                     problem=f"unknown key {str(key)!r}",
                     hint=f"a change sets numbers; write disturbances: [{{at_yr: ..., {kind}: ...}}] beside changes",
@@ -75,14 +75,14 @@ class Change(Section):
     def _can_be_changed(self) -> Self:
         for key in self.set:
             if key in FIXED:
-                raise mistake(
+                raise violation(
                     "a key that may change with time",
                     problem=f"{key} holds for the whole simulation",
                     got=show(self.set[key]),
                     at=("set", key),
                 )
             if key.startswith("species") and species_key(key) is None:
-                raise mistake(
+                raise violation(
                     "species.NAME.KEY, such as species.pine.shade_tolerance",
                     problem="this names no key of a species",
                     got=repr(key),
@@ -117,7 +117,7 @@ def species_key(key: str) -> tuple[str, str] | None:
 def _within(low: float, high: float, unit: str) -> AfterValidator:
     def check(value: float) -> float:
         if not low <= value <= high:
-            raise mistake(f"{low:g} to {high:g} {unit}", problem="no such climate", got=f"{value:g} {unit}")
+            raise violation(f"{low:g} to {high:g} {unit}", problem="no such climate", got=f"{value:g} {unit}")
         return value
 
     return AfterValidator(check)
@@ -152,11 +152,11 @@ def _number_or_by_species(value: Any) -> Any:
     """One number as it is; what is neither that nor a mapping is refused here, with both forms named."""
     if isinstance(value, Mapping):
         if _ALL in value and len(value) > 1:
-            raise mistake("numbers by species, or one number for all", got=", ".join(map(str, value)))
+            raise violation("numbers by species, or one number for all", got=", ".join(map(str, value)))
         return value
     whole = isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= MOST_PLANTS
     if not whole or value != int(value):
-        raise mistake(f"a whole number from 0 to {MOST_PLANTS}, or such numbers by species")
+        raise violation(f"a whole number from 0 to {MOST_PLANTS}, or such numbers by species")
     return {_ALL: int(value)}
 
 
@@ -256,7 +256,7 @@ class BranchModulesParameters(CommunityParameters):
     @classmethod
     def _buildings_are_the_sites(cls, data: Any) -> Any:
         if isinstance(data, Mapping) and "obstacles" in data:
-            raise mistake(
+            raise violation(
                 "site.buildings: [{position_m: [...], size_m: [...]}]",
                 problem="obstacles are buildings of the site",
                 got=show(data["obstacles"]),
@@ -285,9 +285,9 @@ class BranchModulesParameters(CommunityParameters):
         missing = [key for key in _CLIMATE if getattr(self, key) is None]
         if len(missing) == 1:
             given = next(key for key in _CLIMATE if key not in missing)
-            raise mistake(missing[0], problem="half a climate", got=f"{given} alone", at=(given,))
+            raise violation(missing[0], problem="half a climate", got=f"{given} alone", at=(given,))
         if missing and self.biome is not None:
-            raise mistake(
+            raise violation(
                 "temperature_c and precipitation_mm_per_yr, or a place",
                 problem="a biome without a climate",
                 at=("biome",),
@@ -298,7 +298,7 @@ class BranchModulesParameters(CommunityParameters):
     def _some_ground_is_open(self) -> Self:
         blocked = self.blocked_soil()
         if blocked is not None and blocked.all():
-            raise mistake(
+            raise violation(
                 f"a value of at most {BLOCKED_ABOVE:g}, where plants may grow",
                 problem="the soil map bars the whole site",
                 got=f"values from {self.soil.values().min():g}" if self.soil is not None else None,

@@ -28,7 +28,7 @@ from forestgen.community.competition import grid
 from forestgen.community.competition.contract import Circles
 from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
-from forestgen.core.threads import over_ranges
+from forestgen.core.threads import parallel_for
 from forestgen.recipe.fields import Section
 
 _CROWD = 64  # members
@@ -137,8 +137,8 @@ def dominated(
     if len(radius_m) > 1:
         cells = grid.build(position_m, radius_m, size_m, periodic=periodic)
         ranked = np.zeros(len(cells.start) - 1, dtype=np.bool_)
-        over_ranges(len(ranked), lambda first, end: _rank(first, end, cells, plant_id, ranked))
-        over_ranges(len(out), lambda first, end: _search(first, end, cells, plant_id, ranked, out))
+        parallel_for(len(ranked), lambda first, end: _rank(first, end, cells, plant_id, ranked))
+        parallel_for(len(out), lambda first, end: _search(first, end, cells, plant_id, ranked, out))
     return out
 
 

@@ -31,7 +31,7 @@ from pydantic import Field
 from forestgen.community.competition import grid
 from forestgen.community.competition.contract import Circles
 from forestgen.core.compiled import compiled
-from forestgen.core.threads import over_ranges
+from forestgen.core.threads import parallel_for
 from forestgen.recipe.fields import Section
 
 
@@ -106,7 +106,7 @@ class LepsKindlmann:
         if len(circles) > 1:
             cells = grid.build(circles.position_m, circles.radius_m, size_m, periodic=periodic)
             height_m, q = circles.height_m, parameters.tolerance
-            over_ranges(len(out), lambda first, end: _factors(first, end, cells, height_m, q, out))
+            parallel_for(len(out), lambda first, end: _factors(first, end, cells, height_m, q, out))
         return out
 
 

@@ -34,7 +34,7 @@ from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, Month
 from forestgen.community.ecoclimate.parameters import WeatherSection
 from forestgen.community.soil_water import Floats, Ground
 from forestgen.core.randomness import child_rng
-from forestgen.core.threads import apart
+from forestgen.core.threads import parallel_map
 
 MOST = 3.0
 _MARK_S = 300.0  # between two looks at the clouds
@@ -172,7 +172,7 @@ def month_of_air(
     jobs = [over_the_site, lambda index: usual(normal, index=index)]
     if month.vapour != 1.0:
         jobs.append(lambda index: usual(month, index=index))
-    days: list[Any] = apart([partial(job, index) for index in indices for job in jobs])
+    days: list[Any] = parallel_map([partial(job, index) for index in indices for job in jobs])
     looks: list[tuple[Floats, Floats, float, float]] = []
     for index in indices:
         here, (usual_kg, usual_k), *changed = days[len(jobs) * index : len(jobs) * (index + 1)]

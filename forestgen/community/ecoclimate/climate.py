@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.assets import scenes_dir
-from forestgen.recipe.fields import NonNegative, Number, Section, Text, mistake
+from forestgen.recipe.fields import NonNegative, Number, Section, Text, violation
 
 MONTHS_PER_YR = 12
 DAYS_PER_MONTH = 365.25 / 12
@@ -60,7 +60,7 @@ class ClimateChange(Section):
     @model_validator(mode="after")
     def _forwards(self) -> Self:
         if self.to_yr < self.from_yr:
-            raise mistake(f"from_yr = {self.from_yr:g} or more", got=f"{self.to_yr:g}", at=("to_yr",))
+            raise violation(f"from_yr = {self.from_yr:g} or more", got=f"{self.to_yr:g}", at=("to_yr",))
         return self
 
     def step(self, step_yr: float) -> int:
@@ -150,12 +150,12 @@ class Climate(Section):
         given = [name for name in ("temperature_c", "precipitation_mm") if getattr(self, name) is not None]
         if self.place is None and len(given) < 2:
             missing = "precipitation_mm" if "temperature_c" in given else "temperature_c"
-            raise mistake("a place, or temperature_c and precipitation_mm", problem="half a climate", at=(missing,))
+            raise violation("a place, or temperature_c and precipitation_mm", problem="half a climate", at=(missing,))
         if self.place is not None:
             try:
                 climate_of(self.place)
             except RecipeError as error:
-                raise mistake(
+                raise violation(
                     error.expected or "a place", problem=error.problem, got=self.place, hint=error.hint, at=("place",)
                 ) from error
         return self

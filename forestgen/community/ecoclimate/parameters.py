@@ -11,7 +11,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, values_in_time
 from forestgen.community.ecoclimate.climate import MONTHS, MONTHS_PER_YR, Climate, ClimateChange, first_step_after
 from forestgen.community.soil_water import SoilWaterParameters
-from forestgen.recipe.fields import Flag, Fraction, Name, NonNegative, Number, Positive, Section, Whole, mistake
+from forestgen.recipe.fields import Flag, Fraction, Name, NonNegative, Number, Positive, Section, Whole, violation
 from forestgen.recipe.sources import Keys
 
 MOST_CELLS = 4_000_000
@@ -22,10 +22,10 @@ def _one_or_twelve(value: Any) -> Any:
     """What is wrong with a list of months, told at its place; the rest is the schema's."""
     if isinstance(value, list | tuple):
         if len(value) != MONTHS_PER_YR:
-            raise mistake("one number, or twelve with January first", got=f"{len(value)} of them")
+            raise violation("one number, or twelve with January first", got=f"{len(value)} of them")
         for index, one in enumerate(value):
             if isinstance(one, bool) or not isinstance(one, int | float) or not 0 <= one <= _MOST_WATTS:
-                raise mistake(f"numbers from 0 to {_MOST_WATTS:g}", got=f"{one} in {MONTHS[index]}")
+                raise violation(f"numbers from 0 to {_MOST_WATTS:g}", got=f"{one} in {MONTHS[index]}")
     return value
 
 
@@ -98,7 +98,7 @@ class WeatherSection(Section):
         east, north = self.sides_m
         cells = east * north / self.cell_m**2 * self.height_m / self.cell_height_m
         if cells > MOST_CELLS:
-            raise mistake(
+            raise violation(
                 f"at most {MOST_CELLS:,} cells",
                 problem="too fine an air",
                 got=f"{cells:,.0f}",
@@ -107,7 +107,7 @@ class WeatherSection(Section):
             )
         if min(east, north) < 8 * self.cell_m or self.height_m < 8 * self.cell_height_m:
             along = east / self.cell_m, north / self.cell_m, self.height_m / self.cell_height_m
-            raise mistake(
+            raise violation(
                 "8 cells or more along each axis",
                 problem="too coarse an air",
                 got=" x ".join(f"{one:.3g}" for one in along),
@@ -201,7 +201,7 @@ class GlobalSeeding(Section):
     def _each_once(self) -> Self:
         for index, name in enumerate(self.species):
             if name in self.species[:index]:
-                raise mistake("each species once", got=name, at=("species", index))
+                raise violation("each species once", got=name, at=("species", index))
         return self
 
     def step(self, step_yr: float) -> int:
@@ -258,14 +258,14 @@ class EcoclimateParameters(BranchModulesParameters):
     def _one_climate(cls, data: Any) -> Any:
         for key in ("temperature_c", "precipitation_mm_per_yr", "biome"):
             if isinstance(data, dict) and data.get(key) is not None:
-                raise mistake("climate", problem=f"two climates: {key} beside the months'", at=(key,))
+                raise violation("climate", problem=f"two climates: {key} beside the months'", at=(key,))
         return data
 
     @model_validator(mode="after")
     def _whole_months(self) -> Self:
         months = self.step_yr * MONTHS_PER_YR
         if round(months) < 1 or not math.isclose(months, round(months), rel_tol=1e-6):
-            raise mistake(
+            raise violation(
                 "a whole number of months, such as 1/12 = 0.0833333333 or 1", got=f"{self.step_yr:g}", at=("step_yr",)
             )
         return self
@@ -274,7 +274,7 @@ class EcoclimateParameters(BranchModulesParameters):
     def _vapour_of_air(self) -> Self:
         for index, one in enumerate(self.climate_changes):
             if one.vapour != 1.0 and self.weather is None:
-                raise mistake(
+                raise violation(
                     "weather, whose clouds go by it",
                     problem="vapour without air",
                     got=f"vapour: {one.vapour:g}, and no weather",
@@ -292,7 +292,7 @@ class EcoclimateParameters(BranchModulesParameters):
                 continue
             cell_m = soil.get("cell_m", SoilWaterSection.model_fields["cell_m"].default)
             if isinstance(cell_m, int | float) and cell_m != self.soil_water.cell_m:
-                raise mistake(
+                raise violation(
                     f"cell_m: {self.soil_water.cell_m:g}, as at the start",
                     problem="the cells of water hold for the whole simulation",
                     got=f"{cell_m:g}",

@@ -45,7 +45,7 @@ from forestgen.community.ground.relief import Nodes, Relief, far_relief, moistur
 from forestgen.community.model import GroundHeight, Site
 from forestgen.core.cache import BoundedCache
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
-from forestgen.recipe.fields import Section, mistake
+from forestgen.recipe.fields import Section, violation
 
 Floats = NDArray[np.float64]
 _BLOCK_CELLS = 1 << 20  # of a grid at a time: a suitability takes little more memory than its own
@@ -120,10 +120,10 @@ def _response(least: float, most: float, unit: str) -> Callable[[Function], Func
             values, at = points[:, 1], points[:, 0]
             if len(points) > 1 and not (least <= at[0] and at[-1] <= most):
                 outside = at[0] if at[0] < least else at[-1]
-                raise mistake(f"values from {least:g} to {most:g} {unit}", problem="out of range", got=f"{outside:g}")
+                raise violation(f"values from {least:g} to {most:g} {unit}", problem="out of range", got=f"{outside:g}")
         if not (values.min() >= 0 and values.max() <= 1):
             wrong = values.min() if values.min() < 0 else values.max()
-            raise mistake(
+            raise violation(
                 "a response from 0 (bars the species) to 1 (all of its density)",
                 got=f"{wrong:g}",
                 hint="cut a formula off: max(0, min(1, ...))" if isinstance(curve, Formula) else None,

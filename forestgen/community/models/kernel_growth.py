@@ -126,7 +126,7 @@ from forestgen.community.placement.kernels import (
 from forestgen.community.population import Floats, Population
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng
-from forestgen.recipe.fields import Name, NonNegative, Number, Whole, mistake
+from forestgen.recipe.fields import Name, NonNegative, Number, Whole, violation
 from forestgen.recipe.sources import Keys
 
 _BYTES_PER_PLANT = 400  # at the peak: a state, its successor, the tables between them, the grid, and a snapshot
@@ -160,12 +160,12 @@ class KernelGrowthParameters(CommunityParameters):
     @classmethod
     def _kernels_that_can_grow(cls, kernels: object) -> object:
         if isinstance(kernels, HopkinsTarget):
-            raise mistake(
+            raise violation(
                 "kernels", problem="a community that grows has no clustering to be given", hint="see deformation_kernel"
             )
         for keys, kernel in each_kernel(kernels):
             if kernel.balanced:
-                raise mistake(
+                raise violation(
                     "a kernel that is not balanced",
                     problem="balanced keeps the number of plants, which the seeds that fall already limit",
                     at=(*keys, "balanced"),

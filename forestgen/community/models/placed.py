@@ -65,7 +65,7 @@ from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.static_model import FixedPopulation, Plants, State, StaticParameters, azimuth_of
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, mistake
+from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation
 from forestgen.recipe.sources import Keys
 
 _NUMBERS = ("x_m", "y_m", "height_m", "radius_m", "age_yr", "azimuth_deg")
@@ -90,7 +90,7 @@ class PlacedPlant(Section):
     @model_validator(mode="after")
     def _one_size(self) -> Self:
         if self.radius_m is not None and self.height_m is not None:
-            raise mistake("radius_m or height_m, not both", problem="the allometry gives one from the other")
+            raise violation("radius_m or height_m, not both", problem="the allometry gives one from the other")
         return self
 
 
@@ -98,7 +98,7 @@ def _rows(table: str) -> list[PlacedPlant]:
     """The plants of a table, or a mistake that names the row."""
     lines = [line for line in table.splitlines() if line.strip()]
     if len(lines) < 2:
-        raise mistake(
+        raise violation(
             "a line of names (species, x_m, y_m, height_m) and a line for each plant",
             problem="not a table of plants",
             got=repr(table[:60]),
@@ -108,7 +108,7 @@ def _rows(table: str) -> list[PlacedPlant]:
     unknown = set(names) - {*_NUMBERS, "species"}
     missing = {"species", "x_m", "y_m"} - set(names)
     if unknown or missing or len(set(names)) < len(names):
-        raise mistake(
+        raise violation(
             "the names species, x_m, y_m, and any of height_m, radius_m, age_yr, azimuth_deg, each once",
             problem="the table's first line does not name its columns",
             got=lines[0].strip()[:100],
@@ -120,7 +120,7 @@ def _plant(names: Sequence[str], cells: Sequence[str], number: int) -> PlacedPla
     got = ", ".join(cells)[:100]
     if len(cells) != len(names):
         problem = f"row {number} of the table has another number of values"
-        raise mistake(f"{len(names)} values: {', '.join(names)}", problem=problem, got=got)
+        raise violation(f"{len(names)} values: {', '.join(names)}", problem=problem, got=got)
     given: dict[str, Any] = {}
     for name, cell in zip(names, (cell.strip() for cell in cells), strict=True):
         if not cell:
@@ -128,7 +128,9 @@ def _plant(names: Sequence[str], cells: Sequence[str], number: int) -> PlacedPla
         try:
             given[name] = float(cell) if name in _NUMBERS else cell
         except ValueError:
-            raise mistake("a number", problem=f"bad {name} in row {number} of the table", got=repr(cell[:40])) from None
+            raise violation(
+                "a number", problem=f"bad {name} in row {number} of the table", got=repr(cell[:40])
+            ) from None
     try:
         position_m = given.pop("x_m", None), given.pop("y_m", None)
         return PlacedPlant.model_validate({**given, "position_m": position_m})
@@ -136,7 +138,7 @@ def _plant(names: Sequence[str], cells: Sequence[str], number: int) -> PlacedPla
         first = error.errors()[0]
         where = " of ".join(str(part) for part in reversed(first["loc"]))
         problem = f"row {number} of the table is no plant ({f'{where}: ' if where else ''}{first['msg']})"
-        raise mistake(f"{', '.join(names)} of a plant", problem=problem, got=got) from None
+        raise violation(f"{', '.join(names)} of a plant", problem=problem, got=got) from None
 
 
 class PlacedParameters(StaticParameters):

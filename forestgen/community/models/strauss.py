@@ -60,7 +60,7 @@ from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, 
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.model import GriddedModel, GriddedParameters, stays_apart
 from forestgen.community.population import Floats
-from forestgen.core.compiled import borrowed, compiled
+from forestgen.core.compiled import compiled, unowned_view
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Fraction, Positive, Whole
 
@@ -141,8 +141,8 @@ def _propose(at, to, lot, local, density, grid, lists, n, size, gamma, radius, p
     first, after, before = lists
     for i in range(len(at)):
         _enter(i, _cell(at[i, 0], at[i, 1], n, size), first, after, before)
-    at_, flat = borrowed(at), borrowed(density)
-    first_, after_, before_ = borrowed(first), borrowed(after), borrowed(before)
+    at_, flat = unowned_view(at), unowned_view(density)
+    first_, after_, before_ = unowned_view(first), unowned_view(after), unowned_view(before)
     for i in range(len(to)):
         x, y = to[i]
         if local:

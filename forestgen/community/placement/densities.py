@@ -17,7 +17,7 @@ from forestgen.community.model import Site
 from forestgen.community.placement.density_map import LEAST, DensityMap, MapSection
 from forestgen.community.static_model import StaticParameters
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, Whole, mistake
+from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, Whole, violation
 from forestgen.recipe.sources import Keys
 
 MOST_PLANTS = 20_000_000
@@ -56,7 +56,7 @@ class Stand(Section):
     @model_validator(mode="after")
     def _one_number(self) -> Self:
         if (self.count is None) == (self.plants_per_ha is None):
-            raise mistake(
+            raise violation(
                 "count or plants_per_ha",
                 problem="how many plants?" if self.count is None else "two numbers of plants",
                 got=None if self.count is None else f"count {self.count} and plants_per_ha {self.plants_per_ha:g}",

@@ -39,7 +39,7 @@ from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.raster import SingleChannelRaster, read_raster
 from forestgen.recipe.assets import inside
-from forestgen.recipe.fields import Flag, NonNegative, Positive, Section, Text, mistake
+from forestgen.recipe.fields import Flag, NonNegative, Positive, Section, Text, violation
 from forestgen.recipe.map_files import file_sha256
 from forestgen.recipe.sources import Keys
 
@@ -111,7 +111,7 @@ def _spelled_out(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return {"rows": value}
     if not isinstance(value, Mapping | BaseModel):
-        raise mistake("a file's name, rows of numbers, or a mapping of keys such as file and scale")
+        raise violation("a file's name, rows of numbers, or a mapping of keys such as file and scale")
     return value
 
 
@@ -144,7 +144,7 @@ class MapSection(Section):
             return self
         if (self.file is None) == (self.rows is None):
             problem = "the map has neither file nor rows" if self.file is None else "the map has both file and rows"
-            raise mistake("one of them", problem=problem)
+            raise violation("one of them", problem=problem)
         if self.rows is not None:
             _check_rows(self.rows)
             self._picture = SingleChannelRaster(np.array(self.rows, dtype=np.float64), 1.0)
@@ -160,7 +160,7 @@ class MapSection(Section):
         try:
             path = Path(named) if folder is None else inside(folder, named, sha256=self.sha256)
         except AssetError as cause:
-            raise mistake(cause.expected or "", problem=cause.problem, got=cause.got, hint=cause.hint) from cause
+            raise violation(cause.expected or "", problem=cause.problem, got=cause.got, hint=cause.hint) from cause
 
         def read() -> SingleChannelRaster:
             if self.sha256 is not None and file_sha256(path, named) != self.sha256:
@@ -175,7 +175,7 @@ class MapSection(Section):
             return _pictures.get(self.sha256 or file_sha256(path, named), read)
         except AssetError as cause:
             got = str(path) if cause.got is None else cause.got if named in cause.got else f"{named}: {cause.got}"
-            raise mistake(cause.expected or "a map", problem=cause.problem, got=got, hint=cause.hint) from cause
+            raise violation(cause.expected or "a map", problem=cause.problem, got=got, hint=cause.hint) from cause
 
     def _check_values(self) -> None:
         picture, name = self._picture, self.file or "the rows"
@@ -183,10 +183,10 @@ class MapSection(Section):
         largest = high * self.scale
         if not (np.isfinite(low) and np.isfinite(high)):
             where = _first(picture, ~np.isfinite(picture.values))
-            raise mistake("finite numbers", problem="not every value of the map is a number", got=f"{name}: {where}")
+            raise violation("finite numbers", problem="not every value of the map is a number", got=f"{name}: {where}")
         if low < 0:
             where = _first(picture, picture.values < 0)
-            raise mistake(
+            raise violation(
                 "values of at least 0", problem="the map has negative values", got=f"{name}: {where}", hint="clip them"
             )
         for wrong, expected, problem, got in (
@@ -195,7 +195,7 @@ class MapSection(Section):
             (largest > LARGEST, f"values of at most {LARGEST:g}", "the map's values are too large", ""),
         ):
             if wrong:
-                raise mistake(expected, problem=problem, got=f"{name}: {got}{high:g}")
+                raise violation(expected, problem=problem, got=f"{name}: {got}{high:g}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -243,11 +243,11 @@ class MapSection(Section):
 
 def _check_rows(rows: tuple[tuple[float, ...], ...]) -> None:
     if not rows or not rows[0]:
-        raise mistake("at least one row of at least one value", problem="the map has no values")
+        raise violation("at least one row of at least one value", problem="the map has no values")
     for index, row in enumerate(rows):
         if len(row) != len(rows[0]):
             expected = f"{len(rows[0])} values, as in the first row"
-            raise mistake(expected, problem="the map's rows differ in length", got=f"{len(row)} in row {index + 1}")
+            raise violation(expected, problem="the map's rows differ in length", got=f"{len(row)} in row {index + 1}")
 
 
 def _first(picture: SingleChannelRaster, wrong: NDArray[np.bool_]) -> str:

@@ -47,7 +47,7 @@ from forestgen.community.placement.field_trees import (
     row_of,
     total_of_pointed,
 )
-from forestgen.core.compiled import contracted, inlined
+from forestgen.core.compiled import fma_njit, inlined
 
 AHEAD = 1  # plants between one request for a plant's memory and the next; there are four before it is placed
 MARGIN = 0.03  # cells: a plant will seldom stand farther from where it would when it was asked for
@@ -152,7 +152,7 @@ def _patches(t, f, r_m, table, last, factor, x, y):  # type: ignore[no-untyped-d
     return near if factor < 0.0 else result
 
 
-@contracted
+@fma_njit
 def _balanced(t, f, table, last, first_value, r_m, x, y):  # type: ignore[no-untyped-def]
     """`_patches`, after which the sum within reach is what it was."""
     before = _patches(t, f, r_m, table, 0.0, -1.0, x, y)
@@ -312,7 +312,7 @@ def _draw(t, plan, f, n):  # type: ignore[no-untyped-def]
     return draw(t, f, total, u, v)
 
 
-@contracted
+@fma_njit
 def _reaches(t, effects, species, radius_m):  # type: ignore[no-untyped-def]
     """(N, 2) columns and rows that plants reach in their own field; 0 if too many to be asked for."""
     reach = np.zeros((len(species), 2))
@@ -325,7 +325,7 @@ def _reaches(t, effects, species, radius_m):  # type: ignore[no-untyped-def]
     return reach
 
 
-@contracted
+@fma_njit
 def place_all(trees, exponents, effects, species, radius_m, uniform, places):  # type: ignore[no-untyped-def]
     """Draw each plant from its species' field and deform all fields.
 

@@ -30,7 +30,7 @@ from forestgen.community.placement.field_lanes import (
     sum_of,
     with_number,
 )
-from forestgen.core.compiled import contracted, inlined
+from forestgen.core.compiled import fma_njit, inlined
 
 GREATEST_TOTAL, SMALLEST_TOTAL = 1e250, 1e-150  # outside, a field is scaled by a power of two
 EDGE = 2.0**-32  # of a cell: places keep this far from its edges, so that rounding moves none into the next cell
@@ -61,7 +61,7 @@ class Trees(NamedTuple):
     periodic: bool
 
 
-@contracted
+@fma_njit
 def pointed(t):  # type: ignore[no-untyped-def]
     """The trees by pointers: Numba would count references to arrays in every call."""
     memory = (pointer(t.cells), pointer(t.nodes), pointer(t.upper), pointer(t.sums))
@@ -232,7 +232,7 @@ def total_of_pointed(t, f):  # type: ignore[no-untyped-def]
     return _sum(t.sums, f * t.sum_stride + load(t.sum_level, t.sum_levels - 1))
 
 
-@contracted
+@fma_njit
 def _build(t, f):  # type: ignore[no-untyped-def]
     """All sums of a field; its total."""
     start, nodes, panels = f * t.cell_stride, f * t.node_stride, -(-t.strips // LANES)
@@ -249,7 +249,7 @@ def _build(t, f):  # type: ignore[no-untyped-def]
     return renew_rows(t, f, 0, t.rows - 1)
 
 
-@contracted
+@fma_njit
 def kept(t, f, total, powers):  # type: ignore[no-untyped-def]
     """Scale a field whose total has become too great or too small; its total."""
     if total == 0.0 or SMALLEST_TOTAL <= total <= GREATEST_TOTAL:
@@ -263,7 +263,7 @@ def kept(t, f, total, powers):  # type: ignore[no-untyped-def]
     return _build(t, f)
 
 
-@contracted
+@fma_njit
 def build(trees, exponents):  # type: ignore[no-untyped-def]
     """All sums of all fields."""
     t = pointed(trees)
@@ -271,13 +271,13 @@ def build(trees, exponents):  # type: ignore[no-untyped-def]
         kept(t, f, _build(t, f), pointer(exponents))
 
 
-@contracted
+@fma_njit
 def total_of(trees, f):  # type: ignore[no-untyped-def]
     """A field's sum."""
     return total_of_pointed(pointed(trees), f)
 
 
-@contracted
+@fma_njit
 def draw_all(trees, f, uniform, places):  # type: ignore[no-untyped-def]
     """Places, (N, 2) in cells, of (N, 2) numbers; the field stays."""
     t = pointed(trees)

@@ -31,7 +31,7 @@ from pydantic import BeforeValidator, Field, TypeAdapter, WrapValidator, field_s
 from forestgen.community.model import Site
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
-from forestgen.recipe.fields import Flag, Name, Number, Positive, Section, mistake
+from forestgen.recipe.fields import Flag, Name, Number, Positive, Section, violation
 from forestgen.recipe.sources import Keys, dotted
 
 SAMPLES = 1024  # of a kernel's table; κ is linear between them
@@ -115,7 +115,7 @@ class KernelSection(Section):
         return self
 
 
-_wrong_curve = partial(mistake, at=("curve",))
+_wrong_curve = partial(violation, at=("curve",))
 
 
 class HopkinsTarget(Section):
@@ -139,11 +139,11 @@ def _named(value: Any, check: Callable[[Any], Any]) -> Any:
         if value not in NAMED:
             near = difflib.get_close_matches(value, NAMED, n=1)
             expected, hint = f"{', '.join(NAMED)}, or {{curve: ...}}", f"did you mean {near[0]!r}?" if near else None
-            raise mistake(expected, problem="no such kernel", got=repr(value[:60]), hint=hint)
+            raise violation(expected, problem="no such kernel", got=repr(value[:60]), hint=hint)
         return _sections[value]
     if not isinstance(value, Mapping):
         hint = "write {curve: ...}" if isinstance(value, int | float | list | tuple) else None
-        raise mistake(_KERNEL_FORMS, problem="this is no kernel", hint=hint)
+        raise violation(_KERNEL_FORMS, problem="this is no kernel", hint=hint)
     return check(value)
 
 
@@ -173,16 +173,18 @@ def _read(value: Any, _: Any) -> Any:
     if isinstance(value, Mapping) and "hopkins" in value:
         others = [key for key in value if key != "hopkins"]
         if others:
-            raise mistake("hopkins alone", problem="a target has no further keys", got=str(others[0]), at=(others[0],))
+            raise violation(
+                "hopkins alone", problem="a target has no further keys", got=str(others[0]), at=(others[0],)
+            )
         return _target.validate_python(value)
     if _is_kernel(value):
         if value is None:
-            raise mistake(f"{_KERNEL_FORMS}, {{hopkins: ...}}, or kernels by species", problem="kernels says nothing")
+            raise violation(f"{_KERNEL_FORMS}, {{hopkins: ...}}, or kernels by species", problem="kernels says nothing")
         return _kernel.validate_python(value)
     for key, inside in value.items():
         near = difflib.get_close_matches(str(key), (*_KERNEL_KEYS, "hopkins"), n=1, cutoff=0.7)
         if near and not isinstance(inside, str | Mapping):
-            raise mistake(
+            raise violation(
                 f"{', '.join(_KERNEL_KEYS)}, hopkins, or a species",
                 problem=f"unknown key {str(key)!r}",
                 hint=f"did you mean {near[0]!r}?",

@@ -30,7 +30,7 @@ from pydantic import model_validator
 
 from forestgen.atmosphere.daylight import Daylight, illuminance
 from forestgen.core.spectrum import Spectrum
-from forestgen.recipe.fields import mistake
+from forestgen.recipe.fields import violation
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.spectra import load_table
 from forestgen.render.skies.clear import SKY as CLEAR
@@ -55,7 +55,7 @@ class OvercastKeys(SkySection):
     @model_validator(mode="after")
     def _one_kind_of_cloud(self) -> Self:
         if self.clouds.has_clouds:
-            raise mistake(
+            raise violation(
                 "clouds: none",
                 problem="an overcast sky has no single clouds",
                 got=self.clouds.type,

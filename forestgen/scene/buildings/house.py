@@ -30,7 +30,7 @@ from pydantic import Field, field_validator
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.recipe.buildings import Building
-from forestgen.recipe.fields import mistake
+from forestgen.recipe.fields import violation
 from forestgen.recipe.species import Material
 from forestgen.scene.building import BuildingKind
 
@@ -62,7 +62,7 @@ class House(Building):
     def _of_its_parts(cls, materials: dict[str, Material]) -> dict[str, Material]:
         for part in materials:
             if part not in _MATERIALS:
-                raise mistake(
+                raise violation(
                     "one of " + ", ".join(_MATERIALS), problem="a house has no such part", got=part, at=(part,)
                 )
         return materials

@@ -24,7 +24,7 @@ from pydantic_core import PydanticCustomError
 
 from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.recipe.fields import Point, Positive, mistake
+from forestgen.recipe.fields import Point, Positive, violation
 from forestgen.scene.projection import Bools, DeviceRays, FileGeometry, Floats, Pixels, Rays, Sensor
 from forestgen.scene.projections.hulls import FlatProjection, extent
 from forestgen.scene.spec import Camera
@@ -45,7 +45,7 @@ class OrthographicCamera(CameraSection):
     def wrong_optics(self) -> PydanticCustomError | None:
         if self.width_m is not None:
             return None
-        return mistake(
+        return violation(
             "the width of what the image shows, metres",
             problem="an orthographic camera needs width_m",
             got="no width_m",

@@ -23,7 +23,7 @@ from pydantic_core import PydanticCustomError
 
 from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.recipe.fields import Point, mistake
+from forestgen.recipe.fields import Point, violation
 from forestgen.scene.projection import DeviceRays, Exchange, FileGeometry, Floats, Pixels, Rays
 from forestgen.scene.projections.hulls import CurvedProjection, lies_over
 from forestgen.scene.spec import Camera
@@ -41,7 +41,7 @@ class PanoramaCamera(CameraSection):
         width, height = self.size_px
         if width == 2 * height:
             return None
-        return mistake(
+        return violation(
             "twice as many pixels across as down: 360 by 180 degrees",
             problem="a panorama's image is 2:1",
             got=f"[{width}, {height}]",

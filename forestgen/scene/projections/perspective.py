@@ -30,7 +30,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.recipe.fields import Number, Positive, mistake
+from forestgen.recipe.fields import Number, Positive, violation
 from forestgen.scene.projection import (
     Bools,
     DeviceRays,
@@ -96,7 +96,7 @@ class PerspectiveCamera(CameraSection):
     def wrong_optics(self) -> PydanticCustomError | None:
         if self.hfov_deg is not None and self.focal_length_mm is not None:
             other = _field_of_view_deg(self.focal_length_mm, self.sensor_mm)
-            return mistake(
+            return violation(
                 "hfov_deg or focal_length_mm, not both",
                 problem="the field of view is given twice",
                 got=f"hfov_deg {self.hfov_deg:g}; {self.focal_length_mm:g} mm are {other:.4g} degrees",
@@ -104,7 +104,7 @@ class PerspectiveCamera(CameraSection):
                 at=("focal_length_mm",),
             )
         if self.field_of_view_deg > _WIDEST_DEG:
-            return mistake(
+            return violation(
                 f"at most {_WIDEST_DEG:g} degrees",
                 problem="too wide for a flat image",
                 got=f"{self.field_of_view_deg:.4g} degrees",
@@ -116,7 +116,7 @@ class PerspectiveCamera(CameraSection):
     def _wrong_lens(self) -> PydanticCustomError | None:
         if (self.f_number is None) != (self.focus_m is None):
             has, lacks = ("f_number", "focus_m") if self.focus_m is None else ("focus_m", "f_number")
-            return mistake(
+            return violation(
                 "both, or neither for a pinhole, which is sharp everywhere",
                 problem=f"a lens with {has} needs {lacks} too",
                 got=f"no {lacks}",
@@ -125,14 +125,14 @@ class PerspectiveCamera(CameraSection):
             )
         lens = self.lens_mm
         if lens is not None and self.focus_m is not None and self.focus_m * 1000 <= lens[1]:
-            return mistake(
+            return violation(
                 f"more than its focal length, {lens[1]:.4g} mm",
                 problem="no lens focuses so near",
                 got=f"{self.focus_m:g} m",
                 at=("focus_m",),
             )
         if self.f_number is not None and self.exposure is not None and self.exposure.f_number != self.f_number:
-            return mistake(
+            return violation(
                 f"the lens' own f_number, {self.f_number:g}, or none in the exposure",
                 problem="one lens has two f-numbers",
                 got=f"{self.exposure.f_number:g}",

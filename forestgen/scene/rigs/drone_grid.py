@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from forestgen.recipe.camera_keys import DIRECTIONS, CameraKeys
-from forestgen.recipe.fields import Number, Positive, mistake
+from forestgen.recipe.fields import Number, Positive, violation
 from forestgen.recipe.registries import PROJECTIONS
 from forestgen.recipe.rigs import GroundPoint, RigKeys
 from forestgen.scene.rigs.rig import Poses, Rig, lifted
@@ -37,7 +37,7 @@ class DroneGridKeys(RigKeys):
     @model_validator(mode="after")
     def _area_is_one(self) -> Self:
         if self.area_m is not None and not all(b > a for a, b in zip(*self.area_m, strict=True)):
-            raise mistake(
+            raise violation(
                 "a south-western corner, then a north-eastern one",
                 problem="the area is empty",
                 got=str([list(corner) for corner in self.area_m]),
@@ -59,9 +59,9 @@ class DroneGrid(Rig[DroneGridKeys]):
     def check(self, camera: CameraKeys) -> PydanticCustomError | None:
         if not camera.covers_ground:
             expected = " or ".join(name for name, part in PROJECTIONS.parts() if part.Parameters.covers_ground)
-            return mistake(expected, problem="no camera for a grid", got=camera.kind, at=("kind",))
+            return violation(expected, problem="no camera for a grid", got=camera.kind, at=("kind",))
         if self.keys_of(camera).area_m is None:
-            return mistake("two corners", problem="the grid needs an area_m", got="none", at=("rig",))
+            return violation("two corners", problem="the grid needs an area_m", got="none", at=("rig",))
         return None
 
     def frames(self, camera: CameraKeys) -> int:

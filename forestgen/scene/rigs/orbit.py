@@ -9,7 +9,7 @@ from pydantic import Field
 from pydantic_core import PydanticCustomError
 
 from forestgen.recipe.camera_keys import CameraKeys
-from forestgen.recipe.fields import Coordinate, Number, Positive, Whole, mistake
+from forestgen.recipe.fields import Coordinate, Number, Positive, Whole, violation
 from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, RigKeys
 from forestgen.scene.rigs.rig import Poses, Rig, lifted
 from forestgen.scene.terrain import HeightField
@@ -42,7 +42,7 @@ class Orbit(Rig[OrbitKeys]):
 
     def check(self, camera: CameraKeys) -> PydanticCustomError | None:
         if camera.look_at_m is None:
-            return mistake("the circle's middle", problem="an orbit needs look_at_m", got="no look_at_m", at=("rig",))
+            return violation("the circle's middle", problem="an orbit needs look_at_m", got="no look_at_m", at=("rig",))
         return None
 
     def frames(self, camera: CameraKeys) -> int:

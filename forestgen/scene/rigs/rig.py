@@ -46,7 +46,7 @@ class Rig(Generic[KeysT]):
         return keys
 
     def check(self, camera: CameraKeys) -> PydanticCustomError | None:
-        """What is wrong with the rig beside the camera's other keys, as `forestgen.recipe.fields.mistake`."""
+        """What is wrong with the rig beside the camera's other keys, as `forestgen.recipe.fields.violation`."""
         return None
 
     def frames(self, camera: CameraKeys) -> int:

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.camera_keys import DIRECTIONS, CameraKeys
-from forestgen.recipe.fields import Number, Positive, Whole, mistake
+from forestgen.recipe.fields import Number, Positive, Whole, violation
 from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, GroundPoint, RigKeys
 from forestgen.scene.rigs.rig import Floats, Poses, Rig, lifted, on_ground
 from forestgen.scene.terrain import HeightField
@@ -39,7 +39,7 @@ class WalkKeys(RigKeys):
     def _goes_somewhere(self) -> Self:
         for index in range(1, len(self.waypoints_m)):
             if math.dist(self.waypoints_m[index - 1], self.waypoints_m[index]) < 0.01:
-                raise mistake(
+                raise violation(
                     "points that differ from the one before",
                     problem="the walk stands still",
                     got=str(list(self.waypoints_m[index])),

@@ -24,7 +24,7 @@ from pydantic import Field, field_validator, model_validator
 
 from forestgen.core.errors import AssetError
 from forestgen.core.raster import kind_of, read_raster
-from forestgen.recipe.fields import Number, Section, Text, mistake, spelled_out
+from forestgen.recipe.fields import Number, Section, Text, spelled_out, violation
 from forestgen.recipe.map_files import known_file
 from forestgen.scene.terrain import HeightField, TerrainShape, smooth_step
 from forestgen.scene.terrains.rolling import RollingKeys
@@ -54,10 +54,10 @@ class HeightMap(Section):
     def _one_of_them(self) -> Self:
         if (self.file is None) == (self.rows is None):
             problem = "the map has neither file nor rows" if self.file is None else "the map has both file and rows"
-            raise mistake("one of them", problem=problem)
+            raise violation("one of them", problem=problem)
         for index, row in enumerate(self.rows or ()):
             if self.rows is not None and len(row) != len(self.rows[0]):
-                raise mistake(
+                raise violation(
                     f"{len(self.rows[0])} values, as in the first row",
                     problem="the map's rows differ in length",
                     got=f"{len(row)} in row {index + 1}",
@@ -112,9 +112,11 @@ class MapKeys(RollingKeys):
     @model_validator(mode="after")
     def _has_a_map(self) -> Self:
         if self.map is None:
-            raise mistake("map, a file of heights", problem="terrain of a map without a map", got="none", at=("kind",))
+            raise violation(
+                "map, a file of heights", problem="terrain of a map without a map", got="none", at=("kind",)
+            )
         if self.lowest_m is not None and self.highest_m is not None and self.lowest_m >= self.highest_m:
-            raise mistake(f"above lowest_m = {self.lowest_m:g} m", got=f"{self.highest_m:g} m", at=("highest_m",))
+            raise violation(f"above lowest_m = {self.lowest_m:g} m", got=f"{self.highest_m:g} m", at=("highest_m",))
         return self
 
 

@@ -26,7 +26,7 @@ def test_ranges_cover_everything_once(n: int) -> None:
     def work(first: int, end: int) -> None:
         seen[first:end] += 1
 
-    threads.over_ranges(n, work)
+    threads.parallel_for(n, work)
     assert (seen == 1).all()
     spans = threads.map_ranges(n, lambda first, end: (first, end))
     assert spans[0][0] == 0
@@ -36,9 +36,9 @@ def test_ranges_cover_everything_once(n: int) -> None:
 
 def test_a_loop_inside_loops_ends() -> None:
     def inner(first: int, end: int) -> None:
-        threads.over_ranges(100_000, lambda a, b: None)
+        threads.parallel_for(100_000, lambda a, b: None)
 
-    done = threading.Thread(target=lambda: threads.over_ranges(400_000, inner), daemon=True)
+    done = threading.Thread(target=lambda: threads.parallel_for(400_000, inner), daemon=True)
     done.start()
     done.join(timeout=30)
     assert not done.is_alive()
@@ -50,7 +50,7 @@ def test_an_error_in_a_range_is_raised() -> None:
             raise ValueError("in a range")
 
     with pytest.raises(ValueError, match="in a range"):
-        threads.over_ranges(100_000, work)
+        threads.parallel_for(100_000, work)
     assert threads.at_once([lambda: 1, lambda: 2]) == [1, 2]  # the threads are still there
 
 
@@ -67,12 +67,12 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
 def test_jobs_apart_have_a_core_each() -> None:
     """Their results in order; loops inside of them have one core, and outside all again; an error is raised."""
     jobs = [lambda k=k: (k, threads.cores()) for k in range(5)]
-    assert threads.apart(jobs) == [(k, 1) for k in range(5)]
+    assert threads.parallel_map(jobs) == [(k, 1) for k in range(5)]
     assert threads.cores() == 4
 
     def fail() -> int:
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        threads.apart([fail, lambda: 1])
+        threads.parallel_map([fail, lambda: 1])
     assert threads.at_once([threads.cores, threads.cores]) == [4, 4]
