@@ -30,8 +30,8 @@ from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
+from forestgen.core.array_serialization import UnreadableError, pack, unpack
 from forestgen.core.cache import DiskCache, cache_root, code_hash
-from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 

@@ -22,10 +22,10 @@ from forestgen.architecture.modules import Modules
 from forestgen.community.model import simulate
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population, Status, count_by_species, stems_by_species
+from forestgen.core.array_serialization import UnreadableError, pack, unpack
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.figures import count, seconds, table_lines
 from forestgen.core.frames import BREAST_HEIGHT_M
-from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.progress import Progress
 from forestgen.recipe.assets import scenes_dir
 

@@ -88,8 +88,8 @@ def unowned_view(typing_context, arrays):  # type: ignore[no-untyped-def]
 
     Numba counts references to an array in every call that passes it, by two locked instructions; in kernels that call
     small functions for each element this takes most of the time. The caller must keep the original alive: numba frees
-    an array that the kernel itself made once its name is no longer read, even if it has a view. So take views of arguments;
-    for an array made inside, read its name again in or after the last loop.
+    an array that the kernel itself made once its name is no longer read, even if it has a view. So take views of
+    arguments; for an array made inside, read its name again in or after the last loop.
     """
 
     def code(context, builder, signature, arguments):  # type: ignore[no-untyped-def]

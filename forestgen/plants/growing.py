@@ -18,8 +18,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from forestgen.core.array_serialization import UnreadableError, pack, unpack
 from forestgen.core.cache import BoundedCache, DiskCache, cache_root, code_hash
-from forestgen.core.packed import UnreadableError, pack, unpack
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.core.threads import cores

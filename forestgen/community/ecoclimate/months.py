@@ -43,9 +43,9 @@ from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, WeatherSection
 from forestgen.community.model import Site
 from forestgen.community.soil_water import Floats, Ground, SoilWater, SoilWaterParameters, Water, WaterBudget
+from forestgen.core.array_serialization import pack
 from forestgen.core.cache import code_hash
 from forestgen.core.errors import RecipeError
-from forestgen.core.packed import pack
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.load import DrawnRecipe

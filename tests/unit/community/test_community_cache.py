@@ -21,9 +21,9 @@ from forestgen.community.placement.density_map import MapSection
 from forestgen.community.population import Population
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.community.simulation import _content, as_kept, community_key, final_population
+from forestgen.core.array_serialization import pack
 from forestgen.core.cache import ENVIRONMENT
 from forestgen.core.errors import RecipeError
-from forestgen.core.packed import pack
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.species import PlantType

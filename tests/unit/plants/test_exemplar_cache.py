@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from plant_species import read
 
+from forestgen.core.array_serialization import pack
 from forestgen.core.cache import ENVIRONMENT, DiskCache
 from forestgen.core.errors import RecipeError
-from forestgen.core.packed import pack
 from forestgen.plants import growing
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.growing import (

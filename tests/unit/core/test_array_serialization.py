@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from forestgen.core.packed import UnreadableError, pack, unpack
+from forestgen.core.array_serialization import UnreadableError, pack, unpack
 
 
 class Kind(Enum):
