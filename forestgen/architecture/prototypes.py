@@ -93,7 +93,7 @@ class PrototypeNode(Section):
     def _one_way(self) -> Self:
         if (self.direction is None) == (self.angle_deg is None):
             got = "neither" if self.direction is None else "both"
-            raise violation("direction, or angle_deg", problem="the segment's direction is not told once", got=got)
+            raise violation("direction, or angle_deg", problem="the direction is not given exactly once", got=got)
         if self.direction is not None and float(np.linalg.norm(self.direction)) <= 1e-6:
             raise violation("a vector of some length", got=str(list(self.direction)), at=("direction",))
         if self.direction is not None and "azimuth_deg" in self.model_fields_set:

@@ -52,7 +52,7 @@ _UsageError: type[Exception] = cast("type[Exception]", typer.BadParameter.__base
 
 
 def output() -> Console:
-    """Where results are told: standard output, without colours of its own choosing, without wrapping."""
+    """Where results are printed: standard output, without colours of its own choosing, without wrapping."""
     from rich.console import Console
 
     class Output(Console):

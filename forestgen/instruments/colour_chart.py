@@ -51,7 +51,7 @@ from forestgen.scene.build import BuiltScene
 from forestgen.scene.plan import Plan
 from forestgen.scene.spec import Camera, Instances, SceneSpec
 
-EVEN_BOUND = 0.05  # spread of the light over the board, above which its shadows are told
+EVEN_BOUND = 0.05  # spread of the light over the board, above which a note reports its shadows
 _ABOVE_PLANTS_M = 2.0
 _IDENTITY_SAMPLES = 4
 _FEWEST_PX = 16  # of a region
@@ -148,7 +148,7 @@ def with_chart(spec: SceneSpec, point_m: Floats, normal: Floats, camera: Camera)
 
 
 def find_regions(spec: SceneSpec, camera: Camera, progress: Progress) -> tuple[NDArray[np.int64], list[str]]:
-    """(H, W) region of each pixel that lies well inside of one, else -1; and what is to be told.
+    """(H, W) region of each pixel that lies well inside of one, else -1; and notes.
 
     Raises `RecipeError`: something hides a patch from its camera.
     """
@@ -235,9 +235,11 @@ def judge(
     apart = abs(lux / meter.illuminance_lux.value - 1)
     checks.append(Check("grey card and light meter differ by a share of", apart, CARD_BOUND + noise))
     unevenness, noise = _unevenness(pictures["wavelengths"][..., 1], regions)
-    told = list(notes)
+    seen = list(notes)
     if unevenness > EVEN_BOUND + 4 * noise:
-        told.append(f"the light differs by {100 * unevenness:.0f}% over the chart: that shows as differences of colour")
+        seen.append(
+            f"the light differs by {100 * unevenness:.0f}% over the chart, which shows as differences of colour"
+        )
     return Calibration(
         point_m=meter.point_m,
         above_ground_m=meter.above_ground_m,
@@ -249,7 +251,7 @@ def judge(
         meter=meter,
         unevenness=unevenness,
         checks=tuple(checks),
-        notes=tuple(told),
+        notes=tuple(seen),
         picture=checker.shown(pictures["spectral"], white.xy),
         samples=samples,
     )

@@ -18,7 +18,7 @@ class OrganMesh:
     part: Part
     material: str  # key into the species' materials
     mesh: Mesh
-    mark: NDArray[np.uint32] | None = None  # (F,) `Skeleton.mark` of what each triangle is part of; None: not told
+    mark: NDArray[np.uint32] | None = None  # (F,) `Skeleton.mark` of what each triangle is part of; None: unknown
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,7 @@ def grow_exemplars(
     ----------
     store : where exemplars are kept from run to run; None: nowhere.
     workers : threads; None: as many as there are cores.
-    advance : is told, in the calling thread, how many more are done.
+    advance : called, in the calling thread, with how many more are done.
 
     Raises
     ------

@@ -164,7 +164,7 @@ def _sprout(wood: ModuleWood) -> ModuleWood:
 
 
 def _one_main(wood: ModuleWood) -> Bools:
-    """(N,) of each node's children, one goes on along the axis: the one that is told to, otherwise the thickest."""
+    """(N,) of each node's children, one goes on along the axis: the marked one, otherwise the thickest."""
     main = np.zeros(len(wood), dtype=bool)
     child = np.arange(1, len(wood))
     order = np.lexsort((child, -wood.diameter_m[child], ~wood.main[child], wood.parent[child]))

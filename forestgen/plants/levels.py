@@ -1,6 +1,6 @@
 """Far versions of a plant: fewer and larger organs, fewer twigs, straighter axes, the same leaf area and silhouette.
 
-A level is told by what a pixel covers of the plant. Organs are pruned until one that remains is about as long as a
+A level is chosen by what a pixel covers of the plant. Organs are pruned until one that remains is about as long as a
 pixel, and enlarged so that their area stays exactly the same; thin twigs likewise, so that the area that they show
 stays. Which organs remain is random, a part of every stretch of the plant, and nested: a coarser level's are among a
 finer level's. The box around the plant stays: the outermost organs always remain, and none grows beyond it.

@@ -41,7 +41,7 @@ LLVM = "llvm_ad_rgb"
 CUDA = "cuda_ad_rgb"
 TRACING_ENVIRONMENT = "FORESTGEN_TRACING"  # llvm (the default) or cuda
 # Pixels along a render block's side, for every integrator. Each block has a random stream of its own, and unless it is
-# told a size Mitsuba halves it until every thread has a block: the image would depend on the number of cores.
+# given a size, Mitsuba halves it until every thread has a block: the image would depend on the number of cores.
 BLOCK_PX = 16
 _ready: dict[str, Any] = {}
 

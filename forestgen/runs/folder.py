@@ -196,7 +196,7 @@ def note_written(storage: StorageBackend, paths: Iterable[str]) -> None:
 
 
 def written_paths(storage: StorageBackend) -> list[str]:
-    """What `note_written` was told."""
+    """What `note_written` noted."""
     try:
         listing = load_json(storage.read(_WRITTEN) or b"")
     except ValueError:

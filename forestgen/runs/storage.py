@@ -242,7 +242,7 @@ def _refuse_link(path: Path) -> None:
 
 
 def refusal(where: str, holder: str) -> OutputError:
-    """What the second run is told."""
+    """The error of the second run."""
     hint = "wait for it, stop it, or choose another place"
     return OutputError("another run writes there", where=where, got=holder, hint=hint)
 

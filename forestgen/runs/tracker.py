@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from forestgen.core.progress import Progress, Silent
 
-_WINDOW = 200  # the latest images, whose pace is told
+_WINDOW = 200  # the latest images, whose pace is reported
 _SETTLED = 8  # images from which on that pace is worth more than the whole run's
 
 

@@ -122,7 +122,7 @@ def index_findings(data_set: OpenDataSet) -> Iterator[Finding]:
         if counted != counts:
             yield Finding(DATASET_NAME, f"it counts {split} otherwise than the index", str(counted), str(counts))
     for split in sorted(set(frames) - set(description["splits"])):
-        yield Finding(DATASET_NAME, "the index has a split that is not told here", split, "none")
+        yield Finding(DATASET_NAME, "the index has a split that dataset.json lacks", split, "none")
     text = "".join(f"{data_set.seeds[image]}\n" for image in sorted(data_set.seeds))
     digest = hashlib.sha256(text.encode()).hexdigest()
     if digest != description["image_seeds_sha256"]:

@@ -337,8 +337,8 @@ def shown_weather(drawn: DrawnRecipe, section: WeatherSection, state: Ecoclimate
     """The air at the end of the hours that are simulated of a day, from the cache or simulated."""
     clouds: Any = drawn.recipe.sky.clouds
     case = air_over(state, section, clouds.day or 0)
-    told = (code_hash(_SOURCES, _COMPUTE_WITH), section.hours, described(case))
-    key, store = hashlib.blake2b(repr(told).encode(), digest_size=20).hexdigest(), weather_store()
+    inputs = (code_hash(_SOURCES, _COMPUTE_WITH), section.hours, described(case))
+    key, store = hashlib.blake2b(repr(inputs).encode(), digest_size=20).hexdigest(), weather_store()
     kept = None if store is None else read_weather(store, key)
     if kept is not None:
         return kept

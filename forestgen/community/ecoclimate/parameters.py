@@ -19,7 +19,7 @@ _MOST_WATTS = 1000.0
 
 
 def _one_or_twelve(value: Any) -> Any:
-    """What is wrong with a list of months, told at its place; the rest is the schema's."""
+    """What is wrong with a list of months, reported at its place; the rest is the schema's."""
     if isinstance(value, list | tuple):
         if len(value) != MONTHS_PER_YR:
             raise violation("one number, or twelve with January first", got=f"{len(value)} of them")
@@ -308,5 +308,5 @@ class EcoclimateParameters(BranchModulesParameters):
 
 def seedings_in_time(parameters: EcoclimateParameters) -> list[tuple[str, tuple[GlobalSeeding, ...]]]:
     """The seeds from elsewhere at the start, and as each change gives them, with their places."""
-    told = values_in_time(parameters, "global_seeding")
-    return [(place, tuple(GlobalSeeding.model_validate(one) for one in value or ())) for place, value in told]
+    values = values_in_time(parameters, "global_seeding")
+    return [(place, tuple(GlobalSeeding.model_validate(one) for one in value or ())) for place, value in values]

@@ -164,15 +164,15 @@ class Climb:
     stands: int  # placed
 
 
-def climb(matcher: Matcher, start: NDArray[np.float64], one: Round, told: Callable[[int], None]) -> Climb:
+def climb(matcher: Matcher, start: NDArray[np.float64], one: Round, advance: Callable[[int], None]) -> Climb:
     """Take the steps of a round until they gain little."""
     matcher.begin(one)
     best, damping = matcher.look(start.ravel()), _DAMPING
     looks, small = 1, 0
-    told(matcher.number)
+    advance(matcher.number)
     while looks <= one.steps and damping <= _MOST_DAMPING:
         tried = matcher.look(matcher.step(best, damping))
-        told(matcher.number)
+        advance(matcher.number)
         looks += 1
         gain = (best.loss - tried.loss) / best.loss
         if gain <= 0:
@@ -186,10 +186,10 @@ def climb(matcher: Matcher, start: NDArray[np.float64], one: Round, told: Callab
     return Climb(best, looks * matcher.number)
 
 
-def match(matcher: Matcher, start: NDArray[np.float64], told: Callable[[int], None]) -> Matched:
-    """Both rounds; `told` is called with the number of stands after each look."""
-    first = climb(matcher, start, ROUNDS[0], told)
-    second = climb(matcher, first.look.log_kappa, ROUNDS[1], told)
+def match(matcher: Matcher, start: NDArray[np.float64], advance: Callable[[int], None]) -> Matched:
+    """Both rounds; `advance` is called with the number of stands after each look."""
+    first = climb(matcher, start, ROUNDS[0], advance)
+    second = climb(matcher, first.look.log_kappa, ROUNDS[1], advance)
     return matched(matcher, first, second)
 
 
@@ -209,7 +209,7 @@ class Founded:
     stands: int  # placed in all
 
 
-def match_founders(plain: Matcher, of_one: Matched, told: Callable[[int], None]) -> Founded:
+def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], None]) -> Founded:
     """Try several numbers of founders for a round each, and the best of them for the second round.
 
     Differences count as in `plain`, the matcher of one kernel, which came to `of_one`.
@@ -222,14 +222,14 @@ def match_founders(plain: Matcher, of_one: Matched, told: Callable[[int], None])
         matcher = Matcher(nursery, shapes, plain.summaries, plain.all_stands, plain.seed, plain.scale)
         matcher.begin(ROUNDS[0])
         looks = [matcher.look(start.ravel()) for start in _starts(stand, shapes, founders)]
-        told(len(looks) * matcher.number)
+        advance(len(looks) * matcher.number)
         best = min(looks, key=lambda look: look.loss)
-        found.append((matcher, climb(matcher, best.log_kappa, ROUNDS[0], told)))
+        found.append((matcher, climb(matcher, best.log_kappa, ROUNDS[0], advance)))
     stands = sum(one.stands + len(_WIDTHS) * matcher.number for matcher, one in found)
     matcher, first = min(found, key=lambda pair: pair[1].look.loss)
     if first.look.loss > _BETTER * of_one.rough_loss:
         return Founded(matcher.nursery, shapes, None, stands)
-    second = climb(matcher, first.look.log_kappa, ROUNDS[1], told)
+    second = climb(matcher, first.look.log_kappa, ROUNDS[1], advance)
     better = second.look.loss <= _BETTER * of_one.loss
     result = matched(matcher, first, second) if better else None
     return Founded(matcher.nursery, shapes, result, stands + second.stands)
@@ -316,8 +316,8 @@ def fit_stand(stand: MeasuredStand, settings: Settings, progress: Progress | Non
     number = settings.stands or int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
     start = likeliest(stand, shapes, child_rng(settings.seed, "fit", "orders"))
     matcher = Matcher(nursery, shapes, summaries_for(stand, shapes.reach_m), number, settings.seed)
-    with listener.stage("new stands", LOOKS * number) as told:
-        plain = matched = match(matcher, start, told)
+    with listener.stage("new stands", LOOKS * number) as advance:
+        plain = matched = match(matcher, start, advance)
     founded = _founded(matcher, plain, listener) if settings.founders else None
     if founded and founded.matched:
         nursery, shapes, matched = founded.nursery, founded.shapes, founded.matched
@@ -343,10 +343,10 @@ def _checked(
     nursery: Nursery, kernels: list[list[KernelTable]], settings: Settings, listener: Progress
 ) -> tuple[tuple[Envelope, ...], ...]:
     checks = []
-    with listener.stage("check", settings.checks) as told:
+    with listener.stage("check", settings.checks) as advance:
         for check in range(settings.checks):
             checks.append(tuple(envelopes(nursery, kernels, settings.seed + _CHECKS + check)))
-            told(1)
+            advance(1)
     return tuple(checks)
 
 
@@ -356,8 +356,8 @@ def _founded(matcher: Matcher, plain: Matched, listener: Progress) -> Founded | 
     poor = np.abs(matcher.summaries.nearest(plain.differences)).max() >= _POOR
     if not poor or stand.ordered or len(stand.names) > 1:
         return None
-    with listener.stage("founders", FOUNDERS_LOOKS * matcher.all_stands) as told:
-        return match_founders(matcher, plain, told)
+    with listener.stage("founders", FOUNDERS_LOOKS * matcher.all_stands) as advance:
+        return match_founders(matcher, plain, advance)
 
 
 def _check_reach(stand: MeasuredStand, reach_m: float | None) -> None:

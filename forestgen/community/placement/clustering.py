@@ -156,16 +156,16 @@ def describe(
     }
 
 
-def notes_on(told: Mapping[str, Any]) -> list[str]:
+def notes_on(report: Mapping[str, Any]) -> list[str]:
     """A note if there were too few plants for the target that was asked for, or the plants have another index."""
-    target = told["asked_hopkins"]
+    target = report["asked_hopkins"]
     asked = f"a Hopkins index of {target:g} was asked for"
-    if "kernels" not in told:
+    if "kernels" not in report:
         return [f"{asked}: there are too few plants for one"]
-    measured = math.nan if told["hopkins"] is None else told["hopkins"]
-    if told["reached"] and abs(measured - target) <= TOLD * max(1.0, target):
+    measured = math.nan if report["hopkins"] is None else report["hopkins"]
+    if report["reached"] and abs(measured - target) <= TOLD * max(1.0, target):
         return []
-    nearest = "" if told["reached"] else ", as near as it comes"
-    points = ", ".join(f"[{one:g}, {value:g}]" for one, value in told["kernels"]["curve"])
+    nearest = "" if report["reached"] else ", as near as it comes"
+    points = ", ".join(f"[{one:g}, {value:g}]" for one, value in report["kernels"]["curve"])
     kernel = f"{{distance: metres, balanced: true, curve: [{points}]}}"
     return [f"{asked}, and that of the plants is {measured:.3g}{nearest}; the kernel found is {kernel}"]

@@ -36,7 +36,7 @@ def trace_identity(
 
     Time O(pixels x samples x log triangles); memory 5 bytes a sample (13 with `faces`, each sample's exemplar and
     face), 94 bytes a pixel, and about 60 bytes a ray of a block of two million rays. `timer` books time under a name;
-    `advance` is told of rows that are done.
+    `advance` is called with the number of rows that are done.
     """
     width, height = camera.size_px
     shape = (height, width, samples)
