@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 from forestgen.community.population import Population
 from forestgen.community.simulation import (
-    SimulationSummary,
     counts_of,
     final_population,
     lifeless_note,
     snapshots,
     standing_dead,
 )
+from forestgen.community.summary import SimulationSummary
 from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.formats.format import check_ids

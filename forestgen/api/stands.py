@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from forestgen.community.history_files import map_colours
 from forestgen.community.population import Population, Status
-from forestgen.community.simulation import SimulationSummary
+from forestgen.community.summary import SimulationSummary
 from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.suggestions import did_you_mean

@@ -172,6 +172,7 @@ def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[st
                     for name, kind in columns.items()
                 ]
                 writer.write_table(pa.Table.from_arrays(cells, schema=schema))
+                del group, cells  # before the next group is read
     except OSError as error:
         raise output_error(error, path) from error
 

@@ -121,11 +121,10 @@ def run_batch(
     display = display or SilentDisplay()
     storage, images = storage_of(target), images_of(loaded, count)
     check_ours(storage)
-    check_resume(storage, resume=resume or overwrite)
     settings, splits = check_recipe(loaded, images)
     work = Work(loaded, settings, storage, versions_hash(), threads, memory_bytes)
     with storage.lock(display.say) as lock:
-        check_resume(storage, resume=resume or overwrite)  # another run may have begun meanwhile
+        check_resume(storage, resume=resume or overwrite)
         recover(storage, display.say)
         mark = fingerprint(loaded, work.versions)
         before = finished_images(work, images, splits, mark, display.say, overwrite=overwrite)

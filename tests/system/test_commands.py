@@ -38,6 +38,7 @@ COMMANDS = (
     "light",
     "weather",
     "calibrate",
+    "measure",
     "doctor",
     "completion",
 )

@@ -153,7 +153,7 @@ def test_the_scene_at_a_time_is_one_object_and_the_next_frames_is_kept_beside_it
     cameras = tuple(expand(section, HeightField((16.0, 16.0))))
     nobody = np.zeros(0, dtype=np.uint8)
     empty = Population(0.0, (), nobody, nobody, np.zeros((0, 3)), nobody, nobody, nobody, nobody)
-    built = BuiltScene(replace(stand, cameras=cameras), empty, [], wind)
+    built = BuiltScene(None, replace(stand, cameras=cameras), empty, [], wind)
     before = None
     for index, camera in enumerate(cameras):
         now, following = built.at(camera.time_s), built.next_view(camera)
@@ -167,7 +167,7 @@ def test_the_scene_at_a_time_is_one_object_and_the_next_frames_is_kept_beside_it
         assert following[0] is cameras[index + 1]
         assert following[1] is built.at(following[0].time_s)
         assert built.at(camera.time_s) is now
-    still = BuiltScene(built.spec, empty, [])
+    still = BuiltScene(None, built.spec, empty, [])
     assert all(still.at(camera.time_s) is still.spec for camera in cameras)
 
 
