@@ -234,7 +234,7 @@ class TestRuns:
             for first in range(0, n, n // 7):
                 work(first, min(n, first + n // 7))
 
-        monkeypatch.setattr(threads, "over_ranges", in_pieces)
+        monkeypatch.setattr(threads, "parallel_for", in_pieces)
         for name, values in arrays(air.step(weather)).items():
             np.testing.assert_array_equal(values, getattr(alone, name), err_msg=name)
 

@@ -117,7 +117,7 @@ def test_the_same_bytes_with_any_number_of_threads(monkeypatch: pytest.MonkeyPat
     stand = module_stand(4000, seed=1)
     grid = SphereGrid.of(stand.centre_m, stand.radius_m)
     several = overlap(grid, stand.parent_row)
-    monkeypatch.setattr(crowding, "over_ranges", lambda n, work: work(0, n))
+    monkeypatch.setattr(crowding, "parallel_for", lambda n, work: work(0, n))
     assert several.tobytes() == overlap(grid, stand.parent_row).tobytes()
 
 

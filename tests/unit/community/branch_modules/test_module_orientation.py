@@ -196,5 +196,5 @@ def test_the_same_bytes_with_any_number_of_threads(monkeypatch: pytest.MonkeyPat
     rng = np.random.default_rng(5)
     modules = turning(rng.uniform(0, 34, (21_000, 3)), upright(21_000), tropism=0.3, angle=0.6)
     several = orient(EMPTY, modules)
-    monkeypatch.setattr(orientation, "over_ranges", lambda n, work: work(0, n))
+    monkeypatch.setattr(orientation, "parallel_for", lambda n, work: work(0, n))
     assert several.tobytes() == orient(EMPTY, modules).tobytes()
