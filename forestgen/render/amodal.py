@@ -130,7 +130,8 @@ def trace_amodal(
 
     Time O(pixels of all windows x samples x log triangles). Memory: 2 bytes a pixel of the windows, cut to their hits,
     twice; some 250 MB for the rays and pixels in work; and the scenes of exemplars that were asked for, of
-    4 million triangles at most. ValueError: the scene holds no such plant, or several instances of one.
+    4 million triangles at most. ValueError: the scene holds no such plant, or several instances of one; or no such
+    number of samples.
 
     Parameters
     ----------
@@ -138,6 +139,8 @@ def trace_amodal(
     samples : a pixel; a perfect square, at most 1024.
     timer, advance : book time under a name, and count plants that are done.
     """
+    if not 0 < samples <= 1024:
+        raise ValueError(f"samples must be 1 to 1024, got {samples}")
     ids = np.unique(np.asarray(plant_ids, dtype=np.uint32))
     rows = tracer.spec.instances.rows_of(ids)
     exemplar = tracer.spec.instances.exemplar[rows]

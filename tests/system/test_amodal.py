@@ -245,12 +245,15 @@ def test_no_plant_is_asked_for():
     )
 
 
-def test_unknown_plants_are_refused():
+def test_unknown_plants_and_impossible_samples_are_refused():
     spec = crowded(plants=5)
     tracer = SceneTracer(spec, Timings())
     for ids in ([0], [6], [1, 2**32 - 1]):
         with pytest.raises(ValueError, match="no instance"):
             trace_amodal(tracer, spec.cameras[0], np.array(ids, dtype=np.uint32), samples=16, **UNHEARD)
+    for samples in (0, 2, 1025, 1089):
+        with pytest.raises(ValueError, match="samples must be"):
+            trace_amodal(tracer, spec.cameras[0], spec.instances.plant_id, samples=samples, **UNHEARD)
 
 
 def test_one_kernel_serves_all_exemplars_and_all_numbers_of_plants():
