@@ -15,8 +15,7 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from forestgen.community.placement.field import DensityField, place
-from forestgen.community.placement.field_trees import build
+from forestgen.community.placement.field import DensityField, build, place
 from forestgen.community.placement.kernels import SAMPLES, KernelTable
 from support.lane_algorithms import algorithm_5_2
 
@@ -50,9 +49,7 @@ def run_fast(cells: int, plants: int, table: KernelTable) -> tuple[float, np.nda
     placement = place([field], species, radius, [[table]], uniform)
     took = process_time() - start
     start = process_time()
-    build(
-        field._fields.trees, field._fields.exponents
-    )  # all sums once more: what making the field took, but for copying
+    build(field._trees, field._exponents)  # all sums once more: what making the field took, but for copying
     return took + process_time() - start, placement.position_m
 
 

@@ -277,7 +277,7 @@ class TestSeveralSpecies:
 
     @pytest.mark.parametrize("periodic", [False, True])
     @pytest.mark.parametrize("shape", [(90, 700), (333, 101), (40, 250)])
-    def test_plants_that_are_looked_up_ahead_stand_where_they_would_one_by_one(self, shape, periodic):
+    def test_plants_placed_at_once_stand_where_they_would_one_by_one(self, shape, periodic):
         rng = np.random.default_rng(13)
         size_m, n = (shape[1] * 0.5, shape[0] * 0.5), 2500
         densities = [rough(shape, rng), rough(shape, rng)]
