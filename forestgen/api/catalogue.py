@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -92,8 +92,16 @@ def _keys(parameters: type[BaseModel]) -> str:
         text += f"\n\n{title}\n{'-' * len(title)}" if keys else ""
         for key, about in keys.items():
             default = f" [{about['default']}]" if about.get("default") is not None else ""
-            text += f"\n{key}: {about.get('description', '')}{default}"
+            text += f"\n{key}: {about.get('description', '')}{_bounds(about)}{default}"
     return text
+
+
+def _bounds(about: Mapping[str, Any]) -> str:
+    """The range of a key's numbers, in parentheses."""
+    signs = {"exclusiveMinimum": ">", "minimum": ">=", "exclusiveMaximum": "<", "maximum": "<="}
+    kinds = (about, *about.get("anyOf", ()))
+    found = [f"{sign} {kind[name]:g}" for kind in kinds for name, sign in signs.items() if name in kind]
+    return f" ({', '.join(found)})" if found else ""
 
 
 def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:

@@ -16,12 +16,7 @@ mean, weighted by q, is 1). In an empty plot f = 1. On a crowded one f_i goes to
 get all of the plot, and at any crowding sum_i q_i f_i <= min(S, A): no ground is given away twice. Larger plants get
 more of it for a square metre of their own if a > 0; a = 0 divides in proportion to area. f falls with C.
 
-==========  ======  ====  ===========  =======
-parameter   symbol  unit  range        default
-==========  ======  ====  ===========  =======
-asymmetry   a       1     0 to 10      1
-sharpness   s       1     0.1 to 100   2
-==========  ======  ====  ===========  =======
+Parameters: see `AikmanWatkinsonParameters`; a is asymmetry, s is sharpness.
 
 A sharp onset (large s) leaves plants alone until their share of the plot is less than their area. The site's edges and
 whether it is periodic do not matter, nor do heights.

@@ -10,24 +10,8 @@ its kernels::
 Plants come largest first, so that large, old plants decide where small, young ones stand. A step of Δt years makes
 plants older and nothing else.
 
-========================  ============  ============  ============  ===========
-parameter                 symbol        unit          range         default
-========================  ============  ============  ============  ===========
-plants: count             m_i                         0 to 2e7
-plants: plants_per_ha                   1/ha          0 to 1e8
-plants: map               f_i                         >= 0          1
-plants: conditions                                    0 to 1        1
-plants: radius_m median   r             m             0 < r <= R    R / 2
-plants: radius_m sigma                                0 to 3        0.4
-plants: height_sigma                                  0 to 1        0
-keep_out                                                            none
-kernels                   κ_ij                        0 to 1e6      inhibition
-kernels: hopkins          H                           0.4 to 10
-cells                                                 16 to 16384   by kernels
-periodic                                                            true
-steps                                                 0 to 100000   0
-step_yr                   Δt            yr            0 < Δt        1
-========================  ============  ============  ============  ===========
+Parameters: see `DeformationKernelParameters`; f_i is a species' map times its conditions, r its radius_m. A species'
+radii are at most its max_radius_m; heights follow from its height_m.
 
 Recipe::
 

@@ -17,26 +17,11 @@ equal vigour, the later born. A step of Δt years is
 The age of the thesis, the number of derivation steps of a plant's own L-system, is the column ``derivation_steps``:
 the integer part of ``m r / R``, between 0 and the maximum size m of the species.
 
-========================  ======================  ==========  ============  ==========
-parameter                 symbol                  unit        range         default
-========================  ======================  ==========  ============  ==========
-steps                                                         0 to 100000   300
-step_yr                   Δt                      yr          0 < Δt        1
-periodic                                                                    true
-initial_plants_per_ha                             1/ha        0 <=          0
-health_loss_per_yr        loss                    1/yr        0 <=          0.25
-health_gain_per_yr        gain                    1/yr        0 <=          0.1
-growth_exponent           γ                       1           0 <=          1
-derivation_steps          m                       1           0 <=          8
-derivation_steps_of       m, by species           1           0 <=          {}
-growth_m_per_yr           grow                    m/yr        0 <=          of species
-max_radius_m              R                       m           0 <           of species
-shade_tolerance           shade                   1           0 to 1        of species
-old_age_survival          oldage                  1 (a step)  0 to 1        of species
-seedlings_per_ha_per_yr   mean number / (area Δt) 1/(ha yr)   0 <=          of species
-seedling_radius_m         mean radius             m           0 < r <= R    of species
-height_m scale, exponent  A_H, c_H: H = A_H r^c_H m, 1                      of species
-========================  ======================  ==========  ============  ==========
+Parameters: see `FootprintParameters`; loss is health_loss_per_yr, gain is health_gain_per_yr, γ is growth_exponent, m
+is derivation_steps, of some species derivation_steps_of. Of each species' ecology: grow is growth_m_per_yr, R is
+max_radius_m, shade is shade_tolerance, oldage is old_age_survival (a probability a step); seedlings_per_ha_per_yr is
+the mean number over area and Δt, seedling_radius_m the mean radius; heights are ``A_H r^c_H`` with the scale and
+exponent of height_m.
 
 Recipe::
 

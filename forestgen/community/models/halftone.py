@@ -17,20 +17,8 @@ ahead, 3/16 behind in the next row, 5/16 below, 1/16 ahead in the next row. Each
 Numbers of plants thus follow the density much more closely than random ones do, down to areas of a few plants, and
 plants keep apart. Their distance cannot be set; other models have a key for it.
 
-========================  ============  ==========  ============  ====================
-parameter                 symbol        unit        range         default
-========================  ============  ==========  ============  ====================
-steps                                               0 to 100000   0
-step_yr                   Δt            yr          0 < Δt        1
-periodic                                                          true
-plants                    f, n, sizes               by species    {}
-keep_out                                            a map         none
-pixels                                              16 to 16384   8 a plant or more
-jitter                    J             1           0 to 1        1
-serpentine                                                        true
-max_radius_m              R             m           0 < R         of species
-height_m scale, exponent  A_H, c_H      m, 1                      of species
-========================  ============  ==========  ============  ====================
+Parameters: see `HalftoneParameters`; J is jitter. f and n are those of `plants`. Radii and heights follow from the
+species' max_radius_m and height_m.
 
 Recipe::
 

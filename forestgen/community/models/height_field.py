@@ -15,20 +15,8 @@ by each species' own density w, map times conditions, such as `elevation_m`.
 
         c_s w_s(x) / Σ_t c_t w_t(x),    c_s so that each species has the number that the recipe asks for.
 
-========================  ============  ==========  ============  =================
-parameter                 symbol        unit        range         default
-========================  ============  ==========  ============  =================
-steps                                               0 to 100000   0
-step_yr                   Δt            yr          0 < Δt        1
-periodic                                                          true
-plants                    w, n, sizes               by species    {}
-keep_out                                            a map         none
-cells                                               16 to 8192    512
-jitter                    J             1           0 to 1        0.8
-min_distance_m            d             m           0 <=          half of a spacing
-max_radius_m              R             m           0 < R         of species
-height_m scale, exponent  A_H, c_H      m, 1                      of species
-========================  ============  ==========  ============  =================
+Parameters: see `HeightFieldParameters`; J is jitter, d is min_distance_m. w and the numbers are those of `plants`.
+Radii and heights follow from the species' max_radius_m and height_m.
 
 Recipe::
 

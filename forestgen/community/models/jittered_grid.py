@@ -12,18 +12,8 @@ fill the densest ground; the asked number of them is chosen, each with a probabi
 it. A chosen cell goes to species s with the probability that species s has there, q_s = n_s f_s / Σ_t n_t f_t with f
 of integral 1.
 
-========================  ============  ==========  ============  ==========
-parameter                 symbol        unit        range         default
-========================  ============  ==========  ============  ==========
-steps                                               0 to 100000   0
-step_yr                   Δt            yr          0 < Δt        1
-periodic                                                          true
-plants                    f, n, sizes               by species    {}
-keep_out                                            a map         none
-jitter                    J             1           0 to 1        0.8
-max_radius_m              R             m           0 < R         of species
-height_m scale, exponent  A_H, c_H      m, 1                      of species
-========================  ============  ==========  ============  ==========
+Parameters: see `JitteredGridParameters`; J is jitter. f and n are those of `plants`. Radii and heights follow from the
+species' max_radius_m and height_m.
 
 Recipe::
 

@@ -27,27 +27,11 @@ is the same. With the neutral kernel plants do not interact: they are an immigra
 (recipes/reproductions/succession.yaml) succeed each other: 3055, 1568, 1275, 954 plants at steps 20, 150, 300, 1000,
 where Table 7.1 has 2688, 1593, 1409, 834.
 
-========================  ======================  ==========  ============  ==========
-parameter                 symbol                  unit        range         default
-========================  ======================  ==========  ============  ==========
-steps                                                         0 to 100000   300
-step_yr                   Δt                      yr          0 < Δt        0.5
-periodic                                                                    true
-initial_plants_per_ha     n                       1/ha        0 <=          0
-kernels                   κ_ij                    1           0 to 10^6     inhibition
-growth_exponent           γ                       1           0 <=          1
-most_inviting             L                       1           1 to 10^12    100
-ground                    b_i, by species         1           0 <=          {}
-keep_out                  b_i = 0                                           none
-cells                                             1           16 to 4096    by kernels
-growth_m_per_yr           grow                    m/yr        0 <=          of species
-max_radius_m              R                       m           0 < r         of species
-shade_tolerance           shade                   1 (a step)  0 to 1        of species
-old_age_survival          oldage                  1 (a step)  0 to 1        of species
-seedlings_per_ha_per_yr   rate                    1/(ha yr)   0 <=          of species
-seedling_radius_m         mean radius             m           0 < r <= R    of species
-height_m scale, exponent  A_H, c_H: H = A_H r^c_H m, 1                      of species
-========================  ======================  ==========  ============  ==========
+Parameters: see `KernelGrowthParameters`; κ_ij are the kernels, γ is growth_exponent, L is most_inviting, b_i is a
+species' ground and 0 where keep_out bars, n is initial_plants_per_ha. Of each species' ecology: grow is
+growth_m_per_yr, R is max_radius_m, shade and oldage are shade_tolerance and old_age_survival (probabilities a step),
+rate is seedlings_per_ha_per_yr; seedling_radius_m is the mean radius; heights are ``A_H r^c_H`` with the scale and
+exponent of height_m.
 
 Recipe::
 

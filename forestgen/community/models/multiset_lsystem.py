@@ -28,25 +28,9 @@ species, of the ecology's keys below and of height_scale, height_exponent. All o
 that has an environment's name brings that one),
 firbank_watkinson, leps_kindlmann, aikman_watkinson; or a mapping with `model` and its own keys.
 
-========================  ======================  ==========  ============  ==========
-parameter                 symbol                  unit        range         default
-========================  ======================  ==========  ============  ==========
-program                                                                     succession
-steps                                                         0 to 100000   300
-step_yr                   Δt                      yr          0 < Δt        0.5
-periodic                                                                    true
-parameters                                                                  of program
-environment                                                                 domination
-most_plants                                                   1 <=          5000000
-disturbances                                                                none
-growth_m_per_yr           grow / Δt               m/yr        0 <=          of species
-max_radius_m              R                       m           0 <           of species
-shade_tolerance           shaded                  1 (a step)  0 to 1        of species
-old_age_survival          oldage                  1 (a step)  0 to 1        of species
-seedlings_per_ha_per_yr   (n, m) / (area Δt)      1/(ha yr)   0 <=          of species
-seedling_radius_m         mean of r_1 ... r_n     m           0 < r <= R    of species
-height_m scale, exponent  A_H, c_H: H = A_H r^c_H m, 1                      of species
-========================  ======================  ==========  ============  ==========
+Parameters: see `MultisetParameters`. Of each species' ecology: R is max_radius_m, grow / Δt is growth_m_per_yr, shaded
+and oldage are shade_tolerance and old_age_survival (probabilities a step); seedlings_per_ha_per_yr is (n, m) over area
+and Δt, seedling_radius_m the mean of r_1 ... r_n; heights are ``A_H r^c_H`` with the scale and exponent of height_m.
 
 Recipe::
 

@@ -7,21 +7,8 @@ A plant is given by its species, its place and one of two sizes: the radius r of
 which r follows by the species' allometry: ``r = (H / A_H)^(1 / c_H)``. Without either it has the species' largest
 radius.
 
-========================  ============  ==========  ============  ==========
-parameter                 symbol        unit        range         default
-========================  ============  ==========  ============  ==========
-steps                                               0 to 100000   0
-step_yr                   Δt            yr          0 < Δt        1
-plants: species
-plants: position_m        x, y          m           on the site
-plants: radius_m          r             m           0 < r <= R    R
-plants: height_m          H             m           0 < H         by r
-plants: age_yr                          yr          0 <=          0
-plants: azimuth_deg                     degree      -360 to 360   random
-table                                                             none
-max_radius_m              R             m           0 < R         of species
-height_m scale, exponent  A_H, c_H      m, 1                      of species
-========================  ============  ==========  ============  ==========
+Parameters: see `PlacedParameters`; r is radius_m, H is height_m. A species has R, its max_radius_m, which r never
+exceeds, and A_H and c_H, the scale and exponent of its height_m.
 
 Recipe::
 

@@ -11,19 +11,8 @@ The plants take n of these points, each point with a probability in proportion t
 conditions; a chosen point x goes to species s with the probability that species s has there,
 q_s = n_s f_s(x) / Σ_t n_t f_t(x) with f of integral 1.
 
-========================  ============  ==========  ============  ==================
-parameter                 symbol        unit        range         default
-========================  ============  ==========  ============  ==================
-steps                                               0 to 100000   0
-step_yr                   Δt            yr          0 < Δt        1
-periodic                                                          true
-plants                    f, n, sizes               by species    {}
-keep_out                                            a map         none
-cells                                               16 to 8192    512
-distance_m                d             m           0 < d         so that n just fit
-max_radius_m              R             m           0 < R         of species
-height_m scale, exponent  A_H, c_H      m, 1                      of species
-========================  ============  ==========  ============  ==================
+Parameters: see `PoissonDiscParameters`; d is distance_m. f and n are those of `plants`. Radii and heights follow from
+the species' max_radius_m and height_m.
 
 Recipe::
 

@@ -14,21 +14,8 @@ place x' instead of x is proposed and taken with probability
     min(1, γ^(s' - s))              for x' drawn from f, in every other sweep;
     min(1, γ^(s' - s) f(x') / f(x)) for x' in a square of half width r around x, in the others.
 
-========================  ============  ==========  ============  =================
-parameter                 symbol        unit        range         default
-========================  ============  ==========  ============  =================
-steps                                               0 to 100000   0
-step_yr                   Δt            yr          0 < Δt        1
-periodic                                                          true
-plants                    f, n, sizes               by species    {}
-keep_out                                            a map         none
-cells                                               16 to 8192    512
-gamma                     γ             1           0 to 1        0.1
-interaction_radius_m      r             m           0 < r         half of a spacing
-sweeps                                              1 to 100000   200
-max_radius_m              R             m           0 < R         of species
-height_m scale, exponent  A_H, c_H      m, 1                      of species
-========================  ============  ==========  ============  =================
+Parameters: see `StraussParameters`; γ is gamma, r is interaction_radius_m. f and n are those of `plants`. Radii and
+heights follow from the species' max_radius_m and height_m.
 
 Recipe::
 

@@ -11,20 +11,8 @@ normal deviate of standard deviation σ along each axis. On even ground
 With a density f, map times conditions, a plant survives with probability f / max f. κ is chosen so that a cluster on
 the best ground has μ plants in the mean: κ = n / (μ · area · mean f / max f).
 
-========================  ============  ==========  ==============  ============
-parameter                 symbol        unit        range           default
-========================  ============  ==========  ==============  ============
-steps                                               0 to 100000     0
-step_yr                   Δt            yr          0 < Δt          1
-periodic                                                            true
-plants                    f, n, sizes               by species      {}
-keep_out                                            a map           none
-cells                                               16 to 8192      512
-plants_per_cluster        μ             1           0.1 to 1e6      10
-sigma_m                   σ             m           0 < σ <= site   0.2 / sqrt κ
-max_radius_m              R             m           0 < R           of species
-height_m scale, exponent  A_H, c_H      m, 1                        of species
-========================  ============  ==========  ==============  ============
+Parameters: see `ThomasParameters`; μ is plants_per_cluster, σ is sigma_m, at most the site's longer side. f and n are
+those of `plants`. Radii and heights follow from the species' max_radius_m and height_m.
 
 Recipe::
 

@@ -9,18 +9,7 @@ Each plant's place is drawn by itself from its species' density f, map times con
 
 On even ground the Hopkins index is 1 and Ripley's K(r) = π r². Plants may stand on one another.
 
-========================  ============  ==========  ============  ==========
-parameter                 symbol        unit        range         default
-========================  ============  ==========  ============  ==========
-steps                                               0 to 100000   0
-step_yr                   Δt            yr          0 < Δt        1
-periodic                                                          true
-plants                    f, n, sizes               by species    {}
-keep_out                                            a map         none
-cells                                               16 to 8192    512
-max_radius_m              R             m           0 < R         of species
-height_m scale, exponent  A_H, c_H      m, 1                      of species
-========================  ============  ==========  ============  ==========
+Parameters: see `UniformParameters`. Radii and heights follow from the species' max_radius_m and height_m.
 
 Recipe::
 
