@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, Self, TypeVar
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from forestgen.community.disturbance import Disturbance, Ground, Planting
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.population import Floats, Population
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.buildings import Building
@@ -126,7 +126,7 @@ class CommunityModel(Protocol[P, S]):
 
     Parameters: type[P]
 
-    def init(self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int) -> S:
+    def init(self, parameters: P, site: Site, species: Ecologies, seed: int) -> S:
         """State of step 0."""
 
     def step(self, state: S) -> S:
@@ -135,14 +135,10 @@ class CommunityModel(Protocol[P, S]):
     def population(self, state: S) -> Population:
         """Snapshot of a state."""
 
-    def resume(
-        self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int, population: Population
-    ) -> S:
+    def resume(self, parameters: P, site: Site, species: Ecologies, seed: int, population: Population) -> S:
         """The state that a snapshot was made of; the inverse of `population`."""
 
-    def check_snapshot(
-        self, parameters: P, site: Site, species: Sequence[SpeciesEcology], population: Population
-    ) -> None:
+    def check_snapshot(self, parameters: P, site: Site, species: Ecologies, population: Population) -> None:
         """Raise `ImpossibleValueError` for a model's own columns or state that no snapshot of it has.
 
         Of a snapshot from a file, before `resume`; `snapshot_checks.check_snapshot` has been through it.
@@ -154,13 +150,13 @@ class CommunityModel(Protocol[P, S]):
     def plant(self, state: S, planting: Planting) -> S:
         """A disturbance: the state in which new plants stand there, in the same step, numbered as they are given."""
 
-    def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
+    def expected_plants(self, parameters: P, site: Site, species: Ecologies) -> float:
         """Upper bound of the mean number of plants at any step; 0: no plant can ever grow."""
 
-    def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: P, site: Site, species: Ecologies) -> str | None:
         """Why no plant can ever grow, or None if one may."""
 
-    def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: P, site: Site, species: Ecologies) -> int:
         """Upper estimate of the peak memory of one simulation, one snapshot included; cheap, simulates nothing.
 
         A caller that keeps a history holds its snapshots on top of this.
@@ -171,7 +167,7 @@ def simulate(
     model: CommunityModel[P, S],
     parameters: P,
     site: Site,
-    species: Sequence[SpeciesEcology],
+    species: Ecologies,
     seed: int,
     *,
     steps: int,

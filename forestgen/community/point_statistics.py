@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.community import point_patterns as patterns
 from forestgen.community.point_patterns import Estimate, Window
@@ -36,9 +35,9 @@ class PointStatistics:
     hopkins_skellam: Estimate
     clark_evans: Estimate
     clark_evans_donnelly: Estimate
-    radii_m: NDArray[np.float64]
-    k_isotropic_m2: NDArray[np.float64]
-    k_translation_m2: NDArray[np.float64]
+    radii_m: Floats
+    k_isotropic_m2: Floats
+    k_translation_m2: Floats
     duplicates: int = 0  # points at the place of an earlier one
     notes: tuple[str, ...] = ()  # on the file, for people
 

@@ -38,15 +38,15 @@ class Population:
     species_names: tuple[str, ...]  # species index -> name in the recipe
     plant_id: NDArray[np.uint32]  # (N,)
     species: NDArray[np.uint16]  # (N,) index into species_names
-    position_m: NDArray[np.float64]  # (N, 3) metres, world; z is 0 until the scene puts plants on its terrain
-    radius_m: NDArray[np.float64]  # (N,) radius of the ecological neighbourhood
-    height_m: NDArray[np.float64]  # (N,)
-    age_yr: NDArray[np.float64]  # (N,)
+    position_m: Floats  # (N, 3) metres, world; z is 0 until the scene puts plants on its terrain
+    radius_m: Floats  # (N,) radius of the ecological neighbourhood
+    height_m: Floats  # (N,)
+    age_yr: Floats  # (N,)
     status: NDArray[np.uint8]  # (N,) Status
     columns: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (N,) each, a model's own
     step: int = 0  # of the simulation
     state: Mapping[str, Any] = field(default_factory=dict)  # what a model knows besides its plants, plain as in JSON
-    maps: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)  # of the ground: (rows, cols), row 0 at y = 0
+    maps: Mapping[str, Floats] = field(default_factory=dict)  # of the ground: (rows, cols), row 0 at y = 0
     modules: Modules | None = None  # of plants that grow by branch modules; None: a model of whole plants
 
     def __post_init__(self) -> None:
@@ -104,7 +104,7 @@ def cover_by_species(population: Population, area_m2: float) -> dict[str, float]
     return {name: float(a) / area_m2 for name, a in zip(population.species_names, sums, strict=True)}
 
 
-def plant_mass(population: Population) -> tuple[NDArray[np.float64], str]:
+def plant_mass(population: Population) -> tuple[Floats, str]:
     """(N,) mass of each plant, and its unit.
 
     The model's own column ``mass_kg`` where it has one, else r^3 in cubic metres: plants of one shape have masses in

@@ -46,9 +46,9 @@ class Placement:
     """Plants that a static model places, one row a plant."""
 
     species: NDArray[np.integer]  # (N,) index of species
-    position_m: NDArray[np.float64]  # (N, 2) world x and y, on the site
-    radius_m: NDArray[np.float64]  # (N,) 0 < r <= the species' max_radius_m
-    height_m: NDArray[np.float64] | None = None  # (N,) None: by the species' allometry
+    position_m: Floats  # (N, 2) world x and y, on the site
+    radius_m: Floats  # (N,) 0 < r <= the species' max_radius_m
+    height_m: Floats | None = None  # (N,) None: by the species' allometry
 
     def __post_init__(self) -> None:
         n = len(self.species)
@@ -145,9 +145,7 @@ class FixedPopulation(Generic[P]):
             state={"next_id": state.next_id, "notes": list(state.notes), **state.found},
         )
 
-    def resume(
-        self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int, population: Population
-    ) -> State:
+    def resume(self, parameters: P, site: Site, species: Ecologies, seed: int, population: Population) -> State:
         """The state of a snapshot."""
         plants = Plants(
             x_m=np.ascontiguousarray(population.position_m[:, :2]),
@@ -161,9 +159,7 @@ class FixedPopulation(Generic[P]):
         next_id, notes = int(found.pop("next_id")), tuple(found.pop("notes", ()))
         return State(parameters, tuple(species), seed, population.step, next_id, plants, notes, found)
 
-    def check_snapshot(
-        self, parameters: P, site: Site, species: Sequence[SpeciesEcology], population: Population
-    ) -> None:
+    def check_snapshot(self, parameters: P, site: Site, species: Ecologies, population: Population) -> None:
         """Refuse turns, ages and arrivals that no plant of a snapshot has, and numbers that JSON does not know."""
         own = {
             "azimuth_deg": Limits("f8"),
@@ -206,16 +202,14 @@ class StaticModel(FixedPopulation[P], ABC):
     """
 
     @abstractmethod
-    def place(
-        self, parameters: P, site: Site, species: Sequence[SpeciesEcology], rng: np.random.Generator
-    ) -> Placement:
+    def place(self, parameters: P, site: Site, species: Ecologies, rng: np.random.Generator) -> Placement:
         """The plants of step 0. All randomness comes from `rng`, which the recipe's seed decides."""
 
     @abstractmethod
-    def most_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
+    def most_plants(self, parameters: P, site: Site, species: Ecologies) -> float:
         """Upper bound of the mean number of plants that `place` returns; 0: none. It places nothing."""
 
-    def init(self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+    def init(self, parameters: P, site: Site, species: Ecologies, seed: int) -> State:
         """The plants at their places.
 
         Raises
@@ -226,15 +220,15 @@ class StaticModel(FixedPopulation[P], ABC):
         _check(placed, site, species)
         return first_state(parameters, species, seed, placed)
 
-    def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
+    def expected_plants(self, parameters: P, site: Site, species: Ecologies) -> float:
         """Plants that are placed, and those that disturbances plant."""
         return float(self.most_plants(parameters, site, species) + planted(parameters.disturbances))
 
-    def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: P, site: Site, species: Ecologies) -> str | None:
         """Why no plant will ever stand there, or None if some may."""
         return None if self.expected_plants(parameters, site, species) > 0 else "the model places no plant"
 
-    def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: P, site: Site, species: Ecologies) -> int:
         """Bytes for all plants at once: a state, its successor, a snapshot, what a placement holds meanwhile."""
         return 4 * 1024 * 1024 + math.ceil(self.expected_plants(parameters, site, species) * 400)
 

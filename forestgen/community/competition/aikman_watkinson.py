@@ -25,10 +25,10 @@ whether it is periodic do not matter, nor do heights.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.community.competition.contract import Circles
+from forestgen.community.population import Floats
 from forestgen.recipe.fields import Section
 
 
@@ -48,7 +48,7 @@ class AikmanWatkinson:
 
     def answer(
         self, parameters: AikmanWatkinsonParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """f."""
         if not len(circles):
             return np.ones(0)
@@ -63,7 +63,7 @@ class AikmanWatkinson:
         log_ratio = np.log(relative)
         log_ratio *= -2 * a * s
         log_ratio += (log_crowding + log_mean) * s
-        answer: NDArray[np.float64] = np.exp(np.logaddexp(0.0, log_ratio) / -s)
+        answer: Floats = np.exp(np.logaddexp(0.0, log_ratio) / -s)
         return answer
 
 

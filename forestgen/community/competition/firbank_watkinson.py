@@ -28,11 +28,11 @@ from __future__ import annotations
 from math import acos, atan2, cos, pi, sin, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.community.competition import grid
 from forestgen.community.competition.contract import Circles
+from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 from forestgen.recipe.fields import Section
 
@@ -223,7 +223,7 @@ class FirbankWatkinson:
 
     def answer(
         self, parameters: FirbankWatkinsonParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """z / q."""
         n = len(circles)
         if not n:

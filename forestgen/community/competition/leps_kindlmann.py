@@ -21,11 +21,11 @@ from __future__ import annotations
 from math import acos, pi, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.community.competition import grid
 from forestgen.community.competition.contract import Circles
+from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 from forestgen.core.threads import parallel_for
 from forestgen.recipe.fields import Section
@@ -96,7 +96,7 @@ class LepsKindlmann:
 
     def answer(
         self, parameters: LepsKindlmannParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """f."""
         out = np.ones(len(circles))
         if len(circles) > 1:

@@ -27,7 +27,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from forestgen.community.fitting.likelihood import (
@@ -42,6 +41,7 @@ from forestgen.community.fitting.likelihood import (
 from forestgen.community.fitting.stand import MeasuredStand, NewStand, Nursery, fitting_cells
 from forestgen.community.fitting.summaries import Envelope, Summaries, envelopes, nearest_m, summaries_for, trend
 from forestgen.community.placement.kernels import KernelTable
+from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress, Silent
 from forestgen.core.randomness import child_rng
@@ -83,8 +83,8 @@ _BETTER = 0.5  # of one kernel's loss, after either round: with more, founders a
 class Matched:
     """What the steps came to."""
 
-    log_kappa: NDArray[np.float64]  # (P, M)
-    differences: NDArray[np.float64]  # (A,) mean of new stands less the stand, in their standard deviations
+    log_kappa: Floats  # (P, M)
+    differences: Floats  # (A,) mean of new stands less the stand, in their standard deviations
     loss: float
     rough_loss: float  # at the end of the first round
     stands: int  # placed in all
@@ -94,10 +94,10 @@ class Matched:
 class Look:
     """New stands of one set of kernels."""
 
-    log_kappa: NDArray[np.float64]  # (P * M,)
+    log_kappa: Floats  # (P * M,)
     loss: float
-    z: NDArray[np.float64]  # (A,)
-    slope: NDArray[np.float64]  # (A, P * M) of z
+    z: Floats  # (A,)
+    slope: Floats  # (A, P * M) of z
 
 
 class Matcher:
@@ -110,7 +110,7 @@ class Matcher:
         summaries: Summaries,
         number: int,
         seed: int,
-        scale: NDArray[np.float64] | None = None,
+        scale: Floats | None = None,
     ) -> None:
         self.nursery, self.shapes, self.summaries = nursery, shapes, summaries
         self.all_stands, self.number, self.seed, self.knee = number, number, seed, 1.0
@@ -124,7 +124,7 @@ class Matcher:
         """Set the number of stands and what differences weigh."""
         self.number, self.knee = max(2, round(one.share * self.all_stands)), one.knee
 
-    def look(self, flat: NDArray[np.float64]) -> Look:
+    def look(self, flat: Floats) -> Look:
         """Simulate, count, and take derivatives."""
         shapes, stand = self.shapes, self.nursery.stand
         log_kappa = flat.reshape(shapes.free)
@@ -145,7 +145,7 @@ class Matcher:
         loss = float(np.sum(worth * (z**2 / 2 + z**4 / (4 * self.knee**2))) + flat @ self.penalty @ flat / 2)
         return Look(flat, loss, z, slope)
 
-    def step(self, here: Look, damping: float) -> NDArray[np.float64]:
+    def step(self, here: Look, damping: float) -> Floats:
         """Where to look next."""
         weight = self.summaries.worth * (1 + here.z**2 / self.knee**2)
         normal = here.slope.T @ (weight[:, None] * here.slope)
@@ -164,7 +164,7 @@ class Climb:
     stands: int  # placed
 
 
-def climb(matcher: Matcher, start: NDArray[np.float64], one: Round, advance: Callable[[int], None]) -> Climb:
+def climb(matcher: Matcher, start: Floats, one: Round, advance: Callable[[int], None]) -> Climb:
     """Take the steps of a round until they gain little."""
     matcher.begin(one)
     best, damping = matcher.look(start.ravel()), _DAMPING
@@ -186,7 +186,7 @@ def climb(matcher: Matcher, start: NDArray[np.float64], one: Round, advance: Cal
     return Climb(best, looks * matcher.number)
 
 
-def match(matcher: Matcher, start: NDArray[np.float64], advance: Callable[[int], None]) -> Matched:
+def match(matcher: Matcher, start: Floats, advance: Callable[[int], None]) -> Matched:
     """Both rounds; `advance` is called with the number of stands after each look."""
     first = climb(matcher, start, ROUNDS[0], advance)
     second = climb(matcher, first.look.log_kappa, ROUNDS[1], advance)
@@ -235,7 +235,7 @@ def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], Non
     return Founded(matcher.nursery, shapes, result, stands + second.stands)
 
 
-def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[NDArray[np.float64]]:
+def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[Floats]:
     """(3, M) log κ: founders keep apart, followers are drawn to them and ignore one another."""
     tree = cKDTree(stand.position_m)
     near_m = float(np.quantile(nearest_m(tree, tree), _MOST))

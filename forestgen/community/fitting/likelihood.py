@@ -27,6 +27,7 @@ from scipy.spatial import cKDTree
 
 from forestgen.community.fitting.stand import MeasuredStand, field_shape
 from forestgen.community.placement.kernels import KernelSection, KernelTable, table
+from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 
 _MEND_EVERY = 64  # plants: sums that are mended gather rounding errors, so they are taken afresh now and then
@@ -49,8 +50,8 @@ class KernelShapes:
 
     kernel_of: NDArray[np.int64]  # (S, S) kernel by which species j (second) deforms the field of species i (first)
     pairs: tuple[tuple[int, int], ...]  # (P,) of each kernel the species that is affected, and the one that deforms
-    knots_m: NDArray[np.float64]  # (P, M + 1) metres, ascending; the last is the reach, where κ is 1
-    core_m: NDArray[np.float64]  # (P,) metres; κ is 0 up to here
+    knots_m: Floats  # (P, M + 1) metres, ascending; the last is the reach, where κ is 1
+    core_m: Floats  # (P,) metres; κ is 0 up to here
 
     @property
     def free(self) -> tuple[int, int]:
@@ -61,7 +62,7 @@ class KernelShapes:
     def reach_m(self) -> float:
         return float(self.knots_m[:, -1].max())
 
-    def control_points(self, log_kappa: NDArray[np.float64]) -> list[list[tuple[float, float]]]:
+    def control_points(self, log_kappa: Floats) -> list[list[tuple[float, float]]]:
         """Of each kernel: distances in metres and κ, rounded as a recipe shows them."""
         found = []
         for knots, core, values in zip(self.knots_m, self.core_m, log_kappa, strict=True):
@@ -74,7 +75,7 @@ class KernelShapes:
             found.append(points)
         return found
 
-    def tables(self, log_kappa: NDArray[np.float64]) -> list[list[KernelTable]]:
+    def tables(self, log_kappa: Floats) -> list[list[KernelTable]]:
         """As `place` takes them: of species i (first) the kernels of species j (second)."""
         sections = [{"curve": points, "distance": "metres"} for points in self.control_points(log_kappa)]
         made = [table(KernelSection.model_validate(one)) for one in sections]
@@ -141,15 +142,15 @@ class Score(NamedTuple):
     """Log-likelihood of a stand in its order, and its derivatives by log κ at the knots."""
 
     log_likelihood: float  # of the places against uniform ones
-    gradient: NDArray[np.float64]  # (P, M)
+    gradient: Floats  # (P, M)
 
 
 def score(
-    position_m: NDArray[np.float64],
+    position_m: Floats,
     species: NDArray[np.int64],
     shapes: KernelShapes,
-    core_m: NDArray[np.float64],
-    log_kappa: NDArray[np.float64],
+    core_m: Floats,
+    log_kappa: Floats,
     size_m: tuple[float, float],
     shape: tuple[int, int],
 ) -> Score:
@@ -262,7 +263,7 @@ def likelihood_shape(stand: MeasuredStand, shapes: KernelShapes) -> tuple[int, i
     return field_shape(stand.size_m, cells)
 
 
-def roughness_penalty(shapes: KernelShapes) -> NDArray[np.float64]:
+def roughness_penalty(shapes: KernelShapes) -> Floats:
     """(P M, P M) matrix A of the penalty θ' A θ / 2 of all log κ: the squares of their differences, first and second.
 
     The knot at the reach counts as 0, so that kernels fade into 1.
@@ -273,7 +274,7 @@ def roughness_penalty(shapes: KernelShapes) -> NDArray[np.float64]:
     return np.asarray(np.kron(np.eye(kernels), one), dtype=np.float64)
 
 
-def likeliest(stand: MeasuredStand, shapes: KernelShapes, rng: np.random.Generator) -> NDArray[np.float64]:
+def likeliest(stand: MeasuredStand, shapes: KernelShapes, rng: np.random.Generator) -> Floats:
     """(P, M) log κ of the greatest mean log-likelihood over random orders, less the penalty.
 
     Where sizes give the order there is but one; rounded places are blurred anew for each.
@@ -288,7 +289,7 @@ def likeliest(stand: MeasuredStand, shapes: KernelShapes, rng: np.random.Generat
     penalty, grid = roughness_penalty(shapes), likelihood_shape(stand, shapes)
     core_m = np.zeros_like(shapes.core_m) if stand.step_m else shapes.core_m
 
-    def loss(flat: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def loss(flat: Floats) -> tuple[float, Floats]:
         value, gradient = 0.5 * float(flat @ penalty @ flat), penalty @ flat
         for position_m, species in draws:
             found = score(position_m, species, shapes, core_m, flat.reshape(shapes.free), stand.size_m, grid)

@@ -14,6 +14,7 @@ from forestgen.community.fitting.fit import Fit
 from forestgen.community.fitting.stand import MeasuredStand
 from forestgen.community.fitting.summaries import RADII, STANDS, Envelope
 from forestgen.community.plots import new_figure
+from forestgen.community.population import Floats
 from forestgen.core import __version__
 from forestgen.core.figures import count, seconds
 from forestgen.recipe.fields import NAME_PATTERN
@@ -260,9 +261,7 @@ def _legend(figure: Figure) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=11)
 
 
-def _draw_stand(
-    axes: Axes, stand: MeasuredStand, position_m: NDArray[np.float64], species: NDArray[np.int64], title: str
-) -> None:
+def _draw_stand(axes: Axes, stand: MeasuredStand, position_m: Floats, species: NDArray[np.int64], title: str) -> None:
     size = float(np.clip(2600 / max(len(position_m), 1), 2.0, 42.0))
     for k, name in enumerate(stand.names):
         mine = position_m[species == k]

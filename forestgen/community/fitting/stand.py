@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.point_table import PointTable
+from forestgen.community.population import Floats
 from forestgen.core.errors import AssetError, ResourceError
 from forestgen.core.randomness import child_rng
 
@@ -31,11 +32,11 @@ _FINEST_STEP = 0.03  # of the spacing
 class MeasuredStand:
     """N plants of S species in a window [0, W] x [0, H]."""
 
-    position_m: NDArray[np.float64]  # (N, 2) metres, from the window's corner; ordered: largest plants first
+    position_m: Floats  # (N, 2) metres, from the window's corner; ordered: largest plants first
     species: NDArray[np.int64]  # (N,) index into names
     names: tuple[str, ...]  # (S,)
     size_m: tuple[float, float]  # W, H
-    radius_m: NDArray[np.float64] | None  # (N,) metres, not ascending; None: unknown, and with it the order
+    radius_m: Floats | None  # (N,) metres, not ascending; None: unknown, and with it the order
     corner_m: tuple[float, float] = (0.0, 0.0)  # of the window, in the file's coordinates
     step_m: float = 0.0  # what the file's coordinates are multiples of; 0: too little to matter
 
@@ -57,21 +58,21 @@ class MeasuredStand:
         """Side of the square that a plant has on average."""
         return math.sqrt(self.area_m2 / self.n)
 
-    def as_measured(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def as_measured(self, position_m: Floats) -> Floats:
         """Places as they would stand in the file: rounded to its step, in the window."""
         if self.step_m == 0:
             return position_m
         there = np.round((position_m + self.corner_m) / self.step_m) * self.step_m - self.corner_m
         return np.asarray(np.clip(there, 0.0, self.size_m))
 
-    def blurred(self, rng: np.random.Generator) -> NDArray[np.float64]:
+    def blurred(self, rng: np.random.Generator) -> Floats:
         """(N, 2) places where the plants may have stood before they were rounded."""
         if self.step_m == 0:
             return self.position_m
         moved = self.position_m + self.step_m * (rng.random((self.n, 2)) - 0.5)
         return np.asarray(np.clip(moved, 0.0, self.size_m))
 
-    def of(self, species: int) -> NDArray[np.float64]:
+    def of(self, species: int) -> Floats:
         """Places of a species' plants."""
         return np.asarray(self.position_m[self.species == species])
 
@@ -140,7 +141,7 @@ def _check_points(table: PointTable, where: str) -> None:
         raise AssetError("the plants stand on one line", where=where, expected="plants spread over an area")
 
 
-def rounding_m(points_m: NDArray[np.float64], spacing_m: float) -> float:
+def rounding_m(points_m: Floats, spacing_m: float) -> float:
     """The step of which nearly all coordinates are multiples, metres; 0 where it is too small against the spacing.
 
     Rounded places have few different distances, and hardly any below the step: that says nothing about the plants.
@@ -170,8 +171,8 @@ def _notes(stand: MeasuredStand) -> list[str]:
 class NewStand(NamedTuple):
     """Plants in the order in which they were placed."""
 
-    placed_m: NDArray[np.float64]  # (N, 2) metres
-    measured_m: NDArray[np.float64]  # (N, 2) metres: rounded as the stand's were
+    placed_m: Floats  # (N, 2) metres
+    measured_m: Floats  # (N, 2) metres: rounded as the stand's were
     species: NDArray[np.int64]  # (N,)
     kind: NDArray[np.int64]  # (N,) by which kernels act: the species; or 0 founder, 1 follower
 

@@ -27,6 +27,7 @@ from scipy.spatial import cKDTree
 from forestgen.community.fitting.stand import MeasuredStand, NewStand, Nursery
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.point_patterns import Window, pair_correlation
+from forestgen.community.population import Floats
 
 STANDS = 39
 RADII = 50
@@ -45,11 +46,11 @@ class Summaries:
     """What is counted; Q pairs of species, of which the first may be the second."""
 
     pairs: tuple[tuple[int, int], ...]  # (Q,)
-    pair_radii_m: NDArray[np.float64]  # (R,) metres
+    pair_radii_m: Floats  # (R,) metres
     near: tuple[tuple[int, int], ...]  # of a plant of the first species, the nearest of the second
-    near_radii_m: NDArray[np.float64]  # (len(near), G) metres
+    near_radii_m: Floats  # (len(near), G) metres
 
-    def of(self, position_m: NDArray[np.float64], species: NDArray[np.int64]) -> NDArray[np.float64]:
+    def of(self, position_m: Floats, species: NDArray[np.int64]) -> Floats:
         """(Q * (R + R / 5) + len(near) * G,) roots of the numbers of pairs within each radius and in each ring of five
         radii; shares of plants that have a nearest one within each radius."""
         trees = [cKDTree(position_m[species == one]) for one in range(max(max(pair) for pair in self.near) + 1)]
@@ -62,18 +63,18 @@ class Summaries:
             parts.append(shares_within(nearest_m(trees[one], trees[other]), radii))
         return np.concatenate(parts)
 
-    def nearest(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def nearest(self, values: Floats) -> Floats:
         """The part of (A,) numbers, or of their differences, that is about nearest neighbours."""
         return np.asarray(values[-self.near_radii_m.size :])
 
     @property
-    def worth(self) -> NDArray[np.float64]:
+    def worth(self) -> Floats:
         """Weight of each number against the others and the expectation that kernels are smooth."""
         radii = len(self.pair_radii_m)
         pairs = np.concatenate([np.full(radii, _PAIRS_WORTH), np.full(radii // _PER_RING, _RINGS_WORTH)])
         return np.concatenate([np.tile(pairs, len(self.pairs)), np.full(self.near_radii_m.size, _NEAR_WORTH)])
 
-    def scales(self, stand: MeasuredStand, spread: NDArray[np.float64]) -> NDArray[np.float64]:
+    def scales(self, stand: MeasuredStand, spread: Floats) -> Floats:
         """What counts as one step of difference: the new stands' own scatter, and no less than half a pair or plant."""
         radii = len(self.pair_radii_m)
         least = [np.full(radii + radii // _PER_RING, 0.3)] * len(self.pairs)
@@ -81,14 +82,14 @@ class Summaries:
         return np.asarray(np.maximum(spread, np.concatenate(least)))
 
 
-def nearest_m(points: cKDTree, others: cKDTree) -> NDArray[np.float64]:
+def nearest_m(points: cKDTree, others: cKDTree) -> Floats:
     """(N,) distance of each point to the nearest of the others, which may be the same points; inf where none is."""
     if points is others:
         return np.asarray(points.query(points.data, k=[2])[0])[:, 0]
     return np.asarray(others.query(points.data, k=[1])[0])[:, 0]
 
 
-def shares_within(distance_m: NDArray[np.float64], radii_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def shares_within(distance_m: Floats, radii_m: Floats) -> Floats:
     """(R,) share of distances that are no greater than each radius; G(r) of distances to nearest neighbours."""
     if not len(distance_m):
         return np.zeros(len(radii_m))
@@ -117,12 +118,12 @@ class Envelope:
 
     name: str  # "K", "g" (pair correlation, of one species) or "G"
     species: tuple[int, int]  # from, to; twice the same: among one species
-    radii_m: NDArray[np.float64]  # (R,)
-    stand: NDArray[np.float64]  # (R,)
-    low: NDArray[np.float64]  # (R,) least of the new stands
-    mean: NDArray[np.float64]  # (R,)
-    high: NDArray[np.float64]  # (R,)
-    own: NDArray[np.float64]  # (R,) of one more new stand: how often a perfect fit would be left
+    radii_m: Floats  # (R,)
+    stand: Floats  # (R,)
+    low: Floats  # (R,) least of the new stands
+    mean: Floats  # (R,)
+    high: Floats  # (R,)
+    own: Floats  # (R,) of one more new stand: how often a perfect fit would be left
 
     @property
     def left(self) -> NDArray[np.bool_]:
@@ -134,7 +135,7 @@ class Envelope:
         """(R,) whether one more new stand does."""
         return self._outside(self.own)
 
-    def _outside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _outside(self, values: Floats) -> NDArray[np.bool_]:
         slack = _TOLERANCE * max(float(values.max()), 1e-300)
         return np.asarray((values < self.low - slack) | (values > self.high + slack))
 
@@ -144,10 +145,10 @@ class Functions:
     """K and G of a stand's species, at the same radii for every new stand."""
 
     species: tuple[tuple[str, int, int], ...]  # name, from, to
-    radii_m: NDArray[np.float64]  # (F, R)
+    radii_m: Floats  # (F, R)
     size_m: tuple[float, float]
 
-    def of(self, position_m: NDArray[np.float64], species: NDArray[np.int64]) -> NDArray[np.float64]:
+    def of(self, position_m: Floats, species: NDArray[np.int64]) -> Floats:
         """(F, R) values."""
         trees = [cKDTree(position_m[species == k]) for k in range(1 + max(j for _, _, j in self.species))]
         rows = []
@@ -160,7 +161,7 @@ class Functions:
                 rows.append(shares_within(nearest_m(trees[one], trees[other]), radii))
         return np.array(rows)
 
-    def _pair_correlation(self, position_m: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _pair_correlation(self, position_m: Floats, radii: Floats) -> Floats:
         if len(position_m) < 2:
             return np.zeros(len(radii))
         window = Window(0.0, self.size_m[0], 0.0, self.size_m[1])
@@ -185,9 +186,7 @@ def functions_for(stand: MeasuredStand) -> Functions:
     return Functions(tuple(named), radii, stand.size_m)
 
 
-def cross_k(
-    points: cKDTree, others: cKDTree, radii_m: NDArray[np.float64], size_m: tuple[float, float]
-) -> NDArray[np.float64]:
+def cross_k(points: cKDTree, others: cKDTree, radii_m: Floats, size_m: tuple[float, float]) -> Floats:
     """(R,) Ripley's K of one species about another (or itself) by the translation correction, square metres."""
     n = points.n * (others.n - 1 if points is others else others.n)
     if n <= 0:
@@ -233,7 +232,7 @@ def trend(stand: MeasuredStand, nursery: Nursery, kernels: list[list[KernelTable
     return (1 + sum(more)) / (1 + len(more))
 
 
-def _unevenness(position_m: NDArray[np.float64], size_m: tuple[float, float], along: int) -> float:
+def _unevenness(position_m: Floats, size_m: tuple[float, float], along: int) -> float:
     cell = np.minimum((position_m / size_m * along).astype(np.int64), along - 1)
     counts = np.bincount(cell[:, 0] * along + cell[:, 1], minlength=along * along)
     return float(np.sum((counts - counts.mean()) ** 2) / max(counts.mean(), 1e-12))

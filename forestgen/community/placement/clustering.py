@@ -24,6 +24,7 @@ from forestgen.community.model import Site
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import SAMPLES, KernelTable
 from forestgen.community.point_patterns import hopkins_index
+from forestgen.community.population import Floats
 from forestgen.community.trajectory import reported_hopkins
 
 MOST_TRIAL_PLANTS = 2000  # of more plants, a regular share is placed on a site that is smaller by as much
@@ -62,7 +63,7 @@ def as_section(t: float, spacing_m: float) -> dict[str, Any]:
     return {"curve": curve, "distance": "metres", "balanced": True}
 
 
-def spacing(densities: Sequence[NDArray[np.float64]], counts: NDArray[np.integer], area_m2: float) -> float:
+def spacing(densities: Sequence[Floats], counts: NDArray[np.integer], area_m2: float) -> float:
     """Root of the area that a plant has, metres, at the mean density where plants stand.
 
     `densities` are grids of each species in any unit, `counts` (S,) its plants.
@@ -79,14 +80,14 @@ def spacing(densities: Sequence[NDArray[np.float64]], counts: NDArray[np.integer
 class TrialPlacement:
     """What is placed again and again while a kernel is looked for, each time with the same numbers."""
 
-    densities: Sequence[NDArray[np.float64]]  # (rows, cols) of each field
+    densities: Sequence[Floats]  # (rows, cols) of each field
     size_m: tuple[float, float]
     periodic: bool
     field: NDArray[np.intp]  # (N,) index of each plant's field, in the order of placement
-    uniform: NDArray[np.float64]  # (N, 2) in [0, 1)
+    uniform: Floats  # (N, 2) in [0, 1)
     spacing_m: float
 
-    def positions(self, kernel: KernelTable) -> NDArray[np.float64]:
+    def positions(self, kernel: KernelTable) -> Floats:
         """(N, 2) places, metres; nan for a plant that found none."""
         fields = [DensityField(one, self.size_m, periodic=self.periodic) for one in self.densities]
         kernels = [[kernel] * len(fields)] * len(fields)
@@ -137,7 +138,7 @@ def kernel_for(target: float, trial: TrialPlacement) -> Found:
 
 
 def describe(
-    target: float, found: Found | None, position_m: NDArray[np.float64], site: Site, seed: int, cells: int
+    target: float, found: Found | None, position_m: Floats, site: Site, seed: int, cells: int
 ) -> dict[str, Any]:
     """What became of a target, plain as in JSON; nothing was `found` where there were too few plants.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 from scipy.special import ndtr, ndtri
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions, suitability
 from forestgen.community.model import Site
 from forestgen.community.placement.density_map import LEAST, DensityMap, MapSection
+from forestgen.community.population import Floats
 from forestgen.community.static_model import StaticParameters
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, Whole, violation
@@ -106,9 +107,7 @@ def cells_for(site: Site, length_m: float, *, per_length: float, at_least: int, 
     return max(16, min(most, MOST_ALONG, max(at_least, math.ceil(per_length * longest / length_m))))
 
 
-def species_density(
-    parameters: PlacementParameters, site: Site, name: str, shape: tuple[int, int]
-) -> NDArray[np.float64]:
+def species_density(parameters: PlacementParameters, site: Site, name: str, shape: tuple[int, int]) -> Floats:
     """(rows, cols) relative density of a species: its map times its conditions, 0 where the recipe keeps plants out.
 
     Row 0 lies at y = 0. A species that the recipe does not place has none.
@@ -121,7 +120,7 @@ def species_density(
 
 def relative_density(
     conditions: Conditions, painted: MapSection | None, keep_out: MapSection | None, site: Site, shape: tuple[int, int]
-) -> NDArray[np.float64]:
+) -> Floats:
     """(rows, cols) of a map times the response to conditions, 0 where plants are kept out; row 0 at y = 0."""
     density = suitability(conditions, site, shape)
     if painted is not None:
@@ -131,7 +130,7 @@ def relative_density(
     return np.ascontiguousarray(np.where(density < LEAST, 0.0, density))
 
 
-def plant_counts(parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology]) -> NDArray[np.int64]:
+def plant_counts(parameters: PlacementParameters, site: Site, species: Ecologies) -> NDArray[np.int64]:
     """(S,) how many plants of each species are asked for, the same for every model.
 
     A `count` is placed wherever the density lets it. `plants_per_ha` is multiplied by the density: barred ground has no
@@ -160,7 +159,7 @@ def plant_counts(parameters: PlacementParameters, site: Site, species: Sequence[
     return counts
 
 
-def check_sizes(parameters: PlacementParameters, species: Sequence[SpeciesEcology]) -> None:
+def check_sizes(parameters: PlacementParameters, species: Ecologies) -> None:
     """Raise `RecipeError` for a median radius above the species' largest."""
     for one in species:
         stand = parameters.plants.get(one.name)
@@ -178,7 +177,7 @@ def sizes_of(sizes: Sizes | None, species: SpeciesEcology) -> Sizes:
     return sizes or Sizes(median=species.max_radius_m / 2, sigma=0.4)
 
 
-def draw_radii(sizes: Sizes | None, species: SpeciesEcology, n: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def draw_radii(sizes: Sizes | None, species: SpeciesEcology, n: int, rng: np.random.Generator) -> Floats:
     """(n,) radii in metres: log-normal, cut off at the species' largest.
 
     By inverse transformation: u, uniform in [0, 1), times the distribution's value at the largest radius R, is the
@@ -193,9 +192,7 @@ def draw_radii(sizes: Sizes | None, species: SpeciesEcology, n: int, rng: np.ran
     return np.asarray(np.minimum(radii, species.max_radius_m))
 
 
-def draw_heights(
-    stand: Stand | None, species: SpeciesEcology, radius_m: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.float64]:
+def draw_heights(stand: Stand | None, species: SpeciesEcology, radius_m: Floats, rng: np.random.Generator) -> Floats:
     """(n,) heights in metres by the species' allometry, with the stand's scatter."""
     heights = species.height_scale * radius_m**species.height_exponent
     sigma = stand.height_sigma if stand else 0.0

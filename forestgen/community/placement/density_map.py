@@ -35,6 +35,7 @@ from pydantic import (
 )
 from pydantic_core import core_schema
 
+from forestgen.community.population import Floats
 from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.raster import SingleChannelRaster, read_raster
@@ -51,16 +52,16 @@ LARGEST = 1e12  # a map's values, scaled; more would make sums over the site mea
 LEAST = 1e-100  # what is less counts as 0: its square, and what it divides, must still be numbers
 
 _pictures: BoundedCache[SingleChannelRaster] = BoundedCache(400_000_000, lambda one: one.values.nbytes)
-_grids: BoundedCache[NDArray[np.float64]] = BoundedCache(200_000_000, lambda one: one.nbytes)
+_grids: BoundedCache[Floats] = BoundedCache(200_000_000, lambda one: one.nbytes)
 
 
 def resample(
     stored: NDArray[Any],
-    values_of: Callable[[NDArray[Any]], NDArray[np.float64]],
+    values_of: Callable[[NDArray[Any]], Floats],
     shape: tuple[int, int],
     *,
     smooth: bool,
-) -> NDArray[np.float64]:
+) -> Floats:
     """(rows, cols) float64 means in the cells of a grid of `shape`, of the same mean as the pixels.
 
     `stored` (rows, cols) is turned into numbers by `values_of`, a block of rows at a time. If `smooth`, values run
@@ -208,16 +209,16 @@ class MapSection(Section):
         """Whether it is 0 everywhere."""
         return self._picture.lowest == 1 if self.invert else self._picture.highest == 0
 
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Floats:
         """(rows, cols) float64 of its pixels, row 0 at y = 0."""
         return self._final(np.ascontiguousarray(self._picture.values[::-1]))
 
-    def _final(self, stored: NDArray[Any]) -> NDArray[np.float64]:
+    def _final(self, stored: NDArray[Any]) -> Floats:
         """What stored values mean."""
         values = stored.astype(np.float64) / self._picture.white
         return np.asarray((1.0 - values if self.invert else values) * self.scale)
 
-    def on_grid(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+    def on_grid(self, shape: tuple[int, int]) -> Floats:
         """(rows, cols) float64: the map's mean in each cell of a grid over the site, row 0 at y = 0."""
         return self._on_grid(shape, "smooth" if self.smooth else "plain", self._final)
 
@@ -228,10 +229,8 @@ class MapSection(Section):
         """
         return self._on_grid(shape, "mask", lambda stored: (self._final(stored) > 0).astype(np.float64)) > 0
 
-    def _on_grid(
-        self, shape: tuple[int, int], what: str, values_of: Callable[[NDArray[Any]], NDArray[np.float64]]
-    ) -> NDArray[np.float64]:
-        def make() -> NDArray[np.float64]:
+    def _on_grid(self, shape: tuple[int, int], what: str, values_of: Callable[[NDArray[Any]], Floats]) -> Floats:
+        def make() -> Floats:
             # The view's first row is the southern one.
             return resample(self._picture.values[::-1], values_of, shape, smooth=what == "smooth")
 

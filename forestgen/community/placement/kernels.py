@@ -25,10 +25,10 @@ from functools import cached_property, lru_cache, partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, TypeAdapter, WrapValidator, field_serializer, model_validator
 
 from forestgen.community.model import Site
+from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
 from forestgen.recipe.fields import Flag, Name, Number, Positive, Section, violation
@@ -227,17 +227,17 @@ def _points(curve: Any) -> Any:
 class KernelTable:
     """A kernel as every algorithm reads it: κ at evenly spaced distances from 0 to its reach, linear between them."""
 
-    values: NDArray[np.float64]  # (SAMPLES + 1,)
+    values: Floats  # (SAMPLES + 1,)
     reach: float  # in radii of the plant, or in metres
     in_radii: bool
     balanced: bool = False
 
-    def reach_m(self, radius_m: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def reach_m(self, radius_m: Floats | float) -> Floats:
         """Distance beyond which a plant of this radius has no effect, metres, of the radius' shape."""
         radius = np.asarray(radius_m, dtype=np.float64)
         return self.reach * radius if self.in_radii else np.full(radius.shape, self.reach)
 
-    def __call__(self, distance_m: NDArray[np.float64], radius_m: float) -> NDArray[np.float64]:
+    def __call__(self, distance_m: Floats, radius_m: float) -> Floats:
         """κ at distances of any shape from a plant of one radius; plain, for tests and plots."""
         reach_m = float(self.reach_m(radius_m))
         at = np.asarray(distance_m, dtype=np.float64) / reach_m

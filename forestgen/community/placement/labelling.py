@@ -20,17 +20,17 @@ Madow 1949, Ann. Math. Stat. 20 (systematic sampling); Deming and Stephan 1940, 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, PlacementParameters, species_density
 from forestgen.community.placement.model import PlantingTargets
+from forestgen.community.population import Floats
 
 _CERTAIN = 1.0 - 1e-9
 _MOST_ODDS = 1e9
@@ -51,22 +51,20 @@ class Lattice:
 
     shape: tuple[int, int]  # rows, cols
     size_m: tuple[float, float]  # of the site
-    part: NDArray[np.float64]  # (P,) share of each of a cell's P parts, along an axis, that lies in the box
-    first: NDArray[np.float64]  # (P,) where in the cell, 0 to 1, that share begins
-    last: NDArray[np.float64]  # (P,) and where it ends
-    density: NDArray[np.float64]  # (S, rows P, cols P) of each species in the parts of all cells
+    part: Floats  # (P,) share of each of a cell's P parts, along an axis, that lies in the box
+    first: Floats  # (P,) where in the cell, 0 to 1, that share begins
+    last: Floats  # (P,) and where it ends
+    density: Floats  # (S, rows P, cols P) of each species in the parts of all cells
 
     @property
-    def weight(self) -> NDArray[np.float64]:
+    def weight(self) -> Floats:
         """(S, cells) the density summed over the boxes."""
         (rows, cols), parts = self.shape, len(self.part)
         blocks = self.density.reshape(-1, rows, parts, cols, parts)
         sums = np.einsum("srpcq,p,q->src", blocks, self.part, self.part, optimize=True)
         return np.asarray(sums.reshape(len(blocks), rows * cols))
 
-    def draw(
-        self, cell: NDArray[np.integer], species: NDArray[np.integer], uniform: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def draw(self, cell: NDArray[np.integer], species: NDArray[np.integer], uniform: Floats) -> Floats:
         """(N, 2) places in the boxes of (N,) cells, metres, by the density of (N,) species; `uniform` is (N, 3)."""
         (rows, cols), parts = self.shape, len(self.part)
         row, col = np.asarray(cell) // cols, np.asarray(cell) % cols
@@ -87,7 +85,7 @@ class Lattice:
 def lattice(
     parameters: PlacementParameters,
     site: Site,
-    species: Sequence[SpeciesEcology],
+    species: Ecologies,
     shape: tuple[int, int],
     jitter: float,
 ) -> Lattice:
@@ -107,7 +105,7 @@ def lattice(
     return Lattice(shape, site.size_m, part, first / parts, last / parts, density.reshape(len(species), *fine))
 
 
-def inclusion(weight: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+def inclusion(weight: Floats, n: int) -> Floats:
     """(N,) probability with which each place is among `n` chosen: min(1, c weight), of sum n.
 
     Where fewer than n weights are positive, all of them are 1.
@@ -128,7 +126,7 @@ def inclusion(weight: NDArray[np.float64], n: int) -> NDArray[np.float64]:
     return probability
 
 
-def choose(weight: NDArray[np.float64], n: int, rng: np.random.Generator) -> NDArray[np.intp]:
+def choose(weight: Floats, n: int, rng: np.random.Generator) -> NDArray[np.intp]:
     """(n,) different places in random order, place i with the probability `inclusion`; fewer if fewer have a weight."""
     probability = inclusion(weight, n)
     certain = np.flatnonzero(probability >= _CERTAIN)
@@ -142,7 +140,7 @@ def choose(weight: NDArray[np.float64], n: int, rng: np.random.Generator) -> NDA
     return rng.permutation(np.concatenate([certain, picked]))
 
 
-def label(weight: NDArray[np.float64], counts: NDArray[np.integer], rng: np.random.Generator) -> NDArray[np.int64]:
+def label(weight: Floats, counts: NDArray[np.integer], rng: np.random.Generator) -> NDArray[np.int64]:
     """(N,) species of each place, -1 for none.
 
     `weight` (S, N) >= 0 is what a species has at a place, `counts` (S,) how many places each takes: N in all, or less.
@@ -161,7 +159,7 @@ def label(weight: NDArray[np.float64], counts: NDArray[np.integer], rng: np.rand
     return labels
 
 
-def _fitted(weight: NDArray[np.float64], counts: NDArray[np.float64]) -> NDArray[np.float64]:
+def _fitted(weight: Floats, counts: Floats) -> Floats:
     """(S, N) q_is."""
     share = weight / weight.sum(axis=0)
     for _ in range(_FACTOR_ROUNDS):
@@ -174,9 +172,7 @@ def _fitted(weight: NDArray[np.float64], counts: NDArray[np.float64]) -> NDArray
     return np.asarray(share)
 
 
-def _exchange(
-    labels: NDArray[np.int64], share: NDArray[np.float64], counts: NDArray[np.integer], rng: np.random.Generator
-) -> None:
+def _exchange(labels: NDArray[np.int64], share: Floats, counts: NDArray[np.integer], rng: np.random.Generator) -> None:
     """Relabel places until each species has its number, in place; places that no species can take get -1.
 
     A species with too many gives places to one with too few, where that can be only by way of others.
@@ -216,9 +212,7 @@ def _path(sources: NDArray[np.intp], targets: NDArray[np.bool_], gives: NDArray[
     return []
 
 
-def assign(
-    wanted: PlantingTargets, position_m: NDArray[np.float64], labels: NDArray[np.int64], rng: np.random.Generator
-) -> NDArray[np.float64]:
+def assign(wanted: PlantingTargets, position_m: Floats, labels: NDArray[np.int64], rng: np.random.Generator) -> Floats:
     """(N, 2) place of each plant: those of its species in random order, the largest plant first; nan for none."""
     places = np.full((len(wanted.sp), 2), np.nan)
     for one in np.unique(wanted.sp):

@@ -18,7 +18,7 @@ from pydantic import Field
 from scipy.special import chdtrc
 
 from forestgen.community.disturbance import planted
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import why_barred
 from forestgen.community.model import Site
 from forestgen.community.placement.densities import (
@@ -33,7 +33,7 @@ from forestgen.community.placement.densities import (
 )
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelTable
-from forestgen.community.population import Population
+from forestgen.community.population import Floats, Population
 from forestgen.community.static_model import FixedPopulation, Placement, State, first_state
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
@@ -51,13 +51,13 @@ class Densities:
     """Densities of the species that a recipe places; every grid is (rows, cols), row 0 at y = 0, column 0 at x = 0."""
 
     asked: Mapping[str, int]  # how many plants
-    asked_per_ha: Mapping[str, NDArray[np.float64]]  # map times conditions, scaled to that number; plants per hectare
+    asked_per_ha: Mapping[str, Floats]  # map times conditions, scaled to that number; plants per hectare
     barred: NDArray[np.bool_] | None = None  # where the recipe keeps plants out, at any resolution
-    left_per_ha: Mapping[str, NDArray[np.float64]] | None = None  # the same times the kernels of all plants
+    left_per_ha: Mapping[str, Floats] | None = None  # the same times the kernels of all plants
 
 
 def asked_densities(
-    parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], shape: tuple[int, int] | None = None
+    parameters: PlacementParameters, site: Site, species: Ecologies, shape: tuple[int, int] | None = None
 ) -> Densities:
     """What a recipe asks for, on a grid of `shape`; by default that on which plants are counted."""
     shape = shape or grid_shape(site, COUNTING_CELLS)
@@ -76,7 +76,7 @@ def deformed(
     asked: Densities,
     site: Site,
     periodic: bool,
-    species: Sequence[SpeciesEcology],
+    species: Ecologies,
     placed: Population,
     kernels: Sequence[Sequence[KernelTable]],
 ) -> Densities:
@@ -106,9 +106,7 @@ class ChiSquare:
     p_value: float  # of independent plants; clusters make it small where no kernel is balanced
 
 
-def counts_against(
-    asked: NDArray[np.float64], position_m: NDArray[np.float64], size_m: tuple[float, float]
-) -> ChiSquare | None:
+def counts_against(asked: Floats, position_m: Floats, size_m: tuple[float, float]) -> ChiSquare | None:
     """Whether (N, 2) plants follow a density in coarse bins; None for too few plants to fill two bins.
 
     The site is divided into nearly square blocks, about one for each ten plants and about 256 at most. Blocks in which
@@ -136,9 +134,7 @@ def counts_against(
     return ChiSquare(statistic, freedom, float(chdtrc(freedom, statistic)))
 
 
-def _joined(
-    found: NDArray[np.floating], expected: NDArray[np.floating]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _joined(found: NDArray[np.floating], expected: NDArray[np.floating]) -> tuple[Floats, Floats]:
     """Neighbouring bins put together until at least five plants are expected in each."""
     joined: list[list[float]] = []
     sums = [0.0, 0.0]
@@ -169,12 +165,12 @@ class PlantingTargets:
     """The plants to be placed, largest first; of one size, in the order of species."""
 
     sp: NDArray[np.uint16]  # (N,) index of species
-    r_m: NDArray[np.float64]  # (N,) metres
-    height_m: NDArray[np.float64]  # (N,) metres
+    r_m: Floats  # (N,) metres
+    height_m: Floats  # (N,) metres
 
 
 def wanted_plants(
-    parameters: PlacementParameters, site: Site, species: Sequence[SpeciesEcology], rng: np.random.Generator
+    parameters: PlacementParameters, site: Site, species: Ecologies, rng: np.random.Generator
 ) -> PlantingTargets:
     """Species, radii and heights of the plants that a recipe asks for.
 
@@ -193,9 +189,7 @@ def wanted_plants(
     return PlantingTargets(sp[order], radius[order], np.concatenate(height_m)[order])
 
 
-def uniform_samples(
-    wanted: PlantingTargets, species: Sequence[SpeciesEcology], rng: np.random.Generator
-) -> NDArray[np.float64]:
+def uniform_samples(wanted: PlantingTargets, species: Ecologies, rng: np.random.Generator) -> Floats:
     """(N, 2) numbers in [0, 1) that place the plants: a species' k-th largest has the k-th pair of its own stream.
 
     So a species that affects no other one leaves the others where they were.
@@ -218,10 +212,10 @@ def _stream(rng: np.random.Generator, *identity: str) -> np.random.Generator:
 def placed_state(
     parameters: PlacementParameters,
     site: Site,
-    species: Sequence[SpeciesEcology],
+    species: Ecologies,
     seed: int,
     wanted: PlantingTargets,
-    position_m: NDArray[np.float64],
+    position_m: Floats,
     why: str | Mapping[str, str],
     notes: Sequence[str] = (),
     found: Mapping[str, Any] | None = None,
@@ -264,7 +258,7 @@ class PlacementModel(FixedPopulation[P]):
 
     missing_reason = "the map and the conditions bar the whole site"  # why plants found no place
 
-    def init(self, parameters: P, site: Site, species: Sequence[SpeciesEcology], seed: int) -> State:
+    def init(self, parameters: P, site: Site, species: Ecologies, seed: int) -> State:
         """The plants at their places."""
         rng = placement_rng(seed)
         wanted = wanted_plants(parameters, site, species, rng)
@@ -275,10 +269,10 @@ class PlacementModel(FixedPopulation[P]):
         self,
         parameters: P,
         site: Site,
-        species: Sequence[SpeciesEcology],
+        species: Ecologies,
         wanted: PlantingTargets,
         rng: np.random.Generator,
-    ) -> tuple[NDArray[np.float64], str]:
+    ) -> tuple[Floats, str]:
         """(N, 2) places of the plants, metres, nan where there is none; and why. Here species do not see each other."""
         position_m = np.full((len(wanted.sp), 2), np.nan)
         for index, (one, stream) in enumerate(zip(species, rng.spawn(len(species)), strict=True)):
@@ -293,17 +287,15 @@ class PlacementModel(FixedPopulation[P]):
         """Rows and columns in which the density of a species with n plants is read."""
         raise NotImplementedError
 
-    def place_species(
-        self, parameters: P, site: Site, density: NDArray[np.float64], n: int, rng: np.random.Generator
-    ) -> NDArray[np.float64]:
+    def place_species(self, parameters: P, site: Site, density: Floats, n: int, rng: np.random.Generator) -> Floats:
         """(n, 2) places of a species, metres, by its (rows, cols) density; nan where there is none."""
         raise NotImplementedError
 
-    def expected_plants(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> float:
+    def expected_plants(self, parameters: P, site: Site, species: Ecologies) -> float:
         """The plants to be placed, and those that disturbances plant."""
         return float(plant_counts(parameters, site, species).sum() + planted(parameters.disturbances))
 
-    def empty_reason(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> str | None:
+    def empty_reason(self, parameters: P, site: Site, species: Ecologies) -> str | None:
         """Why no plant will ever stand there, or None if some may."""
         if planted(parameters.disturbances) > 0:
             return None
@@ -318,7 +310,7 @@ class PlacementModel(FixedPopulation[P]):
                 reasons += [f"no plant is placed: of {name}, {bars}"] if bars else []
         return reasons[0] if reasons else "no plant is placed: every number in community.plants is 0, or rounded to 0"
 
-    def estimate_bytes(self, parameters: P, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: P, site: Site, species: Ecologies) -> int:
         """Bytes for all plants at once.
 
         It is what a plan asks first, so it also looks at the sizes: what is wrong is said before anything is built.
@@ -326,7 +318,7 @@ class PlacementModel(FixedPopulation[P]):
         check_sizes(parameters, species)
         return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
 
-    def densities(self, parameters: P, site: Site, species: Sequence[SpeciesEcology], placed: Population) -> Densities:
+    def densities(self, parameters: P, site: Site, species: Ecologies, placed: Population) -> Densities:
         """What the recipe asks for, for pictures and statistics of the plants `placed` in step 0."""
         return asked_densities(parameters, site, species)
 
@@ -359,22 +351,20 @@ class GriddedModel(PlacementModel[G]):
         """By the recipe's `cells`."""
         return grid_shape(site, parameters.cells)
 
-    def estimate_bytes(self, parameters: G, site: Site, species: Sequence[SpeciesEcology]) -> int:
+    def estimate_bytes(self, parameters: G, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and all grids at once."""
         rows, cols = grid_shape(site, parameters.cells)
         grids = 8 * rows * cols * (_GRIDS_AT_ONCE + len(parameters.plants))
         return super().estimate_bytes(parameters, site, species) + grids
 
 
-def read_densities(
-    parameters: GriddedParameters, site: Site, species: Sequence[SpeciesEcology]
-) -> list[NDArray[np.float64]]:
+def read_densities(parameters: GriddedParameters, site: Site, species: Ecologies) -> list[Floats]:
     """(rows, cols) relative density of each species, row 0 at y = 0."""
     shape = grid_shape(site, parameters.cells)
     return [species_density(parameters, site, one.name, shape) for one in species]
 
 
-def density_at(grid: NDArray[_Kind], position_m: NDArray[np.float64], size_m: tuple[float, float]) -> NDArray[_Kind]:
+def density_at(grid: NDArray[_Kind], position_m: Floats, size_m: tuple[float, float]) -> NDArray[_Kind]:
     """(N,) density of the cells in which (N, 2) places of the site lie."""
     rows, cols = grid.shape
     col = np.minimum((position_m[:, 0] * (cols / size_m[0])).astype(np.intp), cols - 1)
@@ -383,7 +373,7 @@ def density_at(grid: NDArray[_Kind], position_m: NDArray[np.float64], size_m: tu
 
 
 def stays_apart(
-    points_m: NDArray[np.float64], distance_m: float, size_m: tuple[float, float], *, periodic: bool
+    points_m: Floats, distance_m: float, size_m: tuple[float, float], *, periodic: bool
 ) -> NDArray[np.bool_]:
     """(N,) whether a point stays: it does unless it is nearer than the distance to one before it that stays.
 
