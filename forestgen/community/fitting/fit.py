@@ -87,7 +87,6 @@ class Matched:
     differences: Floats  # (A,) mean of new stands less the stand, in their standard deviations
     loss: float
     rough_loss: float  # at the end of the first round
-    stands: int  # placed in all
 
 
 @dataclass(frozen=True)
@@ -156,16 +155,8 @@ class Matcher:
         return np.clip(here.log_kappa + move, -6.0, 4.0)
 
 
-@dataclass(frozen=True)
-class Climb:
-    """The steps of one round."""
-
-    look: Look  # the best
-    stands: int  # placed
-
-
-def climb(matcher: Matcher, start: Floats, one: Round, advance: Callable[[int], None]) -> Climb:
-    """Take the steps of a round until they gain little."""
+def climb(matcher: Matcher, start: Floats, one: Round, advance: Callable[[int], None]) -> Look:
+    """Take the steps of a round until they gain little: its best look."""
     matcher.begin(one)
     best, damping = matcher.look(start.ravel()), _DAMPING
     looks, small = 1, 0
@@ -183,39 +174,36 @@ def climb(matcher: Matcher, start: Floats, one: Round, advance: Callable[[int], 
         small = small + 1 if gain < _LEAST_GAIN else 0
         if small == _SMALL_GAINS:
             break
-    return Climb(best, looks * matcher.number)
+    return best
 
 
 def match(matcher: Matcher, start: Floats, advance: Callable[[int], None]) -> Matched:
     """Both rounds; `advance` is called with the number of stands after each look."""
-    first = climb(matcher, start, ROUNDS[0], advance)
-    second = climb(matcher, first.look.log_kappa, ROUNDS[1], advance)
-    return matched(matcher, first, second)
+    return _refined(matcher, climb(matcher, start, ROUNDS[0], advance), advance)
 
 
-def matched(matcher: Matcher, first: Climb, second: Climb) -> Matched:
-    """What two rounds came to."""
-    look, log_kappa = second.look, second.look.log_kappa.reshape(matcher.shapes.free)
-    return Matched(log_kappa, look.z, look.loss, first.look.loss, first.stands + second.stands)
+def _refined(matcher: Matcher, first: Look, advance: Callable[[int], None]) -> Matched:
+    """What the second round makes of the first."""
+    best = climb(matcher, first.log_kappa, ROUNDS[1], advance)
+    return Matched(best.log_kappa.reshape(matcher.shapes.free), best.z, best.loss, first.loss)
 
 
 @dataclass(frozen=True)
 class Founded:
-    """A search for a fit with founders."""
+    """A fit with founders."""
 
     nursery: Nursery
     shapes: KernelShapes
-    matched: Matched | None  # None: one kernel does nearly as well
-    stands: int  # placed in all
+    matched: Matched
 
 
-def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], None]) -> Founded:
-    """Try several numbers of founders for a round each, and the best of them for the second round.
+def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], None]) -> Founded | None:
+    """Try several numbers of founders for a round each, and the best for the second; None: one kernel does as well.
 
     Differences count as in `plain`, the matcher of one kernel, which came to `of_one`.
     """
     stand, shapes = plain.nursery.stand, founder_shapes(plain.shapes)
-    found: list[tuple[Matcher, Climb]] = []
+    found: list[tuple[Matcher, Look]] = []
     for plants in _PLANTS_OF_A_FOUNDER:
         founders = max(2, round(stand.n / plants))
         nursery = replace(plain.nursery, founders=founders)
@@ -225,14 +213,11 @@ def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], Non
         advance(len(looks) * matcher.number)
         best = min(looks, key=lambda look: look.loss)
         found.append((matcher, climb(matcher, best.log_kappa, ROUNDS[0], advance)))
-    stands = sum(one.stands + len(_WIDTHS) * matcher.number for matcher, one in found)
-    matcher, first = min(found, key=lambda pair: pair[1].look.loss)
-    if first.look.loss > _BETTER * of_one.rough_loss:
-        return Founded(matcher.nursery, shapes, None, stands)
-    second = climb(matcher, first.look.log_kappa, ROUNDS[1], advance)
-    better = second.look.loss <= _BETTER * of_one.loss
-    result = matched(matcher, first, second) if better else None
-    return Founded(matcher.nursery, shapes, result, stands + second.stands)
+    matcher, first = min(found, key=lambda pair: pair[1].loss)
+    if first.loss > _BETTER * of_one.rough_loss:
+        return None
+    matched = _refined(matcher, first, advance)
+    return Founded(matcher.nursery, shapes, matched) if matched.loss <= _BETTER * of_one.loss else None
 
 
 def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[Floats]:
@@ -316,22 +301,37 @@ def fit_stand(stand: MeasuredStand, settings: Settings, progress: Progress | Non
     number = settings.stands or int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
     start = likeliest(stand, shapes, child_rng(settings.seed, "fit", "orders"))
     matcher = Matcher(nursery, shapes, summaries_for(stand, shapes.reach_m), number, settings.seed)
+    placed = 0
+
+    def counted(advance: Callable[[int], None]) -> Callable[[int], None]:
+        def more(stands: int) -> None:
+            nonlocal placed
+            placed += stands
+            advance(stands)
+
+        return more
+
     with listener.stage("new stands", LOOKS * number) as advance:
-        plain = matched = match(matcher, start, advance)
-    founded = _founded(matcher, plain, listener) if settings.founders else None
-    if founded and founded.matched:
-        nursery, shapes, matched = founded.nursery, founded.shapes, founded.matched
+        plain = matched = match(matcher, start, counted(advance))
+    if settings.founders and _wants_founders(matcher, plain):
+        with listener.stage("founders", FOUNDERS_LOOKS * number) as advance:
+            founded = match_founders(matcher, plain, counted(advance))
+        if founded:
+            nursery, shapes, matched = founded.nursery, founded.shapes, founded.matched
     kernels = shapes.tables(matched.log_kappa)
-    checks = _checked(nursery, kernels, settings, listener)
-    first = settings.seed + _CHECKS
+    first, checks = settings.seed + _CHECKS, []
+    with listener.stage("check", settings.checks) as advance:
+        for check in range(settings.checks):
+            checks.append(tuple(envelopes(nursery, kernels, first + check)))
+            advance(1)
     return Fit(
         stand=stand,
         nursery=nursery,
         shapes=shapes,
         matched=matched,
         plain=plain,
-        placed=plain.stands + (founded.stands if founded else 0),
-        checks=checks,
+        placed=placed,
+        checks=tuple(checks),
         trend=trend(stand, nursery, kernels, first),
         example=nursery.grow(kernels, first, 0),
         seed=settings.seed,
@@ -339,25 +339,11 @@ def fit_stand(stand: MeasuredStand, settings: Settings, progress: Progress | Non
     )
 
 
-def _checked(
-    nursery: Nursery, kernels: list[list[KernelTable]], settings: Settings, listener: Progress
-) -> tuple[tuple[Envelope, ...], ...]:
-    checks = []
-    with listener.stage("check", settings.checks) as advance:
-        for check in range(settings.checks):
-            checks.append(tuple(envelopes(nursery, kernels, settings.seed + _CHECKS + check)))
-            advance(1)
-    return tuple(checks)
-
-
-def _founded(matcher: Matcher, plain: Matched, listener: Progress) -> Founded | None:
-    """A fit with founders, if one kernel leaves nearest neighbours far from the stand's; without sizes or species."""
+def _wants_founders(matcher: Matcher, plain: Matched) -> bool:
+    """Whether one kernel leaves nearest neighbours far from the stand's, which has neither sizes nor species."""
     stand = matcher.nursery.stand
     poor = np.abs(matcher.summaries.nearest(plain.differences)).max() >= _POOR
-    if not poor or stand.ordered or len(stand.names) > 1:
-        return None
-    with listener.stage("founders", FOUNDERS_LOOKS * matcher.all_stands) as advance:
-        return match_founders(matcher, plain, advance)
+    return bool(poor) and not stand.ordered and len(stand.names) == 1
 
 
 def _check_reach(stand: MeasuredStand, reach_m: float | None) -> None:

@@ -281,7 +281,7 @@ def test_founders_are_kept_only_where_they_halve_the_loss(founded, monkeypatch):
     matcher = Matcher(Nursery(stand, 64), shapes, summaries_for(stand, shapes.reach_m), 25, 1)
     one = match(matcher, likeliest(stand, shapes, np.random.default_rng(0)), lambda _: None)
     found = match_founders(matcher, one, lambda _: None)
-    assert found.matched is not None
+    assert found is not None
     assert found.nursery.founders == 13
     assert found.matched.loss <= 0.5 * one.loss
     kappa = np.exp(found.matched.log_kappa)  # among founders, of them on followers, among followers
@@ -290,9 +290,9 @@ def test_founders_are_kept_only_where_they_halve_the_loss(founded, monkeypatch):
     assert kappa[1, near].min() > 8
     assert 0.4 < kappa[2].min() < kappa[2].max() < 2.5
     monkeypatch.setattr("forestgen.community.fitting.fit.ROUNDS", (Round(0.2, 1, 2.0), Round(0.2, 1, 1.0)))
-    assert match_founders(matcher, replace(one, rough_loss=1.0), lambda _: None).matched is None
+    assert match_founders(matcher, replace(one, rough_loss=1.0), lambda _: None) is None
     content = replace(one, rough_loss=math.inf, loss=1.0)
-    assert match_founders(matcher, content, lambda _: None).matched is None
+    assert match_founders(matcher, content, lambda _: None) is None
 
 
 # --- the whole
