@@ -36,7 +36,6 @@ OF_SPECIES = (
 OF_SITE = ("site_width_m", "site_height_m", "site_area_ha", "step_yr", "number_of_species")
 X, Y, RADIUS, SPECIES, OWN = 0, 1, 2, 3, 4  # parameters of T
 ORDER = "word"  # the column with the order of the words
-_MOST_OTHERS = 64  # words that are no plants, for which it pays to look where they lie
 
 
 class ProgramText(Section):
@@ -239,8 +238,8 @@ class Plants:
     """The plants among the words: N of them, in the words' order."""
 
     word: NDArray[np.intp]  # (N,) index of each plant's word
-    values: Floats  # (N, values) parameters of T, then of ?E; a view of the multiset's where that is possible
-    first: NDArray[np.int64] | slice  # where they lie among the multiset's parameters: (N,) or one piece
+    values: Floats  # (N, values) parameters of T, then of ?E
+    first: NDArray[np.int64]  # (N,) where they lie among the multiset's parameters
 
     def __len__(self) -> int:
         return len(self.word)
@@ -255,36 +254,18 @@ def plants_of(multiset: Multiset, form: Form, name: str) -> Plants:
     word = np.flatnonzero(is_plant)
     if np.count_nonzero(code == form.plant) != len(word):
         _refuse(multiset, form, is_plant, name)
-    piece = _one_piece(multiset, word, is_plant)
-    if piece is not None:
-        return Plants(word, multiset.parameter[piece].reshape(len(word), form.values), piece)
     first = multiset.parameter_start()[starts[:-1][word]]
-    return Plants(word, multiset.parameter[first[:, None] + np.arange(form.values)], first)
-
-
-def _one_piece(multiset: Multiset, word: NDArray[np.intp], is_plant: NDArray[np.bool_]) -> slice | None:
-    """Where the plants' parameters lie, if no other word's lie between them."""
-    if not len(word):
-        return slice(0, 0)
-    others = np.flatnonzero(~is_plant)
-    if len(others) > _MOST_OTHERS:
-        return None
-    before = after = 0
-    for index in others.tolist():
-        codes = multiset.code[multiset.word_start[index] : multiset.word_start[index + 1]]
-        count = int(multiset.arity[codes].sum())
-        before += count * (index < word[0])
-        after += count * (index > word[-1])
-        if count and word[0] < index < word[-1]:
-            return None
-    return slice(before, len(multiset.parameter) - after)
+    values = np.empty((len(word), form.values))
+    for k in range(form.values):
+        values[:, k] = multiset.parameter[first + k]
+    return Plants(word, values, first)
 
 
 def _refuse(multiset: Multiset, form: Form, is_plant: NDArray[np.bool_], name: str) -> None:
     for index in np.flatnonzero(~is_plant):
         begin, end = multiset.word_start[index : index + 2]
         if np.any(multiset.code[begin:end] == form.plant):
-            lone = take_words(multiset, np.arange(len(multiset)) == index)
+            lone = words_at(multiset, np.array([index]))
             raise LsystemError(
                 "a word holds a plant and more, or only a part of one",
                 where=name,
@@ -293,19 +274,26 @@ def _refuse(multiset: Multiset, form: Form, is_plant: NDArray[np.bool_], name: s
             )
 
 
-def take_words(multiset: Multiset, keep: NDArray[np.bool_]) -> Multiset:
-    """The multiset of some of the words."""
-    length = np.diff(multiset.word_start)
-    modules = np.repeat(keep, length)
-    arity = multiset.arity[multiset.code]
+def words_at(multiset: Multiset, index: NDArray[np.integer]) -> Multiset:
+    """The words of these numbers, in this order."""
+    starts, length = multiset.word_start[:-1][index].astype(np.int64), np.diff(multiset.word_start)[index]
+    modules = _ranges(starts, length)
+    values, arity = multiset.parameter_start(), multiset.arity[multiset.code]
     return Multiset(
         multiset.kinds,
         multiset.code[modules],
-        multiset.parameter[np.repeat(modules, arity)],
-        np.concatenate([[0], np.cumsum(length[keep])]).astype(np.int32),
-        multiset.word_id[keep],
-        multiset.born_step[keep],
+        multiset.parameter[_ranges(values[:-1][modules], arity[modules])],
+        np.concatenate([[0], np.cumsum(length)]).astype(np.int32),
+        multiset.word_id[index],
+        multiset.born_step[index],
     )
+
+
+def _ranges(start: NDArray[np.int64], length: NDArray[np.integer]) -> NDArray[np.int64]:
+    """start[0], start[0] + 1, ... (length[0] of them), start[1], ..."""
+    before = np.cumsum(length) - length
+    found: NDArray[np.int64] = np.repeat(start - before, length) + np.arange(int(length.sum()))
+    return found
 
 
 def join_words(kinds: tuple[Kind, ...], parts: Sequence[Multiset]) -> Multiset:
@@ -328,29 +316,6 @@ def plant_words(
     n = len(values)
     code = np.tile(np.array([form.plant, form.query], np.uint16), n)
     return Multiset(kinds, code, values.reshape(-1), np.arange(0, 2 * n + 1, 2, dtype=np.int32), plant_id, born_step)
-
-
-def reorder_words(multiset: Multiset, order: NDArray[np.intp]) -> Multiset:
-    """The words in another order."""
-    starts, length = multiset.word_start[:-1][order].astype(np.int64), np.diff(multiset.word_start)[order]
-    modules = _ranges(starts, length)
-    values = multiset.parameter_start()
-    arity = multiset.arity[multiset.code]
-    return Multiset(
-        multiset.kinds,
-        multiset.code[modules],
-        multiset.parameter[_ranges(values[:-1][modules], arity[modules])],
-        np.concatenate([[0], np.cumsum(length)]).astype(np.int32),
-        multiset.word_id[order],
-        multiset.born_step[order],
-    )
-
-
-def _ranges(start: NDArray[np.int64], length: NDArray[np.integer]) -> NDArray[np.int64]:
-    """start[0], start[0] + 1, ... (length[0] of them), start[1], ..."""
-    before = np.cumsum(length) - length
-    found: NDArray[np.int64] = np.repeat(start - before, length) + np.arange(int(length.sum()))
-    return found
 
 
 def word_of(program: Program, modules: Sequence[Sequence[str | float]], word_id: int, born_step: int) -> Multiset:

@@ -85,9 +85,8 @@ from forestgen.community.multiset_program import (
     plant_words,
     plants_of,
     program_of,
-    reorder_words,
-    take_words,
     word_of,
+    words_at,
 )
 from forestgen.community.population import Floats, Population
 from forestgen.community.registry import COMPETITION_MODELS
@@ -146,10 +145,7 @@ def _answered(state: State) -> State:
     else:
         outside = ~np.all((xy >= 0) & (xy <= size_m), axis=1)
         if outside.any():  # seeds that fall beyond a bounded site are lost
-            keep = np.ones(len(state.derivation.multiset), dtype=np.bool_)
-            keep[plants.word[outside]] = False
-            words = take_words(state.derivation.multiset, keep)
-            return _answered(replace(state, derivation=replace(state.derivation, multiset=words)))
+            return _answered(_without(state, plants.word[outside]))
     model, sp = COMPETITION_MODELS.load(parameters.environment.model), values[:, SPECIES].astype(np.uint16)
     circles = Circles(
         position_m=values[:, :2],
@@ -158,14 +154,20 @@ def _answered(state: State) -> State:
         plant_id=state.derivation.multiset.word_id[plants.word],
         species=sp,
     )
-    answer = model.answer(parameters.environment.parameters(), circles, size_m, periodic=parameters.periodic)
-    if isinstance(plants.first, slice):
-        values[:, form.arity] = answer  # a view of the multiset's own parameters, which this step has made
-    else:
-        state.derivation.multiset.parameter[plants.first + form.arity] = answer
-        for axis in (0, 1):
-            state.derivation.multiset.parameter[plants.first + axis] = values[:, axis]
+    written = state.derivation.multiset.parameter
+    for axis in (0, 1):
+        written[plants.first + axis] = values[:, axis]
+    written[plants.first + form.arity] = model.answer(
+        parameters.environment.parameters(), circles, size_m, periodic=parameters.periodic
+    )
     return state
+
+
+def _without(state: State, word: NDArray[np.intp]) -> State:
+    """The state without some of its words."""
+    words = state.derivation.multiset
+    stay = np.delete(np.arange(len(words)), word)
+    return replace(state, derivation=replace(state.derivation, multiset=words_at(words, stay)))
 
 
 def _check_own_words(state: State, plants: int) -> None:
@@ -263,10 +265,9 @@ class MultisetLSystem:
         word, values = plants.word[order], plants.values[order]
         columns: dict[str, NDArray[Any]] = {ORDER: word.astype(np.uint32)}
         columns.update({name: values[:, k].copy() for name, k in zip(form.names, form.own, strict=True)})
-        others = np.ones(len(words), dtype=np.bool_)
-        others[plants.word] = False
-        rest = take_words(words, others)
-        rows = zip(np.flatnonzero(others), rest.word_id, rest.born_step, words_as_lists(rest), strict=True)
+        others = np.delete(np.arange(len(words)), plants.word)
+        rest = words_at(words, others)
+        rows = zip(others, rest.word_id, rest.born_step, words_as_lists(rest), strict=True)
         circles = CirclePlants(
             x_m=values[:, :2],
             r_m=values[:, RADIUS].copy(),
@@ -299,7 +300,7 @@ class MultisetLSystem:
             *(word_of(program, modules, one, born) for _, one, born, modules in rows),
         ]
         index = np.concatenate([population.columns[ORDER].astype(np.int64), [row[0] for row in rows]])
-        words = reorder_words(join_words(program.kinds, parts), np.argsort(index, kind="stable"))
+        words = words_at(join_words(program.kinds, parts), np.argsort(index, kind="stable"))
         next_id, numbers = int(population.state["next_id"]), np.array(population.state["globals"])
         derivation = Derivation(words, population.step, next_id, numbers)
         return State(parameters, site, tuple(species), seed, program, form, derivation)
@@ -329,9 +330,7 @@ class MultisetLSystem:
         """The multiset without these plants; the environment answers anew."""
         words = state.derivation.multiset
         plants = plants_of(words, state.form, state.program.name)
-        keep = np.ones(len(words), dtype=np.bool_)
-        keep[plants.word] = ~np.isin(words.word_id[plants.word], plant_id)
-        return _answered(replace(state, derivation=replace(state.derivation, multiset=take_words(words, keep))))
+        return _answered(_without(state, plants.word[np.isin(words.word_id[plants.word], plant_id)]))
 
     def plant(self, state: State, planting: Planting) -> State:
         """The multiset with more words T(x, y, r, sp)?E(1); the environment answers anew."""
