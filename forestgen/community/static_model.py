@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -49,6 +49,8 @@ class Placement:
     position_m: Floats  # (N, 2) world x and y, on the site
     radius_m: Floats  # (N,) 0 < r <= the species' max_radius_m
     height_m: Floats | None = None  # (N,) None: by the species' allometry
+    notes: tuple[str, ...] = ()  # for users, such as that not all plants found a place
+    found: Mapping[str, Any] = field(default_factory=dict)  # what the model worked out for itself, plain as in JSON
 
     def __post_init__(self) -> None:
         n = len(self.species)
@@ -91,14 +93,7 @@ def azimuth_of(seed: int, plant_id: int) -> float:
     return float(child_rng(seed, "placed azimuth", plant_id).uniform(0.0, 360.0))
 
 
-def first_state(
-    parameters: CommunityParameters,
-    species: Ecologies,
-    seed: int,
-    placed: Placement,
-    notes: Sequence[str] = (),
-    found: Mapping[str, Any] | None = None,
-) -> State:
+def first_state(parameters: CommunityParameters, species: Ecologies, seed: int, placed: Placement) -> State:
     """The state of step 0 of plants that have just been placed, numbered from 1 in the order given."""
     n, height_m = len(placed.species), placed.height_m
     plants = Plants(
@@ -113,7 +108,7 @@ def first_state(
         plant_id=new_ids(1, n),
         first_step=np.zeros(n, dtype=np.int32),
     )
-    return State(parameters, tuple(species), seed, 0, 1 + n, plants, tuple(notes), dict(found or {}))
+    return State(parameters, tuple(species), seed, 0, 1 + n, plants, placed.notes, dict(placed.found))
 
 
 class FixedPopulation(Generic[P]):

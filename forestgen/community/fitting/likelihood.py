@@ -25,7 +25,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from forestgen.community.fitting.stand import MeasuredStand, field_shape
+from forestgen.community.fitting.stand import MeasuredStand
+from forestgen.community.model import Site
+from forestgen.community.placement.densities import grid_shape
 from forestgen.community.placement.kernels import KernelSection, KernelTable, table
 from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
@@ -260,7 +262,7 @@ def _score(position, species, kernel_of, knots, core, log_kappa, width, height, 
 def likelihood_shape(stand: MeasuredStand, shapes: KernelShapes) -> tuple[int, int]:
     """Rows and columns of the grid on which likelihoods are summed, twelve cells in a kernel's reach."""
     cells = int(np.clip(round(max(stand.size_m) / shapes.reach_m * _CELLS_IN_REACH), 32, 160))
-    return field_shape(stand.size_m, cells)
+    return grid_shape(Site(stand.size_m), cells)
 
 
 def roughness_penalty(shapes: KernelShapes) -> Floats:

@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.model import Site
+from forestgen.community.placement.densities import grid_shape
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.point_table import PointTable
@@ -195,7 +197,7 @@ class Nursery:
         uniform = rng.random((stand.n, 2))
         species = stand.species if stand.ordered else rng.permutation(stand.species)
         kind = species if self.founders == 0 else (np.arange(stand.n) >= self.founders).astype(np.int64)
-        even = np.ones(field_shape(stand.size_m, self.cells))
+        even = np.ones(grid_shape(Site(stand.size_m), self.cells))
         fields = [DensityField(even, stand.size_m, periodic=False) for _ in kernels]
         placement = place(fields, kind, np.ones(stand.n), kernels, uniform)
         placed = placement.placed
@@ -208,9 +210,3 @@ def fitting_cells(stand: MeasuredStand) -> int:
     per_spacing = _CELLS_PER_SPACING if stand.n <= _FINE_STANDS else _CELLS_PER_SPACING // 2
     wanted = math.ceil(max(stand.size_m) / stand.spacing_m * per_spacing)
     return min(max(wanted, _FEWEST_CELLS), _MOST_CELLS)
-
-
-def field_shape(size_m: tuple[float, float], cells: int) -> tuple[int, int]:
-    """Rows and columns of nearly square cells."""
-    cell_m = max(size_m) / cells
-    return max(1, round(size_m[1] / cell_m)), max(1, round(size_m[0] / cell_m))

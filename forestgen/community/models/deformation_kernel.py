@@ -97,7 +97,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -136,13 +136,13 @@ from forestgen.community.placement.model import (
     PlantingTargets,
     asked_densities,
     deformed,
-    placed_state,
-    placement_rng,
+    placement_of,
     uniform_samples,
     wanted_plants,
 )
 from forestgen.community.population import Floats, Population
-from forestgen.community.static_model import State
+from forestgen.community.static_model import State, first_state
+from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
 from forestgen.recipe.sources import Keys
 
@@ -258,7 +258,7 @@ class DeformationKernel(PlacementModel[DeformationKernelParameters]):
 
     def init(self, parameters: DeformationKernelParameters, site: Site, species: Ecologies, seed: int) -> State:
         """The plants at their places."""
-        rng = placement_rng(seed)
+        rng = child_rng(seed, "community", 0)
         wanted = wanted_plants(parameters, site, species, rng)
         uniform = uniform_samples(wanted, species, rng)
         layout = _layout(parameters, site, species)
@@ -271,15 +271,15 @@ class DeformationKernel(PlacementModel[DeformationKernelParameters]):
         barred = {i for i, one in enumerate(layout.field_of) if one >= 0 and not densities[one].any()}
         fields = [DensityField(one, site.size_m, periodic=parameters.periodic) for one in densities]
         del densities
-        placement = place(fields, layout.field_of[wanted.sp], wanted.r_m, kernels, uniform)
+        position_m = place(fields, layout.field_of[wanted.sp], wanted.r_m, kernels, uniform).position_m
         why = {one.name: _BARRED if i in barred else _NO_PLACE for i, one in enumerate(species)}
-        position_m = placement.position_m
-        notes, state = [*_notes(site, layout), *_idle(parameters, site, species)], {}
+        placed = placement_of(parameters, site, species, wanted, position_m, why)
+        notes, state = [*placed.notes, *_notes(site, layout), *_idle(parameters, site, species)], {}
         if parameters.hopkins is not None:
-            points_m = position_m[~np.isnan(position_m[:, 0])]
+            points_m = placed.position_m
             state = {"clustering": clustering.describe(parameters.hopkins, found, points_m, site, seed, layout.cells)}
             notes += clustering.notes_on(state["clustering"])
-        return placed_state(parameters, site, species, seed, wanted, position_m, why, notes, state)
+        return first_state(parameters, species, seed, replace(placed, notes=tuple(notes), found=state))
 
     def estimate_bytes(self, parameters: DeformationKernelParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and the fields at once."""

@@ -34,12 +34,9 @@ from forestgen.community.placement.densities import (
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.population import Floats, Population
-from forestgen.community.static_model import FixedPopulation, Placement, State, first_state
-from forestgen.core.randomness import child_rng
+from forestgen.community.static_model import Placement, StaticModel
 from forestgen.recipe.fields import Whole
 
-_BYTES_PER_PLANT = 400  # a state, its successor, a snapshot, what a placement holds meanwhile
-_BYTES_AT_LEAST = 4 * 1024 * 1024
 _GRIDS_AT_ONCE = 6  # beside one a species: masks, sums, a field's own
 _Kind = TypeVar("_Kind", np.float64, np.bool_)
 _FEWEST_EXPECTED = 5.0  # of a bin: below, chi-square's distribution is not that of the table
@@ -209,34 +206,28 @@ def _stream(rng: np.random.Generator, *identity: str) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, key))))
 
 
-def placed_state(
+def placement_of(
     parameters: PlacementParameters,
     site: Site,
     species: Ecologies,
-    seed: int,
     wanted: PlantingTargets,
     position_m: Floats,
     why: str | Mapping[str, str],
-    notes: Sequence[str] = (),
-    found: Mapping[str, Any] | None = None,
-) -> State:
-    """The state of step 0; plants whose (N, 2) position is nan found no place, and a note says how many and `why`.
+) -> Placement:
+    """The plants that found a place; those whose (N, 2) position is nan found none, and a note says how many and `why`.
 
-    `why` is the reason, or one by species; conditions that bar a species on the whole site replace it. `notes`
-    are what else a user should know. `found` is what the model worked out for itself, plain as in JSON; it is kept with
-    every snapshot.
+    `why` is the reason, or one by species; conditions that bar a species on the whole site replace it.
     """
     placed = ~np.isnan(position_m[:, 0])
     asked = np.bincount(wanted.sp, minlength=len(species))
     standing = np.bincount(wanted.sp[placed], minlength=len(species))
-    reasons = dict.fromkeys((one.name for one in species), why) if isinstance(why, str) else why
     missing = []
     for i, one in enumerate(species):
         if standing[i] < asked[i]:
-            reason = (None if standing[i] else _bars(parameters, site, one.name)) or reasons[one.name]
+            reason = None if standing[i] else _bars(parameters, site, one.name)
+            reason = reason or (why if isinstance(why, str) else why[one.name])
             missing.append(f"{standing[i]:,} of {asked[i]:,} plants of {one.name} were placed: {reason}")
-    plants = Placement(wanted.sp[placed], position_m[placed], wanted.r_m[placed], wanted.height_m[placed])
-    return first_state(parameters, species, seed, plants, [*missing, *notes], found)
+    return Placement(wanted.sp[placed], position_m[placed], wanted.r_m[placed], wanted.height_m[placed], tuple(missing))
 
 
 def _bars(parameters: PlacementParameters, site: Site, name: str) -> str | None:
@@ -253,17 +244,16 @@ def _bars(parameters: PlacementParameters, site: Site, name: str) -> str | None:
 P = TypeVar("P", bound=PlacementParameters)
 
 
-class PlacementModel(FixedPopulation[P]):
+class PlacementModel(StaticModel[P]):
     """A `CommunityModel` but for its Parameters and either `positions`, or `grid` and `place_species`."""
 
     missing_reason = "the map and the conditions bar the whole site"  # why plants found no place
 
-    def init(self, parameters: P, site: Site, species: Ecologies, seed: int) -> State:
-        """The plants at their places."""
-        rng = placement_rng(seed)
+    def place(self, parameters: P, site: Site, species: Ecologies, rng: np.random.Generator) -> Placement:
+        """The plants that find a place."""
         wanted = wanted_plants(parameters, site, species, rng)
         position_m, why = self.positions(parameters, site, species, wanted, rng)
-        return placed_state(parameters, site, species, seed, wanted, position_m, why)
+        return placement_of(parameters, site, species, wanted, position_m, why)
 
     def positions(
         self,
@@ -291,9 +281,9 @@ class PlacementModel(FixedPopulation[P]):
         """(n, 2) places of a species, metres, by its (rows, cols) density; nan where there is none."""
         raise NotImplementedError
 
-    def expected_plants(self, parameters: P, site: Site, species: Ecologies) -> float:
-        """The plants to be placed, and those that disturbances plant."""
-        return float(plant_counts(parameters, site, species).sum() + planted(parameters.disturbances))
+    def most_plants(self, parameters: P, site: Site, species: Ecologies) -> float:
+        """The plants to be placed."""
+        return float(plant_counts(parameters, site, species).sum())
 
     def empty_reason(self, parameters: P, site: Site, species: Ecologies) -> str | None:
         """Why no plant will ever stand there, or None if some may."""
@@ -316,16 +306,11 @@ class PlacementModel(FixedPopulation[P]):
         It is what a plan asks first, so it also looks at the sizes: what is wrong is said before anything is built.
         """
         check_sizes(parameters, species)
-        return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
+        return super().estimate_bytes(parameters, site, species)
 
     def densities(self, parameters: P, site: Site, species: Ecologies, placed: Population) -> Densities:
         """What the recipe asks for, for pictures and statistics of the plants `placed` in step 0."""
         return asked_densities(parameters, site, species)
-
-
-def placement_rng(seed: int) -> np.random.Generator:
-    """The stream of random numbers of step 0."""
-    return child_rng(seed, "community", 0)
 
 
 class GriddedParameters(PlacementParameters):

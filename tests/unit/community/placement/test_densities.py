@@ -17,8 +17,9 @@ from forestgen.community.placement.densities import (
     grid_shape,
     plant_counts,
 )
-from forestgen.community.placement.model import placement_rng, wanted_plants
+from forestgen.community.placement.model import wanted_plants
 from forestgen.core.errors import RecipeError
+from forestgen.core.randomness import child_rng
 
 
 def test_radii_are_log_normal_and_cut_off(tree):
@@ -60,10 +61,10 @@ def test_plants_come_largest_first_and_another_species_leaves_their_sizes(tree):
         "b": {"count": 200, "radius_m": {"median": 0.5, "sigma": 0.9}, "height_sigma": 0.3},
     }
     site, species = Site((10.0, 10.0)), [tree(), tree(name="b"), tree(name="c")]
-    two = wanted_plants(PlacementParameters.model_validate({"plants": asked}), site, species[:2], placement_rng(4))
+    two = wanted_plants(PlacementParameters.model_validate({"plants": asked}), site, species[:2], child_rng(4, "community", 0))
     more = {"c": {"count": 100}, **asked}
     order = [species[2], species[0], species[1]]
-    three = wanted_plants(PlacementParameters.model_validate({"plants": more}), site, order, placement_rng(4))
+    three = wanted_plants(PlacementParameters.model_validate({"plants": more}), site, order, child_rng(4, "community", 0))
     for wanted in (two, three):
         assert np.all(np.diff(wanted.r_m) <= 0)
     for before, after in ((0, 1), (1, 2)):
@@ -74,7 +75,7 @@ def test_plants_come_largest_first_and_another_species_leaves_their_sizes(tree):
 def test_a_radius_that_the_species_cannot_have_is_refused(tree):
     parameters = PlacementParameters.model_validate({"plants": {"tree": {"count": 3, "radius_m": 2.5}}})
     with pytest.raises(RecipeError, match="no tree is so large"):
-        wanted_plants(parameters, Site((10.0, 10.0)), [tree()], placement_rng(0))
+        wanted_plants(parameters, Site((10.0, 10.0)), [tree()], child_rng(0, "community", 0))
 
 
 def test_cells_show_a_length_within_the_memory_for_fields():
