@@ -61,10 +61,14 @@ def test_plants_come_largest_first_and_another_species_leaves_their_sizes(tree):
         "b": {"count": 200, "radius_m": {"median": 0.5, "sigma": 0.9}, "height_sigma": 0.3},
     }
     site, species = Site((10.0, 10.0)), [tree(), tree(name="b"), tree(name="c")]
-    two = wanted_plants(PlacementParameters.model_validate({"plants": asked}), site, species[:2], child_rng(4, "community", 0))
+    two = wanted_plants(
+        PlacementParameters.model_validate({"plants": asked}), site, species[:2], child_rng(4, "community", 0)
+    )
     more = {"c": {"count": 100}, **asked}
     order = [species[2], species[0], species[1]]
-    three = wanted_plants(PlacementParameters.model_validate({"plants": more}), site, order, child_rng(4, "community", 0))
+    three = wanted_plants(
+        PlacementParameters.model_validate({"plants": more}), site, order, child_rng(4, "community", 0)
+    )
     for wanted in (two, three):
         assert np.all(np.diff(wanted.r_m) <= 0)
     for before, after in ((0, 1), (1, 2)):
