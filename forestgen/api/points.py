@@ -122,7 +122,7 @@ def fit_kernel(
     ------
     RecipeError, OutputError
     """
-    from forestgen.community.fitting.fit import Settings, fit_stand
+    from forestgen.community.fitting.fit import fit_stand
     from forestgen.community.fitting.report import recipe_text, species_sources
     from forestgen.community.fitting.stand import measured_stand
     from forestgen.community.point_table import read_points
@@ -142,7 +142,7 @@ def fit_kernel(
     with display.running():
         for note in before:  # who reads that the window is wrong need not wait for the fit
             display.say(f"note: {note}")
-        fit = fit_stand(stand, Settings(seed=seed, checks=checks, reach_m=reach_m, founders=founders), display)
+        fit = fit_stand(stand, display, seed=seed, checks=checks, reach_m=reach_m, founders=founders)
     text = recipe_text(fit, species_sources(stand, library, species or _SPECIES), source.name)
     fitted = FittedKernel(fit, text, files, tuple(before), tuple(_on_fit(fit)))
     if files is not None:

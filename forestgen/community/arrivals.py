@@ -49,13 +49,18 @@ class CirclePlants(Rows):
         step: int,
         step_yr: float,
         next_id: int,
-        dominated: NDArray[np.bool_],
+        dominated: NDArray[np.bool_] | None,
         columns: Mapping[str, NDArray[Any]],
+        height_m: Floats | None = None,
     ) -> Population:
-        """Snapshot; z is 0. `columns` are the model's own, and `next_id` is that of the next plant to arrive."""
+        """Snapshot; z is 0. `columns` are the model's own, and `next_id` is that of the next plant to arrive.
+
+        Heights are by default those of the species' allometry.
+        """
         mature = self.r_m >= of_species(species, "max_radius_m")[self.sp]
         status = np.where(mature, np.uint8(Status.MATURE), np.uint8(Status.GROWING))
-        status[dominated] = Status.DOMINATED
+        if dominated is not None:
+            status[dominated] = Status.DOMINATED
         return Population(
             time_yr=step * step_yr,
             species_names=tuple(one.name for one in species),
@@ -63,7 +68,7 @@ class CirclePlants(Rows):
             species=self.sp,
             position_m=on_the_ground(self.x_m),
             radius_m=self.r_m,
-            height_m=heights_m(species, self.sp, self.r_m),
+            height_m=heights_m(species, self.sp, self.r_m) if height_m is None else height_m,
             age_yr=(step - self.born).astype(np.float64) * step_yr,
             status=status,
             columns=columns,

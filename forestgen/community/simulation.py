@@ -31,7 +31,7 @@ MOST_BYTES = 2_000_000_000
 _SOURCES = ("architecture", "atmosphere", "community", "core", "geometry", "lsystem", "recipe", "scene")
 _COMPUTE_WITH = ("numpy", "scipy", "numba", "pillow", "OpenEXR")
 
-Kept = TypeVar("Kept", Population, Modules)
+Kept = TypeVar("Kept")
 
 
 class _UnknownError(TypeError):
@@ -122,15 +122,13 @@ def keep_community(store: DiskCache, key: str, population: Population) -> bool:
 
 def as_kept(one: Kept) -> Kept:
     """The same with its arrays laid out as they would come from disk: sums may depend on it."""
-    rows = {field.name: getattr(one, field.name) for field in fields(one)}
-    ordered: dict[str, Any] = {
-        name: np.ascontiguousarray(value) for name, value in rows.items() if isinstance(value, np.ndarray)
-    }
-    if isinstance(one, Population):
-        ordered["columns"] = {name: np.ascontiguousarray(value) for name, value in one.columns.items()}
-        ordered["maps"] = {name: np.ascontiguousarray(value) for name, value in one.maps.items()}
-        ordered["modules"] = None if one.modules is None else as_kept(one.modules)
-    return replace(one, **ordered)
+    if isinstance(one, np.ndarray):
+        return np.ascontiguousarray(one)
+    if isinstance(one, Mapping):
+        return {name: as_kept(value) for name, value in one.items()}  # type: ignore[return-value]
+    if isinstance(one, Population | Modules):
+        return replace(one, **{field.name: as_kept(getattr(one, field.name)) for field in fields(one)})
+    return one
 
 
 def _content(value: Any) -> Any:

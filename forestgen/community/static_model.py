@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.arrivals import Rows, heights_m, new_ids, of_species, on_the_ground
+from forestgen.community.arrivals import CirclePlants, heights_m, new_ids, of_species
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
@@ -27,8 +27,6 @@ from forestgen.community.population import Floats, Population, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, check_columns, check_finite
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
-
-_COLUMNS = ("azimuth_deg", "first_age_yr", "first_step")  # of plants, which a snapshot has under the same names
 
 
 class StaticParameters(CommunityParameters):
@@ -61,17 +59,12 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class Plants(Rows):
+class Plants(CirclePlants):
     """One row a plant, in order of plant_id."""
 
-    x_m: Floats  # (N, 2) metres, world x and y
-    r_m: Floats  # (N,) metres
     height_m: Floats  # (N,) metres
-    sp: NDArray[np.uint16]  # (N,) index of species
     azimuth_deg: Floats  # (N,) turn about the vertical, clockwise from above
     first_age_yr: Floats  # (N,) at the step of arrival
-    plant_id: NDArray[np.uint32]  # (N,)
-    first_step: NDArray[np.int32]  # (N,) step of arrival
 
 
 @dataclass(frozen=True)
@@ -106,7 +99,7 @@ def first_state(parameters: CommunityParameters, species: Ecologies, seed: int, 
         azimuth_deg=child_rng(seed, "placement azimuths").uniform(0.0, 360.0, n),
         first_age_yr=np.zeros(n),
         plant_id=new_ids(1, n),
-        first_step=np.zeros(n, dtype=np.int32),
+        born=np.zeros(n, dtype=np.int32),
     )
     return State(parameters, tuple(species), seed, 0, 1 + n, plants, placed.notes, dict(placed.found))
 
@@ -123,32 +116,23 @@ class FixedPopulation(Generic[P]):
 
     def population(self, state: State) -> Population:
         """Snapshot; z is 0. A plant of its species' largest radius is mature, any other is growing."""
-        plants, species = state.plants, state.species
-        mature = plants.r_m >= of_species(species, "max_radius_m")[plants.sp]
-        return Population(
-            time_yr=state.step * state.parameters.step_yr,
-            species_names=tuple(one.name for one in species),
-            plant_id=plants.plant_id,
-            species=plants.sp,
-            position_m=on_the_ground(plants.x_m),
-            radius_m=plants.r_m,
-            height_m=plants.height_m,
-            age_yr=plants.first_age_yr + (state.step - plants.first_step) * state.parameters.step_yr,
-            status=np.where(mature, np.uint8(Status.MATURE), np.uint8(Status.GROWING)),
-            columns={name: getattr(plants, name) for name in _COLUMNS},
-            step=state.step,
-            state={"next_id": state.next_id, "notes": list(state.notes), **state.found},
+        plants = state.plants
+        turn, age = plants.azimuth_deg, plants.first_age_yr
+        columns = {"azimuth_deg": turn, "first_age_yr": age, "first_step": plants.born}
+        snapshot = plants.population(
+            state.species, state.step, state.parameters.step_yr, state.next_id, None, columns, plants.height_m
         )
+        about = {**snapshot.state, "notes": list(state.notes), **state.found}
+        return replace(snapshot, age_yr=age + snapshot.age_yr, state=about)
 
     def resume(self, parameters: P, site: Site, species: Ecologies, seed: int, population: Population) -> State:
         """The state of a snapshot."""
+        columns, circles = population.columns, CirclePlants.columns_of(population, parameters.step_yr)
         plants = Plants(
-            x_m=np.ascontiguousarray(population.position_m[:, :2]),
-            r_m=population.radius_m,
+            **{**circles, "born": columns["first_step"]},
             height_m=population.height_m,
-            sp=population.species,
-            plant_id=population.plant_id,
-            **{name: population.columns[name] for name in _COLUMNS},
+            azimuth_deg=columns["azimuth_deg"],
+            first_age_yr=columns["first_age_yr"],
         )
         found = dict(population.state)
         next_id, notes = int(found.pop("next_id")), tuple(found.pop("notes", ()))
@@ -185,7 +169,7 @@ class FixedPopulation(Generic[P]):
             azimuth_deg=np.array([azimuth_of(state.seed, int(one)) for one in ids], dtype=np.float64),
             first_age_yr=np.zeros(n),
             plant_id=ids,
-            first_step=np.full(n, state.step, dtype=np.int32),
+            born=np.full(n, state.step, dtype=np.int32),
         )
         return replace(state, next_id=state.next_id + n, plants=state.plants.and_then(new))
 

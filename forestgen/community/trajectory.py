@@ -17,11 +17,11 @@ from scipy.stats import linregress
 
 from forestgen.community.model import Site
 from forestgen.community.point_patterns import (
-    Distances,
     Estimate,
     Window,
     clark_evans_donnelly,
     hopkins,
+    hopkins_index,
     measure_distances,
 )
 from forestgen.community.population import (
@@ -176,19 +176,18 @@ def _pattern(
     points_m = population.position_m[pick, :2]
     if len(points_m) < 2:
         return None, None
-    distances, window = _distances(points_m, site, seed, population.step, name)
+    window, rng = Window(0.0, site.size_m[0], 0.0, site.size_m[1]), _points_of_window(seed, population.step, name)
+    distances = measure_distances(points_m, window, rng, samples=_SAMPLES)
     return _estimate(hopkins(distances)), _estimate(clark_evans_donnelly(distances.from_points_m, window))
 
 
-def _distances(points_m: Floats, site: Site, seed: int, step: int, name: str) -> tuple[Distances, Window]:
-    window = Window(0.0, site.size_m[0], 0.0, site.size_m[1])
-    rng = child_rng(seed, "statistics", step, name)
-    return measure_distances(points_m, window, rng, samples=_SAMPLES), window
+def _points_of_window(seed: int, step: int, name: str) -> np.random.Generator:
+    return child_rng(seed, "statistics", step, name)
 
 
 def reported_hopkins(points_m: Floats, site: Site, seed: int) -> float:
     """Hopkins' index of (N, 2) plants as `describe_step` reports it of all plants of step 0; nan for fewer than two."""
-    return hopkins(_distances(points_m, site, seed, 0, ALL)[0]).value if len(points_m) > 1 else math.nan
+    return hopkins_index(points_m, site.size_m, _points_of_window(seed, 0, ALL), samples=_SAMPLES)
 
 
 def _estimate(one: Estimate) -> dict[str, float | None]:

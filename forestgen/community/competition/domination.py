@@ -40,10 +40,10 @@ class DominationParameters(Section):
 
 
 @compiled
-def _beats(j, i, circle, plant_id):  # type: ignore[no-untyped-def]
-    """Whether circle `j` has the higher rank of two: the larger radius, or of equal ones the lower plant_id."""
-    rj, ri = circle[j, 2], circle[i, 2]
-    return rj > ri or (rj == ri and plant_id[int(circle[j, 3])] < plant_id[int(circle[i, 3])])
+def _beats(j, i, strength, circle, plant_id):  # type: ignore[no-untyped-def]
+    """Whether circle `j` has the higher rank of two: the greater strength, or of equal ones the lower plant_id."""
+    sj, si = strength[j], strength[i]
+    return sj > si or (sj == si and plant_id[int(circle[j, 3])] < plant_id[int(circle[i, 3])])
 
 
 @compiled
@@ -54,7 +54,7 @@ def _meets(j, i, circle, size_m, periodic):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _sort(low, size, entry, circle, plant_id):  # type: ignore[no-untyped-def]
+def _sort(low, size, entry, strength, circle, plant_id):  # type: ignore[no-untyped-def]
     """Heapsort of `size` entries from `low` by rank, the highest first."""
     for step in range(size // 2 + size - 1):
         hole, last = size // 2 - 1 - step, size
@@ -64,9 +64,9 @@ def _sort(low, size, entry, circle, plant_id):  # type: ignore[no-untyped-def]
         moved = entry[low + hole]
         child = 2 * hole + 1
         while child < last:
-            if child + 1 < last and _beats(entry[low + child], entry[low + child + 1], circle, plant_id):
+            if child + 1 < last and _beats(entry[low + child], entry[low + child + 1], strength, circle, plant_id):
                 child += 1
-            if not _beats(moved, entry[low + child], circle, plant_id):
+            if not _beats(moved, entry[low + child], strength, circle, plant_id):
                 break
             entry[low + hole] = entry[low + child]
             hole, child = child, 2 * child + 1
@@ -74,7 +74,7 @@ def _sort(low, size, entry, circle, plant_id):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _rank(first, end, g, plant_id, ranked):  # type: ignore[no-untyped-def]
+def _rank(first, end, g, strength, plant_id, ranked):  # type: ignore[no-untyped-def]
     """Bring champions of each cell to its front: its member of highest rank, of a crowd then the highest of the rest.
 
     The rest are those that no champion meets. Where many are left after a few champions, the cell is put in order.
@@ -84,7 +84,7 @@ def _rank(first, end, g, plant_id, ranked):  # type: ignore[no-untyped-def]
         low, rest = np.int64(start[c]), np.int64(start[c + 1])
         for place in range(low, min(low + _CHAMPIONS, rest)):
             for k in range(place + 1, rest):
-                if _beats(entry[k], entry[place], circle, plant_id):
+                if _beats(entry[k], entry[place], strength, circle, plant_id):
                     entry[place], entry[k] = entry[k], entry[place]
             if rest - low <= _CROWD:
                 break
@@ -96,12 +96,12 @@ def _rank(first, end, g, plant_id, ranked):  # type: ignore[no-untyped-def]
                 else:
                     k += 1
         if rest - low > _CROWD:
-            _sort(low, np.int64(start[c + 1]) - low, entry, circle, plant_id)
+            _sort(low, np.int64(start[c + 1]) - low, entry, strength, circle, plant_id)
             ranked[c] = True
 
 
 @compiled
-def _search(first, end, g, plant_id, ranked, out):  # type: ignore[no-untyped-def]
+def _search(first, end, g, strength, plant_id, ranked, out):  # type: ignore[no-untyped-def]
     """Set `out` for circles `first` to `end` of the grid: whether a circle of higher rank meets them."""
     circle, entry, start, n, per_m, size_m, periodic = g
     for i in range(first, end):
@@ -113,8 +113,8 @@ def _search(first, end, g, plant_id, ranked, out):  # type: ignore[no-untyped-de
                 cell = line + grid.wrapped(x0 + a, n[0])
                 for k in range(start[cell], start[cell + 1]):
                     j = entry[k]
-                    if circle[j, 2] >= circle[i, 2]:
-                        beaten = _meets(j, i, circle, size_m, periodic) and _beats(j, i, circle, plant_id)
+                    if strength[j] >= strength[i]:
+                        beaten = _meets(j, i, circle, size_m, periodic) and _beats(j, i, strength, circle, plant_id)
                         if beaten:
                             break
                     elif ranked[cell]:
@@ -127,18 +127,26 @@ def _search(first, end, g, plant_id, ranked, out):  # type: ignore[no-untyped-de
 
 
 def dominated(
-    position_m: Floats, radius_m: Floats, plant_id: NDArray[np.uint32], size_m: tuple[float, float], *, periodic: bool
+    position_m: Floats,
+    radius_m: Floats,
+    plant_id: NDArray[np.uint32],
+    size_m: tuple[float, float],
+    *,
+    periodic: bool,
+    strength: Floats | None = None,
 ) -> NDArray[np.bool_]:
-    """(N,) which of the circles, (N, 2) positions and (N,) radii in metres, intersect a larger one.
+    """(N,) which of the circles, (N, 2) positions and (N,) radii in metres, intersect or touch a stronger one.
 
-    Of equal radii `plant_id` decides. `periodic`: the site is a torus; otherwise it lies in the plane.
+    `strength` (N,) is the radius by default; of equal strengths the lower `plant_id` wins. `periodic`: the site is a
+    torus; otherwise it lies in the plane.
     """
     out = np.zeros(len(radius_m), dtype=np.bool_)
     if len(radius_m) > 1:
         cells = grid.build(position_m, radius_m, size_m, periodic=periodic)
+        ranks = (radius_m if strength is None else strength)[cells.circle[:, 3].astype(np.intp)]
         ranked = np.zeros(len(cells.start) - 1, dtype=np.bool_)
-        parallel_for(len(ranked), lambda first, end: _rank(first, end, cells, plant_id, ranked))
-        parallel_for(len(out), lambda first, end: _search(first, end, cells, plant_id, ranked, out))
+        parallel_for(len(ranked), lambda first, end: _rank(first, end, cells, ranks, plant_id, ranked))
+        parallel_for(len(out), lambda first, end: _search(first, end, cells, ranks, plant_id, ranked, out))
     return out
 
 
@@ -147,7 +155,7 @@ class Domination:
 
     Parameters = DominationParameters
     needs_heights = False
-    bytes_per_circle = 60  # tests measure it
+    bytes_per_circle = 68  # tests measure it
 
     def answer(
         self, parameters: DominationParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool

@@ -137,7 +137,7 @@ class Matcher:
             scores[number] = found.gradient.ravel()
         mean = counts.mean(axis=0)
         if self.scale is None:
-            self.scale = self.summaries.scales(stand, counts.std(axis=0))
+            self.scale = np.maximum(counts.std(axis=0), self.summaries.least)
         z = (mean - self.target) / self.scale
         slope = (counts - mean).T @ (scores - scores.mean(axis=0)) / (self.number * self.scale[:, None])
         worth = self.summaries.worth
@@ -237,17 +237,6 @@ def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[F
 
 
 @dataclass(frozen=True)
-class Settings:
-    """How to fit."""
-
-    seed: int = 0
-    checks: int = 1  # sets of 39 new stands against which the stand is tested
-    reach_m: float | None = None  # of the kernels; None: see `default_reach_m`
-    stands: int | None = None  # new stands of a look; None: by the stand's size
-    founders: bool = True  # whether they may be tried
-
-
-@dataclass(frozen=True)
 class Fit:
     """Kernels fitted to a stand, and how well new stands resemble it."""
 
@@ -292,15 +281,28 @@ class Fit:
         return sum(not any(one.any() for one in check) for check in left)
 
 
-def fit_stand(stand: MeasuredStand, settings: Settings, progress: Progress | None = None) -> Fit:
-    """Fit, then test with new random numbers; a `RecipeError` if `reach_m` does not suit the window."""
+def fit_stand(
+    stand: MeasuredStand,
+    progress: Progress | None = None,
+    *,
+    seed: int = 0,
+    checks: int = 1,
+    reach_m: float | None = None,
+    stands: int | None = None,
+    founders: bool = True,
+) -> Fit:
+    """Fit, then test with new random numbers against so many sets of 39 new stands.
+
+    `reach_m` is that of the kernels, by default that of `default_reach_m`, and a `RecipeError` if it does not suit the
+    window; `stands` are the new ones of a look, by default by the stand's size; `founders` may be tried or not.
+    """
     began, listener = time.perf_counter(), progress or Silent()
-    _check_reach(stand, settings.reach_m)
-    shapes = kernel_shapes(stand, settings.reach_m)
+    _check_reach(stand, reach_m)
+    shapes = kernel_shapes(stand, reach_m)
     nursery = Nursery(stand, fitting_cells(stand))
-    number = settings.stands or int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
-    start = likeliest(stand, shapes, child_rng(settings.seed, "fit", "orders"))
-    matcher = Matcher(nursery, shapes, summaries_for(stand, shapes.reach_m), number, settings.seed)
+    number = stands or int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
+    start = likeliest(stand, shapes, child_rng(seed, "fit", "orders"))
+    matcher = Matcher(nursery, shapes, summaries_for(stand, shapes.reach_m), number, seed)
     placed = 0
 
     def counted(advance: Callable[[int], None]) -> Callable[[int], None]:
@@ -313,16 +315,16 @@ def fit_stand(stand: MeasuredStand, settings: Settings, progress: Progress | Non
 
     with listener.stage("new stands", LOOKS * number) as advance:
         plain = matched = match(matcher, start, counted(advance))
-    if settings.founders and _wants_founders(matcher, plain):
+    if founders and _wants_founders(matcher, plain):
         with listener.stage("founders", FOUNDERS_LOOKS * number) as advance:
             founded = match_founders(matcher, plain, counted(advance))
         if founded:
             nursery, shapes, matched = founded.nursery, founded.shapes, founded.matched
     kernels = shapes.tables(matched.log_kappa)
-    first, checks = settings.seed + _CHECKS, []
-    with listener.stage("check", settings.checks) as advance:
-        for check in range(settings.checks):
-            checks.append(tuple(envelopes(nursery, kernels, first + check)))
+    first, tested = seed + _CHECKS, []
+    with listener.stage("check", checks) as advance:
+        for check in range(checks):
+            tested.append(tuple(envelopes(nursery, kernels, first + check)))
             advance(1)
     return Fit(
         stand=stand,
@@ -331,10 +333,10 @@ def fit_stand(stand: MeasuredStand, settings: Settings, progress: Progress | Non
         matched=matched,
         plain=plain,
         placed=placed,
-        checks=tuple(checks),
+        checks=tuple(tested),
         trend=trend(stand, nursery, kernels, first),
         example=nursery.grow(kernels, first, 0),
-        seed=settings.seed,
+        seed=seed,
         took_s=time.perf_counter() - began,
     )
 

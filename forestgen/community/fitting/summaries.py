@@ -17,6 +17,7 @@ Ripley 1977, J. R. Stat. Soc. B 39. Baddeley, Rubak and Turner 2015, Spatial Poi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -49,6 +50,8 @@ class Summaries:
     pair_radii_m: Floats  # (R,) metres
     near: tuple[tuple[int, int], ...]  # of a plant of the first species, the nearest of the second
     near_radii_m: Floats  # (len(near), G) metres
+    worth: Floats  # weight of each number against the others and the expectation that kernels are smooth
+    least: Floats  # of each number what counts as a step of difference at least: half a pair or plant
 
     def of(self, position_m: Floats, species: NDArray[np.int64]) -> Floats:
         """(Q * (R + R / 5) + len(near) * G,) roots of the numbers of pairs within each radius and in each ring of five
@@ -66,20 +69,6 @@ class Summaries:
     def nearest(self, values: Floats) -> Floats:
         """The part of (A,) numbers, or of their differences, that is about nearest neighbours."""
         return np.asarray(values[-self.near_radii_m.size :])
-
-    @property
-    def worth(self) -> Floats:
-        """Weight of each number against the others and the expectation that kernels are smooth."""
-        radii = len(self.pair_radii_m)
-        pairs = np.concatenate([np.full(radii, _PAIRS_WORTH), np.full(radii // _PER_RING, _RINGS_WORTH)])
-        return np.concatenate([np.tile(pairs, len(self.pairs)), np.full(self.near_radii_m.size, _NEAR_WORTH)])
-
-    def scales(self, stand: MeasuredStand, spread: Floats) -> Floats:
-        """What counts as one step of difference: the new stands' own scatter, and no less than half a pair or plant."""
-        radii = len(self.pair_radii_m)
-        least = [np.full(radii + radii // _PER_RING, 0.3)] * len(self.pairs)
-        least += [np.full(self.near_radii_m.shape[1], 1.0 / len(stand.of(one))) for one, _ in self.near]
-        return np.asarray(np.maximum(spread, np.concatenate(least)))
 
 
 def nearest_m(points: cKDTree, others: cKDTree) -> Floats:
@@ -104,11 +93,16 @@ def summaries_for(stand: MeasuredStand, reach_m: float) -> Summaries:
     most = max(reach_m, min(stand.size_m) / 4)
     trees = [cKDTree(stand.of(one)) for one in kinds]
     farthest = np.array([nearest_m(trees[i], trees[j]).max() for i, j in near])
+    rings, shape = _PAIR_RADII // _PER_RING, (len(near), _NEAR_RADII)
+    of_pairs = np.repeat([_PAIRS_WORTH, _RINGS_WORTH], [_PAIR_RADII, rings])
+    of_plants = np.repeat([1.0 / len(stand.of(i)) for i, _ in near], _NEAR_RADII)
     return Summaries(
         pairs=pairs,
         pair_radii_m=most * np.arange(1, _PAIR_RADII + 1) / _PAIR_RADII,
         near=near,
         near_radii_m=_NEAR_BEYOND * farthest[:, None] * np.arange(1, _NEAR_RADII + 1) / _NEAR_RADII,
+        worth=np.concatenate([np.tile(of_pairs, len(pairs)), np.full(math.prod(shape), _NEAR_WORTH)]),
+        least=np.concatenate([np.full((_PAIR_RADII + rings) * len(pairs), 0.3), of_plants]),
     )
 
 

@@ -67,13 +67,12 @@ from forestgen.community.arrivals import (
     seedlings_per_step,
     upper_number,
 )
-from forestgen.community.competition import grid
+from forestgen.community.competition.domination import dominated
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.population import Floats, Population, Status
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
-from forestgen.core.compiled import compiled
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Name, NonNegative, Number, Whole
 from forestgen.recipe.sources import Keys
@@ -129,43 +128,6 @@ class State:
     plants: Plants
 
 
-@compiled
-def _mark(circle, entry, start, vigour, plant_id, periodic, width, height, out):  # type: ignore[no-untyped-def]
-    """Set `out` for each circle that meets one of more vigour: circles that meet share a cell of the grid."""
-    for cell in range(len(start) - 1):
-        for a in range(start[cell], start[cell + 1]):
-            i = entry[a]
-            one = int(circle[i, 3])
-            for b in range(a + 1, start[cell + 1]):
-                j = entry[b]
-                weak = int(circle[j, 3])
-                if vigour[weak] > vigour[one] or (vigour[weak] == vigour[one] and plant_id[weak] < plant_id[one]):
-                    weak = one
-                if out[weak]:
-                    continue
-                dx, dy = abs(circle[i, 0] - circle[j, 0]), abs(circle[i, 1] - circle[j, 1])
-                if periodic:
-                    dx, dy = min(dx, width - dx), min(dy, height - dy)
-                out[weak] = dx * dx + dy * dy <= (circle[i, 2] + circle[j, 2]) ** 2
-
-
-def dominated_by_vigour(
-    position_m: Floats,
-    radius_m: Floats,
-    vigour: Floats,
-    plant_id: NDArray[np.uint32],
-    size_m: tuple[float, float],
-    *,
-    periodic: bool,
-) -> NDArray[np.bool_]:
-    """(N,) which circles intersect or touch one of more vigour, or of as much and a lower id."""
-    out = np.zeros(len(radius_m), dtype=np.bool_)
-    if len(out) > 1:
-        cells = grid.build(position_m, radius_m, size_m, periodic=periodic)
-        _mark(cells.circle, cells.entry, cells.start, vigour, plant_id, periodic, *size_m, out)
-    return out
-
-
 def _new(x_m: Floats, r_m: Floats, sp: NDArray[np.uint16], vigour: Floats, first_id: int, born: int) -> Plants:
     """Plants of full health, numbered from `first_id`."""
     n = len(sp)
@@ -182,9 +144,11 @@ def _saplings(state: State, sp: NDArray[np.uint16], rng: np.random.Generator) ->
 def _competing(state: State, plants: Plants) -> State:
     """`state` with these plants and who of them is dominated; those that are new are counted."""
     next_id = max(state.next_id, int(plants.plant_id[-1]) + 1 if len(plants) else 1)
-    x_m, r_m, size_m, periodic = plants.x_m, plants.r_m, state.site.size_m, state.parameters.periodic
-    dominated = dominated_by_vigour(x_m, r_m, plants.vigour, plants.plant_id, size_m, periodic=periodic)
-    return replace(state, next_id=next_id, plants=replace(plants, dominated=dominated))
+    beaten = dominated(
+        plants.x_m, plants.r_m, plants.plant_id, state.site.size_m,
+        periodic=state.parameters.periodic, strength=plants.vigour,
+    )  # fmt: skip
+    return replace(state, next_id=next_id, plants=replace(plants, dominated=beaten))
 
 
 def survivors(state: State, u: Floats) -> Plants:

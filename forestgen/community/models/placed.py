@@ -232,7 +232,7 @@ class Placed(FixedPopulation[PlacedParameters]):
             azimuth_deg=np.array(azimuth, dtype=np.float64),
             first_age_yr=np.array([plant.age_yr for plant in everyone], dtype=np.float64),
             plant_id=ids,
-            first_step=np.zeros(n, dtype=np.int32),
+            born=np.zeros(n, dtype=np.int32),
         )
         return State(parameters, tuple(species), seed, 0, 1 + n, plants)
 

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist, pdist
 
-from forestgen.community.fitting.fit import ROUNDS, Matcher, Round, Settings, fit_stand, match, match_founders
+from forestgen.community.fitting.fit import ROUNDS, Matcher, Round, fit_stand, match, match_founders
 from forestgen.community.fitting.likelihood import (
     KernelShapes,
     default_reach_m,
@@ -301,7 +301,7 @@ def test_founders_are_kept_only_where_they_halve_the_loss(founded, monkeypatch):
 @pytest.fixture(scope="module")
 def small_fit():
     stand, _ = measured_stand(read_points(DATA / "cells.csv"), "cells")
-    return fit_stand(stand, Settings(seed=3, stands=40))
+    return fit_stand(stand, seed=3, stands=40)
 
 
 def test_a_fit_brings_new_stands_nearer(small_fit):
@@ -324,7 +324,7 @@ def test_the_cells_lie_within_the_envelopes_and_not_within_those_of_random_stand
 
 
 def test_the_same_stand_and_seed_give_the_same_recipe(small_fit):
-    fits = [fit_stand(small_fit.stand, Settings(seed=seed, stands=6, founders=False)) for seed in (3, 3, 4)]
+    fits = [fit_stand(small_fit.stand, seed=seed, stands=6, founders=False) for seed in (3, 3, 4)]
     text = [recipe_text(one, {"poplar": "poplar"}, "cells.csv") for one in fits]
     assert text[0] == text[1]
     assert text[0].split("kernels")[-1] != text[2].split("kernels")[-1]
@@ -346,7 +346,7 @@ def test_species_of_the_library_keep_their_names():
 def test_reference_stands_lie_within_the_envelopes(name, nearest):
     """Pairs, and nearest neighbours about as often as those of a perfect model are (docs/fitting.md)."""
     stand, _ = measured_stand(read_points(DATA / f"{name}.csv"), name)
-    fit = fit_stand(stand, Settings(checks=20))
+    fit = fit_stand(stand, checks=20)
     assert fit.held("K") >= 17
     assert fit.held("G") >= nearest
     assert not any(one.left.any() for one in fit.checks[0] if one.name == "K")
@@ -361,7 +361,7 @@ def test_a_known_kernel_is_found_again():
     nursery = Nursery(blank, 128)
     first = nursery.grow([[known]], 11, 0)
     stand = stand_of(first.placed_m, (16.0, 16.0))
-    fit = fit_stand(stand, Settings())
+    fit = fit_stand(stand)
     functions = functions_for(stand)
     effect = [
         np.array([functions.of(one.placed_m, one.species) for one in (nursery.grow(kernels, 12, k) for k in range(60))])
@@ -380,7 +380,7 @@ def test_attraction_and_repulsion_between_species_are_found():
         blank = stand_of(np.zeros((120, 2)), (50.0, 40.0), rng.permutation(np.arange(120) % 2), ("spruce", "birch"))
         new = Nursery(blank, 150).grow([[spruce, across], [across, birch]], 1, 0)
         stand = replace(blank, position_m=new.placed_m, species=new.species)
-        fit = fit_stand(stand, Settings(stands=80))
+        fit = fit_stand(stand, stands=80)
         near = fit.kernels[0][1](np.linspace(1.0, 4.0, 61), 1.0)
         assert sign * math.log(near.mean()) > 0.3
         assert float(fit.kernels[0][0](np.array(1.0), 1.0)) < 0.3

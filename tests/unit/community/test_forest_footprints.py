@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scipy.stats import binom, kstest, poisson
 
+from forestgen.community.competition.domination import dominated
 from forestgen.community.disturbance import Planting
 from forestgen.community.model import Site, simulate
-from forestgen.community.models.forest_footprints import MODEL, Plants, State, dominated_by_vigour, survivors
+from forestgen.community.models.forest_footprints import MODEL, Plants, State, survivors
 from forestgen.community.population import Status
 from forestgen.core.errors import ResourceError
 
@@ -78,7 +79,7 @@ def test_domination_is_that_of_all_pairs(seed, n, spread, periodic, ties, size):
     r = np.minimum(r, 100)
     vigour = rng.integers(0, 4, n).astype(float) if ties else rng.random(n)
     plant_id = rng.permutation(n).astype(np.uint32) + 1
-    ours = dominated_by_vigour(xy, r, vigour, plant_id, size, periodic=periodic)
+    ours = dominated(xy, r, plant_id, size, periodic=periodic, strength=vigour)
     np.testing.assert_array_equal(ours, brute_force(xy, r, vigour, plant_id, size, periodic))
 
 
