@@ -142,7 +142,7 @@ class Thomas(GriddedModel[ThomasParameters]):
         return _Clusters(density, n, parameters, site, rng).draw(n)
 
     def estimate_bytes(self, parameters: ThomasParameters, site: Site, species: Ecologies) -> int:
-        """Bytes for all plants, grids, parents and trials at once; wide clusters are refused: a plan asks this first."""
+        """Bytes for all plants, grids, parents and trials; a plan asks this first, so that wide clusters are refused."""
         widest = max(site.size_m)
         if parameters.sigma_m is not None and parameters.sigma_m > widest:
             raise RecipeError(
