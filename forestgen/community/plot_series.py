@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.clouds.source import WeatherReport
 from forestgen.atmosphere.extinction import droplet_extinction, rain_extinction
 from forestgen.community.model import Site
-from forestgen.community.plots import colours_of, darker, new_figure, save_figure, tidy
+from forestgen.community.plots import colours_of, darker, draw_discs, new_figure, save_figure, tidy
 from forestgen.community.population import Floats, Population, Status, plant_mass
 from forestgen.community.trajectory import Slope, Trajectory, fit_log_normal
 
@@ -315,18 +315,11 @@ def _draw_soil(figure: Any, last: Population, site: Site, colours: Mapping[str, 
 
 def _draw_crowns(axes: Axes, last: Population, colours: Mapping[str, str]) -> None:
     """Outlines, through which the ground shows; they thin out where plants are many."""
-    from matplotlib.collections import EllipseCollection
-
     alive = np.flatnonzero(last.status != Status.DEAD)
-    edges = np.array([darker(colours[name]) for name in last.species_names]).reshape(-1, 3)
-    across = 2 * last.radius_m[alive]
-    axes.add_collection(
-        EllipseCollection(
-            across, across, np.zeros(len(alive)), units="xy", offsets=last.position_m[alive, :2],
-            offset_transform=axes.transData, facecolors="none", edgecolors=edges[last.species[alive]],
-            linewidths=float(np.clip(30 / math.sqrt(max(len(alive), 1)), 0.25, 1.4)),
-        )
-    )  # fmt: skip
+    edges = np.array([darker(colours[name]) for name in last.species_names]).reshape(-1, 3)[last.species[alive]]
+    thick = float(np.clip(30 / math.sqrt(max(len(alive), 1)), 0.25, 1.4))
+    outline = {"facecolors": "none", "edgecolors": edges, "linewidths": thick}
+    draw_discs(axes, last.position_m[alive, :2], last.radius_m[alive], **outline)
 
 
 def plot_weather(reports: Sequence[WeatherReport], path: Path) -> None:

@@ -94,7 +94,6 @@ def tidy(axes: Axes, grid: Literal["both", "y"] = "both") -> None:
 
 def _draw_circles(axes: Axes, population: Population, site: Site, colours: Mapping[str, str], repeat: bool) -> None:
     """Small circles above large ones, so that none is hidden; with `repeat`, also those that reach over an edge."""
-    from matplotlib.collections import EllipseCollection
     from matplotlib.colors import to_rgba
 
     alive = np.flatnonzero(population.status != Status.DEAD)
@@ -115,13 +114,17 @@ def _draw_circles(axes: Axes, population: Population, site: Site, colours: Mappi
     pick, where = np.concatenate(index), np.concatenate(offsets)
     drawn = np.argsort(pick, kind="stable")
     pick, where = pick[drawn], where[drawn]
-    axes.add_collection(
-        EllipseCollection(
-            2 * shown[pick], 2 * shown[pick], np.zeros(len(pick)), units="xy",
-            offsets=where, offset_transform=axes.transData, facecolors=fill[pick], edgecolors=edge[pick],
-            linewidths=np.minimum(_EDGE_PT, _EDGE_SHARE * shown[pick] * _points_per_m(site)),
-        )
-    )  # fmt: skip
+    thick = np.minimum(_EDGE_PT, _EDGE_SHARE * shown[pick] * _points_per_m(site))
+    draw_discs(axes, where, shown[pick], facecolors=fill[pick], edgecolors=edge[pick], linewidths=thick)
+
+
+def draw_discs(axes: Axes, centre_m: Floats, radius_m: Floats, **style: Any) -> None:
+    """Circles to scale, (N, 2) centres and (N,) radii in metres."""
+    from matplotlib.collections import EllipseCollection
+
+    across, level = 2 * radius_m, np.zeros(len(radius_m))
+    places: dict[str, Any] = {"units": "xy", "offsets": centre_m, "offset_transform": axes.transData}
+    axes.add_collection(EllipseCollection(across, across, level, **places, **style))
 
 
 def _points_per_m(site: Site) -> float:

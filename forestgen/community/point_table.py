@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -115,7 +115,7 @@ def _parse(
 ) -> tuple[Floats, NDArray[np.int64], list[str], dict[str, list[str]]]:
     """Points, their lines' numbers, the comments that may state a window, and the columns of marks."""
     values, rows, comments = array("d"), array("q"), list[str]()
-    columns: list[str] = []
+    columns: list[str] = []  # by the header, if there is one
     marked: dict[str, list[str]] = {}
     for number, line in _lines(path, file):
         if line.startswith("#"):
@@ -123,14 +123,13 @@ def _parse(
                 comments.append(line)
             continue
         cells = [one.strip().strip('"') for one in line.split(",")]
-        if not columns and not rows and _is_header(cells, marks):
-            columns = [one.lower() for one in cells]
-            marked = {name: [] for name in columns if name not in ("x", "y")}
+        names = [one.lower() for one in cells]
+        if not columns and not rows and _is_header(names, marks):
+            columns, marked = names, {name: [] for name in names if name not in ("x", "y")}
             continue
-        where = f"{path}:{number}"
-        if marked:
-            cells = _unmarked(where, line, cells, columns, marked)
-        values.extend(_point(where, line, cells, marks and not columns))
+        if len(cells) != len(columns or "xy"):
+            raise _wrong_number(f"{path}:{number}", line, cells, columns, marks)
+        values.extend(_point(f"{path}:{number}", line, dict(zip(columns or "xy", cells, strict=True)), marked))
         rows.append(number)
         if len(rows) > MOST_POINTS:
             expected, hint = f"at most {MOST_POINTS:,}", "take a part of the window"
@@ -138,35 +137,48 @@ def _parse(
     return np.array(values).reshape(-1, 2), np.array(rows, dtype=np.int64), comments, marked
 
 
-def _is_header(cells: list[str], marks: bool) -> bool:
-    names = [one.lower() for one in cells]
+def _is_header(names: list[str], marks: bool) -> bool:
     if not marks:
         return names == ["x", "y"]
     return {"x", "y"} <= set(names) <= {"x", "y", "species", "radius_m"} and len(set(names)) == len(names)
 
 
-def _unmarked(where: str, line: str, cells: list[str], columns: list[str], marked: dict[str, list[str]]) -> list[str]:
+def _wrong_number(where: str, line: str, cells: list[str], columns: list[str], marks: bool) -> AssetError:
+    """The error of a row with more or fewer columns than expected."""
+    expected = f"the header's columns, {','.join(columns)}" if len(columns) > 2 else _EXPECTED
+    hint = "separate the columns by commas" if len(cells) == 1 else "keep x and y only, with points for decimals"
+    if marks and not columns and len(cells) > 2:
+        hint = "name the columns in the first line: x,y,species or x,y,species,radius_m; no other is known"
+    got = f"{count(len(cells), 'column')}: {_short(line)}"
+    return AssetError("this is no point", where=where, expected=expected, got=got, hint=hint)
+
+
+def _point(where: str, line: str, row: Mapping[str, str], marked: Mapping[str, list[str]]) -> tuple[float, float]:
     """A row's x and y; its marks go to their columns."""
-    expected = f"the header's columns, {','.join(columns)}"
-    if len(cells) != len(columns):
-        got = f"{count(len(cells), 'column')}: {_short(line)}"
-        raise AssetError("this is no plant", where=where, expected=expected, got=got)
-    row = dict(zip(columns, cells, strict=True))
     for name, values in marked.items():
-        if name == "radius_m" and not _is_radius(row[name]):
+        radius = _number(row[name]) if name == "radius_m" else None
+        if name == "radius_m" and not (radius is not None and 0 < radius <= 1000):
             expected = "metres, above 0 and up to 1000"
             raise AssetError("this is no radius", where=where, expected=expected, got=_short(row[name]))
         if not row[name]:
+            expected = f"the header's columns, {','.join(row)}"
             raise AssetError("a plant without a species", where=where, expected=expected, got=_short(line))
         values.append(row[name])
-    return [row["x"], row["y"]]
+    x, y = _number(row["x"]), _number(row["y"])
+    if x is None or y is None:
+        expected = f"two numbers: {_EXPECTED}"
+        raise AssetError("this is no point", where=where, expected=expected, got=_short(line))
+    if not (abs(x) < 1e15 and abs(y) < 1e15):
+        expected, hint = "finite coordinates in metres", "leave out plants without a position"
+        raise AssetError("this is no point", where=where, expected=expected, got=_short(line), hint=hint)
+    return x, y
 
 
-def _is_radius(text: str) -> bool:
+def _number(text: str) -> float | None:
     try:
-        return "_" not in text and 0 < float(text) <= 1000
+        return float(text) if "_" not in text else None
     except ValueError:
-        return False
+        return None
 
 
 def _lines(path: Path, file: BinaryIO) -> Iterator[tuple[int, str]]:
@@ -184,26 +196,6 @@ def _lines(path: Path, file: BinaryIO) -> Iterator[tuple[int, str]]:
             raise AssetError("not a text file", where=f"{path}:{number}", expected=f"a CSV file: {_EXPECTED}", got=got)
         if text:
             yield number, text
-
-
-def _point(where: str, line: str, cells: list[str], marks: bool) -> tuple[float, float]:
-    if len(cells) != 2:
-        got = f"{count(len(cells), 'column')}: {_short(line)}"
-        hint = "separate the columns by commas" if len(cells) == 1 else "keep x and y only, with points for decimals"
-        if marks and len(cells) > 2:
-            hint = "name the columns in the first line: x,y,species or x,y,species,radius_m; no other is known"
-        raise AssetError("this is no point", where=where, expected=_EXPECTED, got=got, hint=hint)
-    try:
-        if "_" in line:
-            raise ValueError
-        x, y = float(cells[0]), float(cells[1])
-    except ValueError:
-        expected = f"two numbers: {_EXPECTED}"
-        raise AssetError("this is no point", where=where, expected=expected, got=_short(line)) from None
-    if not (abs(x) < 1e15 and abs(y) < 1e15):
-        expected, hint = "finite coordinates in metres", "leave out plants without a position"
-        raise AssetError("this is no point", where=where, expected=expected, got=_short(line), hint=hint)
-    return x, y
 
 
 def _short(text: str) -> str:

@@ -12,11 +12,8 @@ There are no parameters. Heights and species have no influence. A dominated circ
 Decided where the thesis is silent: of two equal circles the one with the higher plant_id, the later born, is
 dominated, so that the answer depends neither on the order of rows nor on rounding.
 
-Method: the neighbour grid. The circle of highest rank (radius, then age) comes first in its cell. In a crowded cell a
-few circles of high rank are separated from the circles that none of them intersects; only if many circles remain, the
-cell is sorted by rank. The search for a circle ends at the first circle that dominates it. This is fast for few
-circles and for circles with much overlap. It is slowest for many circles in one cell that are much smaller than the
-cell and do not intersect. The decision is that of float64.
+Method: the neighbour grid. The circle of highest rank (radius, then age) comes first in its cell; a crowded cell is
+sorted by rank. The search for a circle ends at the first circle that dominates it. The decision is that of float64.
 """
 
 from __future__ import annotations
@@ -32,7 +29,6 @@ from forestgen.core.threads import parallel_for
 from forestgen.recipe.fields import Section
 
 _CROWD = 64  # members
-_CHAMPIONS = 8
 
 
 class DominationParameters(Section):
@@ -75,29 +71,17 @@ def _sort(low, size, entry, strength, circle, plant_id):  # type: ignore[no-unty
 
 @compiled
 def _rank(first, end, g, strength, plant_id, ranked):  # type: ignore[no-untyped-def]
-    """Bring champions of each cell to its front: its member of highest rank, of a crowd then the highest of the rest.
-
-    The rest are those that no champion meets. Where many are left after a few champions, the cell is put in order.
-    """
-    circle, entry, start, size_m, periodic = g.circle, g.entry, g.start, g.size_m, g.periodic
+    """Bring each cell's member of highest rank to its front; put the cells of a crowd in order of rank."""
+    circle, entry, start = g.circle, g.entry, g.start
     for c in range(first, end):
-        low, rest = np.int64(start[c]), np.int64(start[c + 1])
-        for place in range(low, min(low + _CHAMPIONS, rest)):
-            for k in range(place + 1, rest):
-                if _beats(entry[k], entry[place], strength, circle, plant_id):
-                    entry[place], entry[k] = entry[k], entry[place]
-            if rest - low <= _CROWD:
-                break
-            k = place + 1
-            while k < rest:
-                if _meets(entry[place], entry[k], circle, size_m, periodic):
-                    rest -= 1
-                    entry[k], entry[rest] = entry[rest], entry[k]
-                else:
-                    k += 1
-        if rest - low > _CROWD:
-            _sort(low, np.int64(start[c + 1]) - low, entry, strength, circle, plant_id)
-            ranked[c] = True
+        low, size = np.int64(start[c]), np.int64(start[c + 1]) - np.int64(start[c])
+        ranked[c] = size > _CROWD
+        if ranked[c]:
+            _sort(low, size, entry, strength, circle, plant_id)
+            continue
+        for k in range(low + 1, low + size):
+            if _beats(entry[k], entry[low], strength, circle, plant_id):
+                entry[low], entry[k] = entry[k], entry[low]
 
 
 @compiled

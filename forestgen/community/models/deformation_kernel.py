@@ -127,7 +127,7 @@ from forestgen.community.placement.kernels import (
     KernelSection,
     KernelTable,
     kernel_matrix,
-    kernel_work,
+    refuse_long_work,
     species_named,
 )
 from forestgen.community.placement.model import (
@@ -310,12 +310,12 @@ def _check_work(
         if count:
             sizes = sizes_of(parameters.plants[one.name].radius_m, one)
             acting[one.name] = (count, min(sizes.median * math.exp(sizes.sigma**2), one.max_radius_m))  # mean square
-    kernel_work(parameters.kernels, site, acting, dict.fromkeys(fields, cells)).refuse_over(
-        _MOST_CHANGES,
+    words = (
         "changes of cells by all plants, about a minute's work",
         f"{sum(count for count, _ in acting.values()):,} plants on a grid of {cells:,} cells",
         "fewer plants, or a smaller community.cells",
     )
+    refuse_long_work(parameters.kernels, site, acting, dict.fromkeys(fields, cells), _MOST_CHANGES, words)
 
 
 def _found(

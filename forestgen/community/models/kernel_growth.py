@@ -104,7 +104,7 @@ from forestgen.community.placement.kernels import (
     KernelSection,
     each_kernel,
     kernel_matrix,
-    kernel_work,
+    refuse_long_work,
     species_named,
 )
 from forestgen.community.population import Floats, Population
@@ -315,12 +315,12 @@ def _check_work(parameters: KernelGrowthParameters, site: Site, species: Ecologi
     plants = parameters.initial_plants_per_ha * site.area_ha / max(1, len(species))
     acting = {one.name: (plants, one.seedling_radius_m) for one in species}
     if plants:
-        kernel_work(parameters.kernels, site, acting, dict.fromkeys(acting, plants)).refuse_over(
-            _MOST_PAIRS,
+        words = (
             "pairs of the first plants, about 20 s a step",
             f"initial_plants_per_ha is {parameters.initial_plants_per_ha:g}",
             "or fewer initial_plants_per_ha",
         )
+        refuse_long_work(parameters.kernels, site, acting, dict.fromkeys(acting, plants), _MOST_PAIRS, words)
 
 
 def _bare(parameters: KernelGrowthParameters, site: Site, species: Ecologies, seed: int) -> State:

@@ -142,7 +142,7 @@ class Thomas(GriddedModel[ThomasParameters]):
         return _Clusters(density, n, parameters, site, rng).draw(n)
 
     def estimate_bytes(self, parameters: ThomasParameters, site: Site, species: Ecologies) -> int:
-        """Bytes for all plants, grids, parents and trials; a plan asks this first, so that wide clusters are refused."""
+        """Bytes for all plants, grids, parents and trials; asked first, it refuses clusters wider than the site."""
         widest = max(site.size_m)
         if parameters.sigma_m is not None and parameters.sigma_m > widest:
             raise RecipeError(

@@ -18,6 +18,7 @@ Lane 2002, section 5.1, Figures 5.1, 5.2, 5.4 and 5.7.
 from __future__ import annotations
 
 import difflib
+import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -274,50 +275,36 @@ def kernel_matrix(
     return [[NEUTRAL if one is None else table(one[1]) for one in row] for row in found]
 
 
-@dataclass(frozen=True)
-class KernelWork:
-    """What the kernels of a recipe cost, and the one that costs most."""
-
-    total: float = 0.0
-    most: float = 0.0
-    keys: Keys = ()  # of that kernel within community.kernels
-    reach_m: float = 0.0
-    plants: float = 0.0  # that act by it
-
-    def refuse_over(self, most: float, expected: str, got: str, hint: str) -> None:
-        """Raise `RecipeError` for more than `most`, at the kernel that costs most."""
-        if self.total > most:
-            raise RecipeError(
-                f"this would take too long: plants act by this kernel at up to {self.reach_m:.3g} m",
-                where=dotted(("community", "kernels", *self.keys)),
-                expected=f"at most {most:.0e} {expected}",
-                got=f"{self.total:.1e}: {got}",
-                hint=f"a shorter reach, {hint}",
-            )
-
-
-def kernel_work(
-    kernels: object, site: Site, acting: Mapping[str, tuple[float, float]], affected: Mapping[str, float]
-) -> KernelWork:
-    """Sum over plants that act and what they affect within reach.
+def refuse_long_work(
+    kernels: object,
+    site: Site,
+    acting: Mapping[str, tuple[float, float]],
+    affected: Mapping[str, float],
+    most: float,
+    words: tuple[str, str, str],
+) -> None:
+    """Raise `RecipeError`, at the kernel that costs most, for more than `most` of what plants affect within reach.
 
     `acting` is by species the number of plants, and their radius in metres; `affected` is by species what there is of
-    it on the whole site, such as cells or plants.
+    it on the whole site, such as cells or plants. `words` say what is at most expected, what is got, and what helps.
     """
-    total, most = 0.0, KernelWork()
-    for actor, (plants, radius_m) in acting.items():
-        for other, there in affected.items():
-            found = _effect(kernels, actor, other)
-            if found is None or plants * there == 0.0:
-                continue
+    costs = []
+    for (actor, (plants, radius_m)), (other, there) in itertools.product(acting.items(), affected.items()):
+        found = _effect(kernels, actor, other)
+        if found is not None and plants * there > 0.0:
             keys, section = found
-            kernel = table(section)
-            reach_m = 0.0 if kernel.is_neutral else float(kernel.reach_m(radius_m))
-            cost = plants * there * min(1.0, math.pi * reach_m**2 / site.area_m2)
-            total += cost
-            if cost > most.most:
-                most = KernelWork(total, cost, keys, reach_m, plants)
-    return KernelWork(total, most.most, most.keys, most.reach_m, most.plants)
+            reach_m = 0.0 if table(section).is_neutral else float(table(section).reach_m(radius_m))
+            costs.append((plants * there * min(1.0, math.pi * reach_m**2 / site.area_m2), reach_m, keys))
+    total, (expected, got, hint) = sum(cost for cost, _, _ in costs), words
+    if total > most:
+        _, reach_m, keys = max(costs, key=lambda one: one[0])
+        raise RecipeError(
+            f"this would take too long: plants act by this kernel at up to {reach_m:.3g} m",
+            where=dotted(("community", "kernels", *keys)),
+            expected=f"at most {most:.0e} {expected}",
+            got=f"{total:.1e}: {got}",
+            hint=f"a shorter reach, {hint}",
+        )
 
 
 def _effect(kernels: object, acting: str, affected: str) -> tuple[Keys, KernelSection] | None:

@@ -10,7 +10,7 @@ from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.models.deformation_kernel import MODEL as DEFORMATION
 from forestgen.community.models.kernel_growth import MODEL as GROWTH
-from forestgen.community.placement.kernels import KernelSection, kernel_work
+from forestgen.community.placement.kernels import KernelSection, refuse_long_work
 from forestgen.core.errors import RecipeError
 
 SITE = Site((50.0, 50.0))
@@ -53,6 +53,9 @@ def test_a_first_cohort_that_competes_across_the_site_is_refused():
 
 def test_work_is_the_area_within_reach():
     kernel = KernelSection(curve=[[0, 0], [2, 1]])
-    work = kernel_work({"a": kernel}, SITE, {"a": (10, 1.5), "b": (10, 1.5)}, {"a": 2500.0, "b": 2500.0})
-    assert work.total == pytest.approx(2 * 10 * 3.14159 * 3.0**2, rel=1e-4)  # cells of 1 m, two fields
-    assert work.keys == ("a",)
+    cells, words = 2 * 10 * 3.14159 * 3.0**2, ("", "", "")  # of 1 m, two fields
+    acting, affected = {"a": (10, 1.5), "b": (10, 1.5)}, {"a": 2500.0, "b": 2500.0}
+    refuse_long_work({"a": kernel}, SITE, acting, affected, cells * 1.001, words)
+    with pytest.raises(RecipeError) as caught:
+        refuse_long_work({"a": kernel}, SITE, acting, affected, cells * 0.999, words)
+    assert caught.value.where == "community.kernels.a"
