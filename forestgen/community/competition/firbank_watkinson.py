@@ -19,8 +19,8 @@ taller, and d = 0.9 unless said otherwise. A circle that a small torus lets over
 that the zones still sum to the union.
 
 Method, exact but for rounding: w is constant between arcs, so by Green's theorem z_i is a sum over the arcs in and on
-circle i, each times the jump of w across it. One walk round every circle, with the set of circles that cover the place,
-serves all of them. Time goes with the number of crossings times the depth of the overlap.
+circle i, each times the jump of w across it. One walk round every circle, with the set of circles that cover each arc,
+serves all of them. Time goes with the square of the number of circles that a circle meets.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def _enlist(table, m, dx, dy, r, s, rank, other_rank, j, same):  # type: ignore[
     """Append a neighbour to row `m` of the table if its disc covers some of the edge; table and number of rows.
 
     A row: the centre dx, dy from that of the circle walked round, radius, rank by height, index in the grid, and the
-    angles between which the disc covers the circle's edge.
+    angle about which the disc covers the circle's edge, as far as so many radians to either side.
     """
     d = sqrt(dx * dx + dy * dy)
     how = _covers(d, r, s, rank, other_rank, same)
@@ -78,7 +78,7 @@ def _enlist(table, m, dx, dy, r, s, rank, other_rank, j, same):  # type: ignore[
         middle = atan2(dy, dx)
         half = acos(min(max((d * d + (r - s) * (r + s)) / (2 * d * r), -1.0), 1.0))
     table[m, 0], table[m, 1], table[m, 2], table[m, 3], table[m, 4] = dx, dy, s, other_rank, j
-    table[m, 5], table[m, 6] = middle - half, middle + half
+    table[m, 5], table[m, 6] = middle, half
     return table, m + 1
 
 
@@ -119,30 +119,24 @@ def _taller(e, f, table):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _insert(e, over, depth, table):  # type: ignore[no-untyped-def]
-    """Put neighbour `e` into its place among the `depth` first of `over`, the tallest first."""
-    k = depth
-    while k > 0 and _taller(e, over[k - 1], table):
-        over[k] = over[k - 1]
-        k -= 1
-    over[k] = e
-
-
-@compiled
-def _remove(e, over, depth):  # type: ignore[no-untyped-def]
-    """Take neighbour `e` out of the `depth` first of `over`."""
-    k = 0
-    while over[k] != e:
-        k += 1
-    for later in range(k, depth - 1):
-        over[later] = over[later + 1]
+def _cover(at, m, table, over):  # type: ignore[no-untyped-def]
+    """Set the first of `over` to the neighbours that cover the edge at an angle, the tallest first; their number."""
+    depth = 0
+    for e in range(1, m):
+        apart = abs(at - table[e, 5])
+        if min(apart, 2 * pi - apart) <= table[e, 6]:
+            k = depth
+            while k > 0 and _taller(e, over[k - 1], table):
+                over[k] = over[k - 1]
+                k -= 1
+            over[k] = e
+            depth += 1
+    return depth
 
 
 @compiled
 def _add_arc(a, b, over, depth, table, d, zone):  # type: ignore[no-untyped-def]
     """Add to every zone what the arc from angle `a` to `b` of circle 0 of the table bounds of it."""
-    if b <= a:
-        return
     r = table[0, 2]
     turn, right, up = b - a, sin(b) - sin(a), cos(a) - cos(b)
     left = 1.0  # of the ground, after those taller than the k-th have taken theirs
@@ -163,30 +157,15 @@ def _add_arc(a, b, over, depth, table, d, zone):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _events(m, table, angle, who, over):  # type: ignore[no-untyped-def]
-    """Angles at which discs begin (who = e) and end (who = -e) to cover the edge; their number, and the depth at -pi.
-
-    `over` gets the discs that cover the place at angle -pi.
-    """
-    count, depth = 0, 0
+def _ends(m, table, angle):  # type: ignore[no-untyped-def]
+    """Set the first of `angle` to where discs begin and end to cover the edge; their number."""
+    count = 0
     for e in range(1, m):
-        a, b = table[e, 5], table[e, 6]
-        whole = b - a >= 2 * pi
-        if not whole and b <= a:
-            continue
-        across = a < -pi or b > pi
-        if a < -pi:
-            a += 2 * pi
-        elif b > pi:
-            b -= 2 * pi
-        whole = whole or (across and b >= a)
-        if whole or across:
-            _insert(e, over, depth, table)
-            depth += 1
-        if not whole:
-            angle[count], who[count], angle[count + 1], who[count + 1] = a, e, b, -e
-            count += 2
-    return count, depth
+        if 0 < table[e, 6] < pi:
+            for end in (table[e, 5] - table[e, 6], table[e, 5] + table[e, 6]):
+                angle[count] = end + 2 * pi if end < -pi else (end - 2 * pi if end > pi else end)
+                count += 1
+    return count
 
 
 @compiled
@@ -194,24 +173,17 @@ def _walk(g, rank, d, zone):  # type: ignore[no-untyped-def]
     """Walk round every circle and add up the zones, (N,) in the order of the grid."""
     circle, entry, start, n, per_m, size_m, periodic = g
     table = np.empty((64, 7))
-    angle, who, over = np.empty(128), np.empty(128, dtype=np.int64), np.empty(64, dtype=np.int64)
+    angle, over = np.empty(129), np.empty(64, dtype=np.int64)
     for i in range(len(circle)):
         table, m = _neighbours(i, circle, entry, start, n, per_m, size_m, periodic, rank, table)
         if len(over) < len(table):
-            angle, who = np.empty(2 * len(table)), np.empty(2 * len(table), dtype=np.int64)
-            over = np.empty(len(table), dtype=np.int64)
-        count, depth = _events(m, table, angle, who, over)
-        at = -pi
-        for k in np.argsort(angle[:count]):
-            _add_arc(at, angle[k], over, depth, table, d, zone)
-            at = max(at, angle[k])
-            if who[k] > 0:
-                _insert(who[k], over, depth, table)
-                depth += 1
-            else:
-                _remove(-who[k], over, depth)
-                depth -= 1
-        _add_arc(at, pi, over, depth, table, d, zone)
+            angle, over = np.empty(2 * len(table) + 1), np.empty(len(table), dtype=np.int64)
+        count = _ends(m, table, angle)
+        angle[count], at = pi, -pi
+        for end in np.sort(angle[: count + 1]):
+            if end > at:
+                _add_arc(at, end, over, _cover((at + end) / 2, m, table, over), table, d, zone)
+                at = end
 
 
 class FirbankWatkinson:

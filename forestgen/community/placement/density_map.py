@@ -56,11 +56,7 @@ _grids: BoundedCache[Floats] = BoundedCache(200_000_000, lambda one: one.nbytes)
 
 
 def resample(
-    stored: NDArray[Any],
-    values_of: Callable[[NDArray[Any]], Floats],
-    shape: tuple[int, int],
-    *,
-    smooth: bool,
+    stored: NDArray[Any], values_of: Callable[[NDArray[Any]], Floats], shape: tuple[int, int], *, smooth: bool
 ) -> Floats:
     """(rows, cols) float64 means in the cells of a grid of `shape`, of the same mean as the pixels.
 

@@ -83,11 +83,7 @@ class Lattice:
 
 
 def lattice(
-    parameters: PlacementParameters,
-    site: Site,
-    species: Ecologies,
-    shape: tuple[int, int],
-    jitter: float,
+    parameters: PlacementParameters, site: Site, species: Ecologies, shape: tuple[int, int], jitter: float
 ) -> Lattice:
     """The lattice of rows and columns whose boxes are `jitter` (0 to 1) of a cell wide.
 

@@ -256,12 +256,7 @@ class PlacementModel(StaticModel[P]):
         return placement_of(parameters, site, species, wanted, position_m, why)
 
     def positions(
-        self,
-        parameters: P,
-        site: Site,
-        species: Ecologies,
-        wanted: PlantingTargets,
-        rng: np.random.Generator,
+        self, parameters: P, site: Site, species: Ecologies, wanted: PlantingTargets, rng: np.random.Generator
     ) -> tuple[Floats, str]:
         """(N, 2) places of the plants, metres, nan where there is none; and why. Here species do not see each other."""
         position_m = np.full((len(wanted.sp), 2), np.nan)
