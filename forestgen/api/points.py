@@ -125,7 +125,7 @@ def fit_kernel(
     from forestgen.community.fitting.fit import fit_stand
     from forestgen.community.fitting.report import recipe_text, species_sources
     from forestgen.community.fitting.stand import measured_stand
-    from forestgen.community.point_table import read_points
+    from forestgen.community.point_statistics import read_points
 
     source = path_of(points, "points")
     files = None if out is None else fit_files(path_of(out, "out", output=True))

@@ -13,7 +13,7 @@ from forestgen.community.model import Site
 from forestgen.community.placement.densities import grid_shape
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import KernelTable
-from forestgen.community.point_table import PointTable
+from forestgen.community.point_statistics import PointTable
 from forestgen.community.population import Floats
 from forestgen.core.errors import AssetError, ResourceError
 from forestgen.core.randomness import child_rng

@@ -15,7 +15,7 @@ from forestgen.cli import app
 from forestgen.cli.parsing import join_numbers
 from forestgen.community import point_statistics
 from forestgen.community.point_patterns import Window, measure_distances
-from forestgen.community.point_table import read_points
+from forestgen.community.point_statistics import read_points
 from forestgen.core.randomness import child_rng
 
 DATA = Path(__file__).parents[1] / "community" / "data"

@@ -27,7 +27,7 @@ from forestgen.community.fitting.summaries import STANDS, cross_k, envelopes, fu
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelSection, KernelTable, table
 from forestgen.community.point_patterns import Window, ripley_k
-from forestgen.community.point_table import read_points
+from forestgen.community.point_statistics import read_points
 from forestgen.core.randomness import child_rng
 
 DATA = Path(__file__).parent / "data"

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from forestgen.community import point_table
+from forestgen.community import point_statistics
 from forestgen.community.point_patterns import Window
-from forestgen.community.point_table import read_points
+from forestgen.community.point_statistics import read_points
 from forestgen.core.errors import AssetError, ForestgenError, RecipeError, ResourceError
 
 DATA = Path(__file__).parent / "data"
@@ -148,7 +148,7 @@ def test_windows_that_are_refused_before_the_file_is_read(tmp_path, window):
 
 
 def test_too_many_points(table, monkeypatch):
-    monkeypatch.setattr(point_table, "MOST_POINTS", 100)
+    monkeypatch.setattr(point_statistics, "MOST_POINTS", 100)
     rows = "\n".join(f"{k},{k}" for k in range(101))
     with pytest.raises(ResourceError, match="at most 100"):
         table(rows)

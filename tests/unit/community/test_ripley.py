@@ -20,7 +20,7 @@ from forestgen.community.point_patterns import (
     ripley_bound,
     ripley_k,
 )
-from forestgen.community.point_table import read_points
+from forestgen.community.point_statistics import read_points
 
 DATA = Path(__file__).parent / "data"
 UNIT = Window(0.0, 1.0, 0.0, 1.0)
