@@ -38,8 +38,18 @@ from forestgen.community.fitting.likelihood import (
     roughness_penalty,
     score,
 )
-from forestgen.community.fitting.stand import MeasuredStand, NewStand, Nursery, fitting_cells
-from forestgen.community.fitting.summaries import Envelope, Summaries, envelopes, nearest_m, summaries_for, trend
+from forestgen.community.fitting.stand import (
+    Envelope,
+    MeasuredStand,
+    NewStand,
+    Nursery,
+    Summaries,
+    envelopes,
+    fitting_cells,
+    nearest_m,
+    summaries_for,
+    trend,
+)
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError

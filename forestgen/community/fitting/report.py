@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.fitting.fit import Fit
-from forestgen.community.fitting.stand import MeasuredStand
-from forestgen.community.fitting.summaries import RADII, STANDS, Envelope
+from forestgen.community.fitting.stand import RADII, STANDS, Envelope, MeasuredStand
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Floats
 from forestgen.core import __version__

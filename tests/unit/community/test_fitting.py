@@ -22,8 +22,17 @@ from forestgen.community.fitting.likelihood import (
     score,
 )
 from forestgen.community.fitting.report import recipe_text, species_sources
-from forestgen.community.fitting.stand import MeasuredStand, Nursery, measured_stand, rounding_m
-from forestgen.community.fitting.summaries import STANDS, cross_k, envelopes, functions_for, summaries_for
+from forestgen.community.fitting.stand import (
+    STANDS,
+    MeasuredStand,
+    Nursery,
+    cross_k,
+    envelopes,
+    functions_for,
+    measured_stand,
+    rounding_m,
+    summaries_for,
+)
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelSection, KernelTable, table
 from forestgen.community.point_patterns import Window, ripley_k
