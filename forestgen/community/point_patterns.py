@@ -14,9 +14,7 @@ These are spatstat's conventions (`Kest`). A random pattern has K = π r², L = 
 within the greatest radius, N * density * π r² of them, at about eight million a second; pairs are made in portions, so
 memory is that of a portion and of the points.
 
-References
-----------
-Ripley 1977, J. R. Stat. Soc. B 39. Baddeley, Rubak and Turner 2015, Spatial Point Patterns, ch. 7.
+Reference: Ripley 1977, J. R. Stat. Soc. B 39. Baddeley, Rubak and Turner 2015, Spatial Point Patterns, ch. 7.
 """
 
 from __future__ import annotations
@@ -176,9 +174,7 @@ def hopkins(distances: Distances) -> Estimate:
     distance from a point of the pattern to the nearest other one. Nothing corrects for edges: they lengthen both means
     alike. The error is that of the pattern as one of many of its kind. H is inf where every point has a twin.
 
-    References
-    ----------
-    Lane 2002, section 2.4 and Figure 2.3.
+    Reference: Lane 2002, section 2.4 and Figure 2.3.
     """
     window, points = (distances.from_window_m, distances.window_block), (distances.from_points_m, distances.point_block)
     return _ratio(window, points)
@@ -201,9 +197,8 @@ def hopkins_skellam(distances: Distances) -> Estimate:
     mean of as many random points as the pattern has, and A scatters with them. This is the mean of A over all such
     choices of points, which scatters no more. The error is that of the pattern as one of many of its kind.
 
-    References
-    ----------
-    Hopkins and Skellam 1954, Annals of Botany 18; `hopskel` in spatstat (Baddeley, Rubak and Turner 2015, ch. 8).
+    Reference: Hopkins and Skellam 1954, Annals of Botany 18; `hopskel` in spatstat (Baddeley, Rubak and Turner 2015,
+    ch. 8).
     """
     a2, b2 = distances.from_window_m**2, distances.from_points_m**2
     ratio = _ratio((b2, distances.point_block), (a2, distances.window_block))
@@ -231,9 +226,7 @@ def clark_evans(nearest_m: Floats, window: Window) -> Estimate:
     pattern. Edges lengthen distances, so a random pattern of few points has an R above 1. The error is that of a random
     pattern.
 
-    References
-    ----------
-    Clark and Evans 1954, Ecology 35.
+    Reference: Clark and Evans 1954, Ecology 35.
     """
     n = len(nearest_m)
     expected_m = 0.5 * math.sqrt(window.area_m2 / n)
@@ -243,9 +236,7 @@ def clark_evans(nearest_m: Floats, window: Window) -> Estimate:
 def clark_evans_donnelly(nearest_m: Floats, window: Window) -> Estimate:
     """`clark_evans` with Donnelly's correction for the edges of a rectangle; the error is that of a random pattern.
 
-    References
-    ----------
-    Donnelly 1978, in Simulation Methods in Archaeology (ed. Hodder), p. 91.
+    Reference: Donnelly 1978, in Simulation Methods in Archaeology (ed. Hodder), p. 91.
     """
     n, area, perimeter = len(nearest_m), window.area_m2, 2 * sum(window.size_m)
     expected_m = 0.5 * math.sqrt(area / n) + (0.0514 + 0.0412 / math.sqrt(n)) * perimeter / n
@@ -295,9 +286,7 @@ def besag_l(k_m2: Floats) -> Floats:
 def ripley_bound(n: int, window: Window) -> float:
     """The greatest |L(r) - r|, metres, of nineteen random patterns in twenty, over all radii that are not large.
 
-    References
-    ----------
-    Ripley 1979, J. R. Stat. Soc. B 41: 1.45 sqrt(|W|) / n.
+    Reference: Ripley 1979, J. R. Stat. Soc. B 41: 1.45 sqrt(|W|) / n.
     """
     return 1.45 * math.sqrt(window.area_m2) / n
 

@@ -34,10 +34,6 @@ _COMPUTE_WITH = ("numpy", "scipy", "numba", "pillow", "OpenEXR")
 Kept = TypeVar("Kept")
 
 
-class _UnknownError(TypeError):
-    """A value whose content cannot be hashed."""
-
-
 def snapshots(plan: CommunityPlan, progress: Progress, start: Population | None = None) -> Iterator[Population]:
     """The community at step 0, 1, ..., as the recipe asks; or from `start` on, a snapshot of the same simulation."""
     seed, first = plan.drawn.image_seed, 0 if start is None else start.step
@@ -74,19 +70,12 @@ def community_store() -> DiskCache | None:
 
 def community_key(plan: CommunityPlan) -> str | None:
     """Hash of everything that the community at the recipe's last step depends on; None if that cannot be hashed."""
+    about = (plan.parameters, plan.site, plan.ecologies, plan.steps, plan.drawn.image_seed)
     try:
-        content = (
-            type(plan.model).__module__,
-            type(plan.model).__qualname__,
-            _content(plan.parameters),
-            _content(plan.site),
-            _content(plan.ecologies),
-            plan.steps,
-            plan.drawn.image_seed,
-        )
-    except _UnknownError:
+        content = _content((type(plan.model).__module__, type(plan.model).__qualname__, *about))
+    except TypeError:
         return None
-    return hashlib.blake2b(repr((simulation_code(), content)).encode(), digest_size=20).hexdigest()
+    return hashlib.blake2b(simulation_code().encode() + content, digest_size=20).hexdigest()
 
 
 def simulation_code() -> str:
@@ -131,40 +120,32 @@ def as_kept(one: Kept) -> Kept:
     return one
 
 
-def _content(value: Any) -> Any:
+def _content(value: Any) -> bytes:
     """Plain and complete, for a hash: arrays and maps by their content.
 
-    Raises
-    ------
-    _UnknownError : it is, or holds, something without a content to hash, such as a function or a file without a hash.
+    Raises `TypeError` for what is, or holds, something without a content to hash, such as a function or a file without
+    a hash.
     """
+    return pack(_plain(value))
+
+
+def _plain(value: Any) -> Any:
+    """What `pack` knows: sections as their keys, mappings as pairs, whose order may count."""
     if isinstance(value, BaseModel):
-        return _content_of_section(value)
+        return type(value).__qualname__, _plain({**_keys_of(value), **(value.model_extra or {})})
     if is_dataclass(value) and not isinstance(value, type):
-        content = [(field.name, _content(getattr(value, field.name))) for field in fields(value)]
-        return type(value).__qualname__, *content
-    if isinstance(value, np.ndarray):
-        digest = hashlib.blake2b(np.ascontiguousarray(value).tobytes(), digest_size=20).hexdigest()
-        return value.dtype.str, value.shape, digest
+        return type(value).__qualname__, [(one.name, _plain(getattr(value, one.name))) for one in fields(value)]
     if isinstance(value, Mapping):
-        return "mapping", *((_content(key), _content(one)) for key, one in value.items())  # its order may count
-    if isinstance(value, list | tuple):
-        return "list", *(_content(one) for one in value)
-    if value is None or isinstance(value, bool | int | float | str):
-        return repr(value)
-    raise _UnknownError(type(value).__name__)
+        return "mapping", [(_plain(key), _plain(one)) for key, one in value.items()]
+    return [_plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-def _content_of_section(section: BaseModel) -> Any:
+def _keys_of(section: BaseModel) -> dict[str, Any]:
     """A section's keys. A map's file is excluded from what is dumped, for its SHA-256 identifies it."""
-    content = {}
-    for name, field in type(section).model_fields.items():
-        value = getattr(section, name)
-        if field.exclude and value is not None and getattr(section, "sha256", None) is None:
-            raise _UnknownError(name)
-        if not field.exclude:
-            content[name] = value
-    return type(section).__qualname__, _content({**content, **(section.model_extra or {})})
+    left_out = [name for name, field in type(section).model_fields.items() if field.exclude]
+    if getattr(section, "sha256", None) is None and any(getattr(section, name) is not None for name in left_out):
+        raise TypeError(f"{', '.join(left_out)} without a hash")
+    return {name: getattr(section, name) for name in type(section).model_fields if name not in left_out}
 
 
 def counts_of(population: Population) -> dict[str, int]:

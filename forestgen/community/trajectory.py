@@ -211,9 +211,7 @@ def fit_log_normal(size: Floats) -> LogNormalFit | None:
     The test is Anderson and Darling's, with Stephens' p-value for estimated parameters: Kolmogorov and Smirnov's own
     p-value would be far too large.
 
-    References
-    ----------
-    Stephens 1986, in D'Agostino and Stephens, Goodness-of-Fit Techniques, table 4.9.
+    Reference: Stephens 1986, in D'Agostino and Stephens, Goodness-of-Fit Techniques, table 4.9.
     """
     n = len(size)
     if n < _FEWEST_TO_FIT:
@@ -266,9 +264,7 @@ def self_thinning_slope(density: Floats, mean_mass: Floats, *, window: tuple[int
     -------
     None without a decline, or where fewer than 5 points lie in the window.
 
-    References
-    ----------
-    Yoda et al. 1963, J. Biol. Osaka City Univ. 14. Lane 2002, Figures 2.1 and 4.4.
+    Reference: Yoda et al. 1963, J. Biol. Osaka City Univ. 14. Lane 2002, Figures 2.1 and 4.4.
     """
     return _log_slope(density, mean_mass, window or thinning_window(density, mean_mass))
 
@@ -278,9 +274,7 @@ def reineke_slope(density: Floats, mean_diameter: Floats, *, window: tuple[int, 
 
     The window is that of `self_thinning_slope`. Circles of one shape that fill a constant share of the ground give -2.
 
-    References
-    ----------
-    Reineke 1933, J. Agric. Res. 46.
+    Reference: Reineke 1933, J. Agric. Res. 46.
     """
     return _log_slope(mean_diameter, density, window or thinning_window(density, mean_diameter))
 

@@ -40,8 +40,6 @@ class AikmanWatkinsonParameters(Section):
 
 
 class AikmanWatkinson:
-    """The competition model; see the module's page."""
-
     Parameters = AikmanWatkinsonParameters
     needs_heights = False
     bytes_per_circle = 48

@@ -18,10 +18,8 @@ P = TypeVar("P", bound=BaseModel)
 class Circles:
     """The plants of a community as a competition model sees them. All numbers are finite; no two rows share a plant_id.
 
-    References
-    ----------
-    B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, section 3.1: a plant's
-    ecological neighbourhood is a circle.
+    References: B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, section 3.1: a
+    plant's ecological neighbourhood is a circle.
     """
 
     position_m: Floats  # (N, 2) metres, world x and y

@@ -135,8 +135,6 @@ def dominated(
 
 
 class Domination:
-    """The competition model; see the module's page."""
-
     Parameters = DominationParameters
     needs_heights = False
     bytes_per_circle = 68  # tests measure it

@@ -187,8 +187,6 @@ def _walk(g, rank, d, zone):  # type: ignore[no-untyped-def]
 
 
 class FirbankWatkinson:
-    """The competition model; see the module's page."""
-
     Parameters = FirbankWatkinsonParameters
     needs_heights = True
     bytes_per_circle = 92

@@ -88,8 +88,6 @@ def _factors(first, end, g, height, tolerance, out):  # type: ignore[no-untyped-
 
 
 class LepsKindlmann:
-    """The competition model; see the module's page."""
-
     Parameters = LepsKindlmannParameters
     needs_heights = True
     bytes_per_circle = 64

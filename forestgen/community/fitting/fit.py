@@ -13,9 +13,7 @@ strongly that few stand elsewhere, and act on one another by a kernel of their o
 as founders. It is the sequential cousin of processes of parents and offspring; the parents are plants, too. Founders of
 the measured stand are unknown: new stands and the stand are compared as plants of one kind.
 
-References
-----------
-Neyman and Scott 1958, J. R. Stat. Soc. B 20, for parents and offspring.
+Reference: Neyman and Scott 1958, J. R. Stat. Soc. B 20, for parents and offspring.
 """
 
 from __future__ import annotations

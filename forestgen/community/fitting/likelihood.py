@@ -9,9 +9,7 @@ so the likelihood of a stand in a given order is a product of known numbers, and
 but for the sums, which makes the logarithm concave: there is one best kernel. The sums are kept over a grid and mended
 where a plant changes them, so that a stand costs N times the cells within reach of a plant.
 
-References
-----------
-Lane 2002, section 5.1, for the model. The likelihood is ours.
+Reference: Lane 2002, section 5.1, for the model. The likelihood is ours.
 """
 
 from __future__ import annotations

@@ -10,9 +10,8 @@ the greatest of 39 new stands.
 
 A perfect model is left now and then: at one radius by one stand in twenty, somewhere along a curve by more.
 
-References
-----------
-Ripley 1977, J. R. Stat. Soc. B 39. Baddeley, Rubak and Turner 2015, Spatial Point Patterns, sections 7.8 and 10.
+Reference: Ripley 1977, J. R. Stat. Soc. B 39. Baddeley, Rubak and Turner 2015, Spatial Point Patterns, sections 7.8 and
+10.
 """
 
 from __future__ import annotations

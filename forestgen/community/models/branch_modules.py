@@ -118,8 +118,6 @@ _MODULES_PER_M2 = 12.0  # more than the light on the ground feeds
 
 
 class BranchModules(ModuleCapabilities):
-    """The model; see the module's page."""
-
     Parameters = BranchModulesParameters
 
     def init(self, parameters: BranchModulesParameters, site: Site, species: Ecologies, seed: int) -> State:
@@ -134,7 +132,6 @@ class BranchModules(ModuleCapabilities):
         return step_forest(state)
 
     def population(self, state: State) -> Population:
-        """Snapshot; z is 0."""
         return population_of(state)
 
     def resume(
@@ -188,7 +185,6 @@ class BranchModules(ModuleCapabilities):
         return total * with_dead(parameters) + len(site.buildings)
 
     def empty_reason(self, parameters: BranchModulesParameters, site: Site, species: Ecologies) -> str | None:
-        """Why no plant can ever grow, or None if one may."""
         _refuse_without_modules(site, species)
         if _founders(parameters, species) > 0:
             return None

@@ -251,8 +251,6 @@ def _acting(
 
 
 class DeformationKernel(PlacementModel[DeformationKernelParameters]):
-    """The model; see the module's page."""
-
     Parameters = DeformationKernelParameters
     state_keys = ("clustering",)
 

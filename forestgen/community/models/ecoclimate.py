@@ -71,8 +71,6 @@ _MAPS = ("soil_water_mm", "surface_water_mm", "soil_mean_mm", "warmth_mean_k", "
 
 
 class EcoclimateModel(ModuleCapabilities):
-    """The model; see the module's page."""
-
     Parameters = EcoclimateParameters
 
     def init(self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int) -> Ecoclimate:
@@ -84,7 +82,6 @@ class EcoclimateModel(ModuleCapabilities):
         return step_ecoclimate(state)
 
     def population(self, state: Ecoclimate) -> Population:
-        """Snapshot; z is 0."""
         books, forest = state.books, FOREST.population(state.forest)
         water = {**vars(books), "stored_mm": state.stored_mm}
         maps = (
@@ -155,7 +152,6 @@ class EcoclimateModel(ModuleCapabilities):
         return total + most_seedlings(parameters, site) * with_dead(parameters) if arrive else total
 
     def empty_reason(self, parameters: EcoclimateParameters, site: Site, species: Ecologies) -> str | None:
-        """Why no plant can ever grow, or None if one may."""
         return None if _seeds_arrive(parameters) else FOREST.empty_reason(parameters, site, species)
 
     def estimate_bytes(self, parameters: EcoclimateParameters, site: Site, species: Ecologies) -> int:

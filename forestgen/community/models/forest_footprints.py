@@ -166,8 +166,6 @@ def survivors(state: State, u: Floats) -> Plants:
 
 
 class ForestFootprints:
-    """The model; see the module's page."""
-
     Parameters = FootprintParameters
 
     def init(self, parameters: FootprintParameters, site: Site, species: Ecologies, seed: int) -> State:
@@ -191,7 +189,6 @@ class ForestFootprints:
         return _competing(after, old.and_then(_saplings(after, sp, rng)))
 
     def population(self, state: State) -> Population:
-        """Snapshot; z is 0."""
         plants, species, parameters = state.plants, state.species, state.parameters
         largest = of_species(species, "max_radius_m")[plants.sp]
         size = [parameters.derivation_steps_of.get(one.name, parameters.derivation_steps) for one in species]
@@ -244,7 +241,6 @@ class ForestFootprints:
         return total
 
     def empty_reason(self, parameters: FootprintParameters, site: Site, species: Ecologies) -> str | None:
-        """Why no plant can ever grow, or None if one may."""
         if self.expected_plants(parameters, site, species) > 0:
             return None
         if parameters.steps == 0:

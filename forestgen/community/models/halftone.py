@@ -140,8 +140,6 @@ def _corrected(plants: NDArray[np.int64], expected: Floats, n: int, rng: np.rand
 
 
 class Halftone(PlacementModel[HalftoneParameters]):
-    """The model; see the module's page."""
-
     Parameters = HalftoneParameters
 
     def grid(self, parameters: HalftoneParameters, site: Site, name: str, n: int) -> tuple[int, int]:

@@ -135,8 +135,6 @@ def _grid(
 
 
 class HeightField(GriddedModel[HeightFieldParameters]):
-    """The model; see the module's page."""
-
     Parameters = HeightFieldParameters
     missing_reason = "the ground that suits them has no vertex left at this distance between trees"
 

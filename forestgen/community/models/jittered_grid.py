@@ -79,8 +79,6 @@ def _fine_enough(
 
 
 class JitteredGrid(PlacementModel[JitteredGridParameters]):
-    """The model; see the module's page."""
-
     Parameters = JitteredGridParameters
     missing_reason = "no cell is left where the map and the conditions allow one"
 

@@ -228,8 +228,6 @@ def _arrived(state: State, per_species: NDArray[np.int64], among: Plants, rng: n
 
 
 class KernelGrowth:
-    """The model; see the module's page."""
-
     Parameters = KernelGrowthParameters
 
     def init(self, parameters: KernelGrowthParameters, site: Site, species: Ecologies, seed: int) -> State:
@@ -249,7 +247,6 @@ class KernelGrowth:
         return _competing(after, old.and_then(new))
 
     def population(self, state: State) -> Population:
-        """Snapshot; z is 0."""
         plants, columns = state.plants, {"quality": state.plants.quality}
         dominated = plants.quality < 0.5
         return plants.population(state.species, state.step, state.parameters.step_yr, state.next_id, dominated, columns)
@@ -257,7 +254,6 @@ class KernelGrowth:
     def resume(
         self, parameters: KernelGrowthParameters, site: Site, species: Ecologies, seed: int, population: Population
     ) -> State:
-        """The state of a snapshot."""
         circles = Plants.columns_of(population, parameters.step_yr)
         plants = Plants(**circles, quality=population.columns["quality"])
         bare, next_id = _bare(parameters, site, species, seed), int(population.state["next_id"])
@@ -291,7 +287,6 @@ class KernelGrowth:
         return total
 
     def empty_reason(self, parameters: KernelGrowthParameters, site: Site, species: Ecologies) -> str | None:
-        """Why no plant can ever grow, or None if one may."""
         if self.expected_plants(parameters, site, species) > 0:
             return None
         if parameters.steps == 0:

@@ -234,8 +234,6 @@ def _too_many(program: Program, parameters: MultisetParameters, step: int) -> Re
 
 
 class MultisetLSystem:
-    """The model; see the module's page."""
-
     Parameters = MultisetParameters
 
     def init(self, parameters: MultisetParameters, site: Site, species: Ecologies, seed: int) -> State:
@@ -367,7 +365,6 @@ class MultisetLSystem:
         return min(total, 1e30)
 
     def empty_reason(self, parameters: MultisetParameters, site: Site, species: Ecologies) -> str | None:
-        """Why no plant can ever grow, or None if one may."""
         if self.expected_plants(parameters, site, species) > 0:
             return None
         program, _ = program_of(parameters, site, species)

@@ -196,8 +196,6 @@ def _size(plant: PlacedPlant, species: SpeciesEcology, where: str) -> tuple[floa
 
 
 class Placed(FixedPopulation[PlacedParameters]):
-    """The model; see the module's page."""
-
     Parameters = PlacedParameters
 
     def init(self, parameters: PlacedParameters, site: Site, species: Ecologies, seed: int) -> State:
@@ -241,7 +239,6 @@ class Placed(FixedPopulation[PlacedParameters]):
         return float(len(parameters.everyone) + planted(parameters.disturbances))
 
     def empty_reason(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> str | None:
-        """Why no plant will ever stand there, or None if some will."""
         if self.expected_plants(parameters, site, species) > 0:
             return None
         return "no plant is placed: community.plants is empty, and there is no community.table"

@@ -127,8 +127,6 @@ def _refuse_large_patterns(parameters: PoissonDiscParameters, site: Site, needed
 
 
 class PoissonDisc(GriddedModel[PoissonDiscParameters]):
-    """The model; see the module's page."""
-
     Parameters = PoissonDiscParameters
 
     def positions(

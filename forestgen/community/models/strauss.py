@@ -205,8 +205,6 @@ def _refuse_long_runs(parameters: StraussParameters, site: Site, n: int, field: 
 
 
 class Strauss(GriddedModel[StraussParameters]):
-    """The model; see the module's page."""
-
     Parameters = StraussParameters
     missing_reason = "as a hard core (gamma: 0), no more were apart after these sweeps"
 

@@ -130,8 +130,6 @@ class _Clusters:
 
 
 class Thomas(GriddedModel[ThomasParameters]):
-    """The model; see the module's page."""
-
     Parameters = ThomasParameters
     missing_reason = "clusters hardly meet the ground that the map and the conditions allow"
 

@@ -45,8 +45,6 @@ class UniformParameters(GriddedParameters):
 
 
 class Uniform(GriddedModel[UniformParameters]):
-    """The model; see the module's page."""
-
     Parameters = UniformParameters
 
     def positions(

@@ -10,9 +10,7 @@ its kernel's reach and what stands above them, so that it costs what the reach a
 field's size. Each node is the sum of its children, taken anew and always in the same order: no rounding error grows
 with the number of plants.
 
-References
-----------
-Lane 2002, sections 5.1 and 5.2.
+Reference: Lane 2002, sections 5.1 and 5.2.
 """
 
 from __future__ import annotations

@@ -10,9 +10,7 @@ the kernel's reach κ is 1. In a recipe::
     kernels: {spruce: inhibition, birch: {spruce: clustering}} # by who acts, and by who is affected
     kernels: {hopkins: 1.6}                                   # a target: the kernel is found
 
-References
-----------
-Lane 2002, section 5.1, Figures 5.1, 5.2, 5.4 and 5.7.
+Reference: Lane 2002, section 5.1, Figures 5.1, 5.2, 5.4 and 5.7.
 """
 
 from __future__ import annotations

@@ -12,9 +12,8 @@ asked for. Then species are dealt out: place i goes to species s with probabilit
 and what chance leaves over or short is exchanged, so that each species has its number to the plant. No species comes
 to a place where its weight is 0.
 
-References
-----------
-Madow 1949, Ann. Math. Stat. 20 (systematic sampling); Deming and Stephan 1940, Ann. Math. Stat. 11 (factors c_s).
+Reference: Madow 1949, Ann. Math. Stat. 20 (systematic sampling); Deming and Stephan 1940, Ann. Math. Stat. 11 (factors
+c_s).
 """
 
 from __future__ import annotations
