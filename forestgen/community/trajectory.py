@@ -252,17 +252,10 @@ class Slope:
 
 
 def self_thinning_slope(density: Floats, mean_mass: Floats, *, window: tuple[int, int] | None = None) -> Slope | None:
-    """Slope of log mean mass on log density along a trajectory in time: -3/2 on the self-thinning line.
+    """Slope of log mean mass on log density, (T,) each along a trajectory in time: -3/2 on the self-thinning line.
 
-    Parameters
-    ----------
-    density : (T,) plants per area.
-    mean_mass : (T,) mean mass of a plant.
-    window : first and last index of the points to fit; by default those of `thinning_window`.
-
-    Returns
-    -------
-    None without a decline, or where fewer than 5 points lie in the window.
+    `window` is the first and last index of the points to fit, by default those of `thinning_window`. None without a
+    decline, or where fewer than 5 points lie in the window.
 
     Reference: Yoda et al. 1963, J. Biol. Osaka City Univ. 14. Lane 2002, Figures 2.1 and 4.4.
     """

@@ -244,10 +244,7 @@ class Placed(FixedPopulation[PlacedParameters]):
         return "no plant is placed: community.plants is empty, and there is no community.table"
 
     def estimate_bytes(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> int:
-        """Bytes for all plants at once.
-
-        A plan asks for them first, so this also checks every plant: errors are reported before anything is built.
-        """
+        """Bytes for all plants at once; a plan asks this first, so that every plant is checked here."""
         known = {one.name for one in species}
         if all(plant.species in known for plant in parameters.everyone):
             self.init(parameters, site, species, 0)

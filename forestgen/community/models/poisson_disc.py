@@ -159,10 +159,7 @@ class PoissonDisc(GriddedModel[PoissonDiscParameters]):
         return position_m, why
 
     def estimate_bytes(self, parameters: PoissonDiscParameters, site: Site, species: Ecologies) -> int:
-        """Bytes for all plants and grids at once.
-
-        It is what a plan asks first, so it also refuses a pattern of too many points before anything is built.
-        """
+        """Bytes for all plants and grids at once; a plan asks this first, so that large patterns are refused here."""
         counts = plant_counts(parameters, site, species)
         shape = grid_shape(site, min(parameters.cells, COUNTING_CELLS))  # one field at a time, and none too large
         fields = (species_density(parameters, site, one.name, shape) for one in species)

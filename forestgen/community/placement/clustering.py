@@ -110,9 +110,6 @@ class Found:
     hopkins: float  # in the trial
     section: dict[str, Any]  # the kernel as a recipe says it
 
-    def misses(self, target: float) -> bool:
-        return abs(self.hopkins - target) > TOLERANCE * max(1.0, target)
-
 
 def kernel_for(target: float, trial: TrialPlacement) -> Found:
     """The kernel of the family under which plants come nearest to a Hopkins index.
@@ -151,7 +148,7 @@ def describe(
     return {
         "asked_hopkins": target,
         "hopkins": measured if math.isfinite(measured) else None,
-        "reached": not found.misses(target),
+        "reached": abs(found.hopkins - target) <= TOLERANCE * max(1.0, target),
         "kernels": found.section,
         "cells": cells,
     }

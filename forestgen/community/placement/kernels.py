@@ -1,14 +1,7 @@
 """Deformation kernels: how a plant changes the probability of finding another one at a distance.
 
 κ(d) multiplies the probability field at a distance d from a plant: 0 bars, 1 leaves as it is, above 1 invites. Beyond
-the kernel's reach κ is 1. In a recipe::
-
-    kernels: inhibition                                       # a kernel by its name
-    kernels: {curve: [[0, 0], [1, 0], [1.4, 1]]}              # control points, distances in radii of the plant
-    kernels: {curve: {formula: "1 + 3 * exp(-x^2)"}, reach: 3}
-    kernels: {curve: [[0, 0], [2.5, 1]], distance: metres}
-    kernels: {spruce: inhibition, birch: {spruce: clustering}} # by who acts, and by who is affected
-    kernels: {hopkins: 1.6}                                   # a target: the kernel is found
+the kernel's reach κ is 1. The page of `models/deformation_kernel.py` has all forms of a recipe.
 
 Reference: Lane 2002, section 5.1, Figures 5.1, 5.2, 5.4 and 5.7.
 """

@@ -296,10 +296,7 @@ class PlacementModel(StaticModel[P]):
         return reasons[0] if reasons else "no plant is placed: every number in community.plants is 0, or rounded to 0"
 
     def estimate_bytes(self, parameters: P, site: Site, species: Ecologies) -> int:
-        """Bytes for all plants at once.
-
-        It is what a plan asks first, so it also looks at the sizes: what is wrong is said before anything is built.
-        """
+        """Bytes for all plants at once; a plan asks this first, so that wrong sizes are refused here."""
         check_sizes(parameters, species)
         return super().estimate_bytes(parameters, site, species)
 
