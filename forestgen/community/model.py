@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from forestgen.community.disturbance import Disturbance, Ground, Planting
 from forestgen.community.ecology import Ecologies
@@ -47,6 +47,11 @@ class Site:
         return self.area_m2 / 1e4
 
 
+def none_is(empty: object) -> BeforeValidator:
+    """Validator of a list or mapping whose key stands there without a value."""
+    return BeforeValidator(lambda value: empty if value is None else value)
+
+
 class CommunityParameters(BaseModel):
     """What a recipe's community section says besides the model's name; each model adds its own keys."""
 
@@ -60,7 +65,7 @@ class CommunityParameters(BaseModel):
     steps: Whole = Field(300, ge=0, le=100_000, description="number of steps")
     step_yr: float = Field(0.5, gt=0, description="duration of a step, years")
     periodic: bool = Field(True, description="the site is a torus, without edges; false: a bounded site")
-    disturbances: tuple[Disturbance, ...] = Field(
+    disturbances: Annotated[tuple[Disturbance, ...], none_is(())] = Field(
         (), description="fellings, fires and plantings, in the order in which those of one step are applied"
     )
 
@@ -78,11 +83,6 @@ class CommunityParameters(BaseModel):
                     at=(key,),
                 )
         return data
-
-    @field_validator("disturbances", mode="before")
-    @classmethod
-    def _none_is_an_empty_list(cls, value: object) -> object:
-        return () if value is None else value
 
     @model_validator(mode="after")
     def _plantings_have_known_columns(self) -> Self:

@@ -41,7 +41,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
@@ -49,7 +49,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from forestgen.community.arrivals import new_ids
 from forestgen.community.disturbance import Ground, PointOnGround, planted
 from forestgen.community.ecology import Ecologies, SpeciesEcology
-from forestgen.community.model import Site
+from forestgen.community.model import Site, none_is
 from forestgen.community.static_model import FixedPopulation, Plants, State, StaticParameters, azimuth_of
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation
@@ -134,13 +134,8 @@ class PlacedParameters(StaticParameters):
     is_random: ClassVar[bool] = False
     memory_hint: ClassVar[str] = "place fewer plants"
 
-    plants: tuple[PlacedPlant, ...] = Field((), description="the plants")
+    plants: Annotated[tuple[PlacedPlant, ...], none_is(())] = Field((), description="the plants")
     table: str | None = Field(None, description="more plants, as lines of comma-separated values below their names")
-
-    @field_validator("plants", mode="before")
-    @classmethod
-    def _no_plants_is_an_empty_list(cls, value: object) -> object:
-        return () if value is None else value
 
     @field_validator("table", mode="after")
     @classmethod

@@ -8,12 +8,12 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtr, ndtri
 
 from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions, suitability
-from forestgen.community.model import Site
+from forestgen.community.model import Site, none_is
 from forestgen.community.placement.density_map import LEAST, DensityMap, MapSection
 from forestgen.community.population import Floats
 from forestgen.community.static_model import StaticParameters
@@ -70,16 +70,11 @@ class PlacementParameters(StaticParameters):
 
     memory_hint: ClassVar[str] = "ask for fewer plants in community.plants"
 
-    plants: dict[Name, Stand] = Field({}, description="the plants of each species")
+    plants: Annotated[dict[Name, Stand], none_is({})] = Field({}, description="the plants of each species")
     keep_out: DensityMap | None = Field(
         None, description="where no plant of any species may stand: any value above 0 of this map bars"
     )
     periodic: Flag = Field(True, description="the site is a torus, without edges; false: a bounded site")
-
-    @field_validator("plants", mode="before")
-    @classmethod
-    def _none_is_empty(cls, value: object) -> object:
-        return {} if value is None else value
 
     def for_trial(self) -> Self:
         """Without plants: their numbers are those of the whole site, and all have the same columns."""
