@@ -22,16 +22,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_FUNCTIONS = (("K", "pairs"), ("g", "pair correlation"), ("G", "nearest neighbours"))
+#: Of each function: what it measures, its title in the picture, what joins two species, a line to compare it with.
+_FUNCTIONS: dict[str, tuple[str, str, str, float | None]] = {
+    "K": ("pairs", "L(r) - r (m)", " ↔ ", 0.0),
+    "g": ("pair correlation", "pair correlation g(r)", " ↔ ", 1.0),
+    "G": ("nearest neighbours", "G(r), nearest neighbours", " → ", None),
+}
 _COLOURS = ("#14532D", "#D95F02", "#4C5FB0")
 _ENVELOPE, _MEAN, _STAND = "#CBD8C4", "#6B8F5E", "#B3261E"
 _DPI = 160
-#: Title of a function in the picture, what joins two species, and a line that it is compared with.
-_SHOWN: dict[str, tuple[str, str, float | None]] = {
-    "K": ("L(r) - r (m)", " ↔ ", 0.0),
-    "g": ("pair correlation g(r)", " ↔ ", 1.0),
-    "G": ("G(r), nearest neighbours", " → ", None),
-}
 _MIXED_SIGMA = 0.4  # radii that only serve to mix the species' order of placement
 _RADIUS_OF_SPACING = 0.3
 _FOUNDER, _FIRST = "-founder", 1.05  # name and radius of those that come first
@@ -184,7 +183,7 @@ def check_lines(fit: Fit) -> Iterator[str]:
     for one in fit.checks[0]:
         yield _verdict(one, fit.stand)
     if len(fit.checks) > 1:
-        for name, what in _FUNCTIONS:
+        for name, (what, *_) in _FUNCTIONS.items():
             yield (
                 f"{name}, {what}: within at all radii in {fit.held(name)} of {len(fit.checks)} such checks; "
                 f"a fortieth new stand in {fit.held(name, own=True)}"
@@ -198,9 +197,9 @@ def in_words(fit: Fit) -> str:
     more new stand does: at 50 distances even such a one leaves its envelope now and then.
     """
     sets = len(fit.checks)
-    enough = {name: sets / 2 if sets == 1 else min(sets / 2, fit.held(name, own=True)) for name, _ in _FUNCTIONS}
-    off = [what for name, what in _FUNCTIONS if fit.held(name) < enough[name]]
-    inside = ", ".join(f"{name} ({what}) in {fit.held(name)} of {sets}" for name, what in _FUNCTIONS)
+    enough = {name: sets / 2 if sets == 1 else min(sets / 2, fit.held(name, own=True)) for name in _FUNCTIONS}
+    off = [what for name, (what, *_) in _FUNCTIONS.items() if fit.held(name) < enough[name]]
+    inside = ", ".join(f"{name} ({what}) in {fit.held(name)} of {sets}" for name, (what, *_) in _FUNCTIONS.items())
     verdict = f"differ from the measured one in {' and '.join(off)}" if off else "agree with the measured one"
     more = "; a single set is severe: `checks=20` tells more" if off and sets == 1 else ""
     sort = "fresh set" if sets == 1 else "fresh sets"
@@ -298,7 +297,7 @@ def _draw_function(axes: Axes, one: Envelope, stand: MeasuredStand) -> None:
     if one.name == "K":
         curves = tuple(np.sqrt(k / np.pi) - one.radii_m for k in curves)  # type: ignore[assignment]
     low, high, mean, measured = curves
-    title, arrow, level = _SHOWN[one.name]
+    _, title, arrow, level = _FUNCTIONS[one.name]
     if level is None:
         axes.set_ylim(0, 1.02)
     else:
