@@ -112,7 +112,7 @@ def keep_community(store: DiskCache, key: str, population: Population) -> bool:
 def as_kept(one: Kept) -> Kept:
     """The same with its arrays laid out as they would come from disk: sums may depend on it."""
     if isinstance(one, np.ndarray):
-        return np.ascontiguousarray(one)
+        return np.ascontiguousarray(one)  # type: ignore[return-value]
     if isinstance(one, Mapping):
         return {name: as_kept(value) for name, value in one.items()}  # type: ignore[return-value]
     if isinstance(one, Population | Modules):

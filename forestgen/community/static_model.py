@@ -118,7 +118,7 @@ class FixedPopulation(Generic[P]):
         """Snapshot; z is 0. A plant of its species' largest radius is mature, any other is growing."""
         plants = state.plants
         turn, age = plants.azimuth_deg, plants.first_age_yr
-        columns = {"azimuth_deg": turn, "first_age_yr": age, "first_step": plants.born}
+        columns: dict[str, NDArray[Any]] = {"azimuth_deg": turn, "first_age_yr": age, "first_step": plants.born}
         snapshot = plants.population(
             state.species, state.step, state.parameters.step_yr, state.next_id, None, columns, plants.height_m
         )

@@ -69,6 +69,18 @@ def parents_per_m2(n: int, plants_per_cluster: float, field: Floats, area_m2: fl
     return n / (plants_per_cluster * share * area_m2)
 
 
+def _refuse_wide_clusters(parameters: ThomasParameters, site: Site) -> None:
+    widest = max(site.size_m)
+    if parameters.sigma_m is not None and parameters.sigma_m > widest:
+        raise RecipeError(
+            "clusters are wider than the site",
+            where="community.sigma_m",
+            expected=f"at most {widest:g} m, the site's longer side",
+            got=f"{parameters.sigma_m:g} m",
+            hint="clusters so wide cannot be seen: the model uniform has none",
+        )
+
+
 def _domain(field: Floats, size_m: tuple[float, float], reach_m: float, periodic: bool) -> tuple[Floats, Floats]:
     """(2,) corner and (2,) size in metres of the rectangle whose parents can have plants on ground of any density."""
     corner, extent = np.zeros(2), np.array(size_m)
@@ -137,19 +149,12 @@ class Thomas(GriddedModel[ThomasParameters]):
         self, parameters: ThomasParameters, site: Site, density: Floats, n: int, rng: np.random.Generator
     ) -> Floats:
         """(n, 2) places of a species, metres; nan for plants that found none."""
+        _refuse_wide_clusters(parameters, site)
         return _Clusters(density, n, parameters, site, rng).draw(n)
 
     def estimate_bytes(self, parameters: ThomasParameters, site: Site, species: Ecologies) -> int:
-        """Bytes for all plants, grids, parents and trials; asked first, it refuses clusters wider than the site."""
-        widest = max(site.size_m)
-        if parameters.sigma_m is not None and parameters.sigma_m > widest:
-            raise RecipeError(
-                "clusters are wider than the site",
-                where="community.sigma_m",
-                expected=f"at most {widest:g} m, the site's longer side",
-                got=f"{parameters.sigma_m:g} m",
-                hint="clusters so wide cannot be seen: the model uniform has none",
-            )
+        """Bytes for all plants, grids, parents and trials at once; refuses what `init` would."""
+        _refuse_wide_clusters(parameters, site)
         parents = self.expected_plants(parameters, site, species) / parameters.plants_per_cluster / _LEAST_SHARE
         trials = 100 * _TRIALS_AT_ONCE
         return super().estimate_bytes(parameters, site, species) + trials + math.ceil(48 * parents)
