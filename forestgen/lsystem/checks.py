@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NoReturn
 
-from forestgen.core.errors import LsystemError
 from forestgen.lsystem.codegen import fold
-from forestgen.lsystem.syntax import Module, Name, Place, Production, ProgramAST
+from forestgen.lsystem.syntax import Module, Name, Place, Production, ProgramAST, fail
 
 #: The turtle gives these defaults: they may come with and without parameters.
 TURTLE_SYMBOLS = frozenset([*"FfGg+-&^\\/|$!#';,_{}.~<>@%", "@v", "@Gs", "@Gc", "@Ge"])
@@ -15,7 +14,7 @@ QUERIES = ("?P", "?H", "?U", "?L")
 
 
 def _fail(ast: ProgramAST, problem: str, place: Place, **about: str | None) -> NoReturn:
-    raise LsystemError(problem, where=f"{ast.name}:{place.line}:{place.column}", **about)
+    fail(problem, ast.name, place, **about)
 
 
 def check_heads(production: Production, ast: ProgramAST) -> None:

@@ -10,11 +10,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lark import Token, Tree
-
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.statements import Reader, Statement, is_tree, read_program, statements
-from forestgen.lsystem.syntax import Block, Expression, Macro, Place, Production, ProgramAST, points_problem
+from forestgen.lsystem.statements import Reader, Statement, read_program, statements
+from forestgen.lsystem.syntax import (
+    FIRST,
+    Block,
+    Expression,
+    Macro,
+    Place,
+    Production,
+    ProgramAST,
+    fail,
+    points_problem,
+)
 from forestgen.lsystem.sys_format import parse_sys_text
 
 DIALECTS = ("cpfg", "abop")
@@ -82,7 +90,8 @@ class _Builder:
             expected = "predecessor --> successor, or axiom:, derivation length:, ignore:, ..."
             reader.fail(problem, reader.origin, expected=expected, got=got)
         self.refuse_slips(reader, text)
-        self.productions[self.block].append(reader.production(text, self.group if self.block == "productions" else 0))
+        group = self.group if self.block == "productions" else 0
+        self.productions[self.block].append(replace(reader.parse(text, "production"), group=group))
 
     def refuse_slips(self, reader: Reader, text: str) -> None:
         """Slips that would be read as something else, far from what was meant."""
@@ -92,10 +101,8 @@ class _Builder:
             reader.fail(f"there is no statement {head[1]}:", reader.origin, hint=f"did you mean {near[0]}: ?")
         number = re.search(r"\s(\d*\.\d+)\s*$", text)
         if number and ":" not in text.partition("-->")[2]:
-            line = text.count("\n", 0, number.start(1)) + 1
-            place = reader.place(line, number.start(1) - text.rfind("\n", 0, number.start(1)))
             hint = f"a probability is written : {number[1]}"
-            reader.fail("a number among the modules", place, got=number[1], hint=hint)
+            reader.fail("a number among the modules", reader.at(text, number.start(1)), got=number[1], hint=hint)
 
     def update(self, **changes: Any) -> None:
         self.ast = replace(self.ast, **changes)
@@ -116,29 +123,23 @@ class _Builder:
         self.update(dialect=word)
 
     def length(self, reader: Reader, statement: Statement) -> None:
-        self.update(derivation_length=reader.expression(reader.parse(statement.text, "expression")))
+        self.update(derivation_length=reader.parse(statement.text, "expression"))
 
     def axiom(self, reader: Reader, statement: Statement) -> None:
-        text = statement.text
-        bare = text.strip()
-        if bare.startswith("{"):
-            if not bare.endswith("}"):
-                before = text[: text.index("{")]
-                place = reader.place(before.count("\n") + 1, len(before) - before.rfind("\n"))
-                reader.fail("the set of words has no end", place, expected="}", got=bare.split("\n")[-1][-20:])
-            opened, closed = text.index("{"), text.rindex("}")
-            text = text[:opened] + " " + text[opened + 1 : closed]
-            tree = reader.parse(text, "words")
-            words = tuple(reader.modules(one.children[0]) for one in tree.children if _is_word(one))
-            self.update(axiom=tuple(one for one in words if one), is_multiset=True)
+        text, bare = statement.text, statement.text.strip()
+        if not bare.startswith("{"):
+            word = reader.parse(text, "string")
+            self.update(axiom=(word,) if word else ())
             return
-        modules = reader.modules(reader.parse(text, "string"))
-        self.update(axiom=(modules,) if modules else ())
+        if not bare.endswith("}"):
+            place = reader.at(text, text.index("{"))
+            reader.fail("the set of words has no end", place, expected="}", got=bare.split("\n")[-1][-20:])
+        words = reader.parse(_within_braces(text), "words")
+        self.update(axiom=tuple(word for word in words if word), is_multiset=True)
 
     def consider(self, reader: Reader, statement: Statement) -> None:
-        tree = reader.parse(statement.text, "word")
-        found = reader.modules(tree.children[0]) if is_tree(tree) else ()
-        self.update(**({"considered": found} if statement.keyword == "consider" else {"ignored": found}))
+        key = "considered" if statement.keyword == "consider" else "ignored"
+        self.update(**{key: reader.parse(statement.text, "word")})
 
     def group_begins(self, reader: Reader, statement: Statement) -> None:
         self.group = int(statement.keyword.split()[1])
@@ -165,32 +166,28 @@ class _Builder:
         if self.block == "productions":
             expected = "decomposition or interpretation above it"
             reader.fail("maximum depth belongs to a block", statement.start, expected=expected)
-        self.depths[self.block] = reader.expression(reader.parse(statement.text, "expression"))
+        self.depths[self.block] = reader.parse(statement.text, "expression")
 
     def instructions(self, reader: Reader, statement: Statement) -> None:
-        text, bare = statement.text, statement.text.strip()
+        bare = statement.text.strip()
         if not (bare.startswith("{") and bare.endswith("}")):
             got = bare[:40] or "nothing"
             reader.fail(f"{statement.keyword} needs a block", reader.origin, expected="{ ... }", got=got)
-        opened, closed = text.index("{"), text.rindex("}")
-        inner = text[:opened] + " " + text[opened + 1 : closed]
+        inner = _within_braces(statement.text)
         if statement.keyword == "define":
             self.arrays(reader, inner)
             return
-        found = reader.instructions(reader.parse(inner, "statements").children)
         key = {"starteach": "start_each", "endeach": "end_each"}.get(statement.keyword, statement.keyword)
-        self.update(**{key: found})
+        self.update(**{key: reader.parse(inner, "statements")})
 
     def arrays(self, reader: Reader, text: str) -> None:
         known = dict(self.ast.arrays)
-        for tree in reader.parse(text, "arrays").children:
-            _, name, _, size, _, _, _, numbers, *_ = tree.children
-            values = tuple(_signed(one) for one in numbers.children if isinstance(one, Tree)) if numbers else ()
-            if size is not None and float(size) != len(values):
-                problem = f"array {name} is declared with another size"
-                reader.fail(problem, reader.at(size), expected=str(len(values)), got=str(size))
-            self.declare(reader, str(name), reader.at(name))
-            known[str(name)] = values
+        for one in reader.parse(text, "arrays"):
+            if one.size is not None and one.size.value != len(one.values):
+                problem, expected = f"array {one.name} is declared with another size", str(len(one.values))
+                reader.fail(problem, one.size.place, expected=expected, got=f"{one.size.value:g}")
+            self.declare(reader, one.name, one.place)
+            known[one.name] = one.values
         self.update(arrays=known)
 
     def declare(self, reader: Reader, name: str, place: Place) -> None:
@@ -204,9 +201,7 @@ class _Builder:
             expected = f"1 to {_MOST_FUNCTIONS}, or a name"
             reader.fail("no number for a function", statement.start, expected=expected, got=name)
         self.declare(reader, f"function {name}", statement.start)
-        tree = reader.parse(statement.text, "points")
-        pairs = ([_signed(one) for one in p.children if isinstance(one, Tree)] for p in tree.children)
-        points = tuple((x, y) for x, y in pairs)
+        points = reader.parse(statement.text, "points")
         problem = points_problem(points)
         if problem:
             reader.fail(f"function {name} is wrong", statement.place, expected=problem)
@@ -234,8 +229,7 @@ class _Builder:
         if not rest.strip():
             reader.fail(f"#define {name} has no value", statement.place, expected=f"#define {name} 1.5")
         self.declare(reader, name, Place(statement.place.line, statement.place.column + head.start(1)))
-        padded = " " * head.end() + rest
-        body = reader.expression(reader.parse(padded, "expression"))
+        body = reader.parse(" " * head.end() + rest, "expression")
         parameters = None if given is None else tuple(one.strip() for one in given.split(",") if one.strip())
         if parameters and not (all(map(str.isidentifier, parameters)) and len(set(parameters)) == len(parameters)):
             reader.fail(f"#define {name} has bad parameters", statement.place, expected="different names", got=given)
@@ -243,22 +237,18 @@ class _Builder:
 
     def finish(self) -> ProgramAST:
         if "axiom" not in self.seen:
-            expected = "axiom: and a string of modules"
-            raise LsystemError("the program has no axiom", where=f"{self.name}:1:1", expected=expected)
+            fail("the program has no axiom", self.name, FIRST, expected="axiom: and a string of modules")
         blocks = {
-            name: Block(tuple(self.productions[name]), self.depths.get(name), self.places.get(name, Place(1, 1)))
+            name: Block(tuple(self.productions[name]), self.depths.get(name), self.places.get(name, FIRST))
             for name in ("decomposition", "interpretation")
         }
         return replace(self.ast, productions=tuple(self.productions["productions"]), **blocks)  # type: ignore[arg-type]
 
 
-def _is_word(tree: Any) -> bool:
-    return isinstance(tree, Tree) and is_tree(tree)
-
-
-def _signed(tree: Tree[Token]) -> float:
-    sign, number = tree.children
-    return -float(str(number)) if sign == "-" else float(str(number))
+def _within_braces(text: str) -> str:
+    """The text with blanks for its outer braces: places stay as they are."""
+    opened, closed = text.index("{"), text.rindex("}")
+    return text[:opened] + " " + text[opened + 1 : closed]
 
 
 _ONCE = {

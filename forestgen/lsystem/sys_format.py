@@ -32,45 +32,71 @@ Forest growth simulation using L-systems (Rhodes University), section 4.2 and Fi
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NoReturn
 
-from forestgen.core.errors import LsystemError
-from forestgen.lsystem.syntax import Module, Name, Number, Place, Production, ProgramAST
+from forestgen.lsystem.statements import Reader
+from forestgen.lsystem.syntax import Module, Name, Number, Place, Production, ProgramAST, fail
 
 _MOST_PARAMETERS = {"F": 3, "<": 1, ">": 1, "&": 1, "@": 1, "%": 1, "#": 1, "|": 0, "[": 0, "]": 0}
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
-_SHAPE = "symbol, replacement and probability, such as: F F[>F]F 1"
-_ROUNDING = 1e-9
+_RULE = re.compile(
+    r"\s*(?P<symbol>\S)\s+(?P<successor>|.*\s)(?P<probability>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*"
+)
 
 
 def parse_sys_text(text: str, name: str) -> ProgramAST:
     """The program in a `.sys` file's text, dialect `rhover`; raises `LsystemError`, with line and column."""
-    lines = [_Line(name, number, raw) for number, raw in enumerate(text.splitlines(), 1) if raw.strip()]
-    first, end = lines[0] if lines else _Line(name, 1, ""), _Line(name, text.count("\n") + 1, "")
-    if first.text.strip() != "LSYSTEM":
-        first.fail(first.indent, "no .sys file", "LSYSTEM in its first line", first.text.strip()[:60] or None)
+    lines = [
+        (Place(number, len(raw) - len(raw.lstrip()) + 1), raw.strip())
+        for number, raw in enumerate(text.splitlines(), 1)
+        if raw.strip()
+    ]
+    place, first = lines[0] if lines else (Place(1, 1), "")
+    if first != "LSYSTEM":
+        fail("no .sys file", name, place, expected="LSYSTEM in its first line", got=first[:60] or None)
+    end = Place(text.count("\n") + 1, 1)
     if len(lines) < 3:
         what = "the number of rules" if len(lines) == 1 else "the axiom"
-        end.fail(0, f"the file ends before {what}", what)
-    count, rules = lines[1].whole_number(), lines[3:]
-    expected = f"{count}, as line {lines[1].number} says"
+        fail(f"the file ends before {what}", name, end, expected=what)
+    (place, announced), (start, axiom_text), *rules = lines[1:]
+    if not re.fullmatch(r"[0-9]{1,6}", announced):
+        fail("the number of rules is not understood", name, place, expected="a whole number", got=announced)
+    count, expected = int(announced), f"{announced}, as line {place.line} says"
     if len(rules) < count:
-        end.fail(0, "too few rules", expected, str(len(rules)))
+        fail("too few rules", name, end, expected=expected, got=str(len(rules)))
     if len(rules) > count:
-        more = rules[count]
-        more.fail(more.indent, "more rules than announced", expected, more.text.strip()[:60])
-    parsed = [line.rule() for line in rules]
-    _check_sums(name, parsed)
-    axiom = lines[2].modules(0, len(lines[2].text))
+        fail("more rules than announced", name, rules[count][0], expected=expected, got=rules[count][1][:60])
+    axiom, parsed = _modules(axiom_text, name, start), [_rule(line, name, begin) for begin, line in rules]
     arities: dict[str, set[int]] = {}
     for module in [*axiom, *(module for rule in parsed for module in rule.successor)]:
         arities.setdefault(module.symbol, set()).add(len(module.arguments))
     productions = tuple(one for rule in parsed for one in _for_each_arity(rule, arities))
     return ProgramAST(name, dialect="rhover", axiom=(axiom,), productions=productions)
+
+
+def _rule(line: str, name: str, start: Place) -> Production:
+    """A rule that begins at a place; its probability and brackets are checked where the program is compiled."""
+    found = _RULE.fullmatch(line)
+    if found is None or found["symbol"] in "[](),":
+        expected = "one symbol, its replacement and a probability, such as: F F[>F]F 1"
+        fail("this is no rule", name, start, expected=expected, got=line[:60])
+    successor, probability = (start._replace(column=start.column + found.start(k)) for k in (2, 3))
+    head = Module(found["symbol"], (), start)
+    value = Number(float(found["probability"]), probability)
+    return Production((head,), _modules(found["successor"], name, successor), value, start)
+
+
+def _modules(text: str, name: str, start: Place) -> tuple[Module, ...]:
+    """The modules of a text that begins at a place."""
+    modules: tuple[Module, ...] = Reader(name, start).parse(text, "sys_string")
+    for one in modules:
+        given = len(one.arguments)
+        most = _MOST_PARAMETERS.get(one.symbol, given)
+        if given > most:
+            expected = f"at most {most}" if most else "none"
+            fail(f"too many parameters of {one.symbol}", name, one.place, expected=expected, got=str(given))
+    return modules
 
 
 def _for_each_arity(rule: Production, arities: dict[str, set[int]]) -> Iterable[Production]:
@@ -79,107 +105,3 @@ def _for_each_arity(rule: Production, arities: dict[str, set[int]]) -> Iterable[
     for count in sorted(arities.get(head.symbol, {0})):
         formal = tuple(Name(f"p{k}", head.place) for k in range(1, count + 1))
         yield replace(rule, predecessor=(Module(head.symbol, formal, head.place),))
-
-
-def _check_sums(name: str, rules: Iterable[Production]) -> None:
-    total: dict[str, float] = {}
-    for rule in rules:
-        symbol = rule.predecessor[0].symbol
-        assert isinstance(rule.probability, Number)
-        total[symbol] = total.get(symbol, 0.0) + rule.probability.value
-        if total[symbol] > 1.0 + _ROUNDING:
-            place, problem = rule.probability.place, f"the probabilities of the rules for {symbol} exceed 1"
-            where, got = f"{name}:{place.line}:{place.column}", f"{total[symbol]:g}"
-            raise LsystemError(problem, where=where, expected="a sum of at most 1", got=got)
-
-
-class _Line:
-    """A line of the file that is not blank."""
-
-    def __init__(self, name: str, number: int, text: str) -> None:
-        self.name, self.number, self.text = name, number, text
-
-    @property
-    def indent(self) -> int:
-        return len(self.text) - len(self.text.lstrip())
-
-    def at(self, index: int) -> Place:
-        return Place(self.number, index + 1)
-
-    def fail(self, index: int, problem: str, expected: str, got: str | None = None) -> NoReturn:
-        raise LsystemError(problem, where=f"{self.name}:{self.number}:{index + 1}", expected=expected, got=got)
-
-    def whole_number(self) -> int:
-        word = self.text.strip()
-        if not re.fullmatch(r"[0-9]{1,6}", word):
-            self.fail(self.indent, "the number of rules is not understood", "a whole number", word)
-        return int(word)
-
-    def rule(self) -> Production:
-        words = list(re.finditer(r"\S+", self.text))
-        symbol, last = words[0], words[-1]
-        if len(symbol.group()) > 1:
-            self.fail(symbol.start(), "a rule replaces one symbol", _SHAPE, symbol.group())
-        if symbol.group() in "[](),":
-            self.fail(symbol.start(), "this symbol cannot be replaced", _SHAPE, symbol.group())
-        if len(words) == 1 or not _NUMBER.fullmatch(last.group()):
-            self.fail(last.start(), "a rule without probability", _SHAPE, last.group())
-        probability = float(last.group())
-        if not 0.0 <= probability <= 1.0:
-            self.fail(last.start(), "this cannot be a probability", "a number from 0 to 1", last.group())
-        place = self.at(symbol.start())
-        return Production(
-            predecessor=(Module(symbol.group(), (), place),),
-            successor=self.modules(symbol.end(), last.start()),
-            probability=Number(probability, self.at(last.start())),
-            place=place,
-        )
-
-    def modules(self, start: int, end: int) -> tuple[Module, ...]:
-        """The modules between two indices; spaces mean nothing."""
-        found: list[Module] = []
-        opened: list[int] = []
-        index = start
-        while index < end:
-            symbol = self.text[index]
-            if symbol.isspace():
-                index += 1
-                continue
-            if symbol in "(),":
-                self.fail(index, "this is not a module", "a symbol, or its parameters in parentheses", symbol)
-            here = index
-            index, arguments = self.arguments(index + 1, end)
-            most = _MOST_PARAMETERS.get(symbol, len(arguments))
-            if len(arguments) > most:
-                expected = f"at most {most}" if most else "none"
-                self.fail(here, f"too many parameters of {symbol}", expected, str(len(arguments)))
-            if symbol == "[":
-                opened.append(here)
-            elif symbol == "]":
-                if not opened:
-                    self.fail(here, "no bracket is open that this could close", "[ before ]", "]")
-                opened.pop()
-            found.append(Module(symbol, arguments, self.at(here)))
-        if opened:
-            self.fail(opened[-1], "this bracket is never closed", "as many ] as [", "[")
-        return tuple(found)
-
-    def arguments(self, index: int, end: int) -> tuple[int, tuple[Number, ...]]:
-        """Parameters in parentheses, if any begin at an index, and the index behind them."""
-        opens = index
-        while opens < end and self.text[opens].isspace():
-            opens += 1
-        if opens == end or self.text[opens] != "(":
-            return index, ()
-        closes = self.text.find(")", opens, end)
-        if closes < 0:
-            self.fail(opens, "these parentheses are never closed", ")", self.text[opens:end].strip()[:40])
-        numbers, at = [], opens + 1
-        for piece in self.text[opens + 1 : closes].split(","):
-            where = at + len(piece) - len(piece.lstrip())
-            word = piece.strip()
-            if not _NUMBER.fullmatch(word) or not math.isfinite(float(word)):
-                self.fail(where, "a parameter is not understood", "a number", word or "nothing")
-            numbers.append(Number(float(word), self.at(where)))
-            at += len(piece) + 1
-        return closes + 1, tuple(numbers)
