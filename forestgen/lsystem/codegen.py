@@ -1,15 +1,20 @@
-"""Code of expressions and instructions: from syntax to the VM's instructions; values known before anything runs."""
+"""Code of expressions and instructions: from syntax to the VM's instructions; values known before anything runs.
+
+User-defined functions are curves by control points, as cpfg's function editor makes them: those of a clamped cubic
+B-spline (of lower degree where there are fewer than four). The curve begins at the first, ends at the last, and its
+value at x is where it crosses x. Outside, the end values hold.
+"""
 
 from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from enum import Enum, auto
+from collections.abc import Callable, Mapping, Sequence
 from itertools import count
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
-from forestgen.core.errors import LsystemError
+import numpy as np
+
 from forestgen.lsystem import vm_layout as op
 from forestgen.lsystem.multiset import Kind
 from forestgen.lsystem.syntax import (
@@ -25,14 +30,18 @@ from forestgen.lsystem.syntax import (
     Name,
     Number,
     Place,
+    Production,
+    ProgramAST,
     Statement,
     Unary,
     UseGroup,
+    fail,
 )
 
-GROUP = 0  # the global variable that holds the current group
+GROUP = ""  # name of the first global variable, which holds the current group
 _MOST_INSTRUCTIONS = 200_000
 _MOST_KINDS = 65_536
+_SAMPLES_A_SPAN = 64
 _FUNCTIONS: dict[str, Callable[..., float]] = {
     "min": min, "max": max, "floor": math.floor, "ceil": math.ceil, "trunc": math.trunc, "abs": abs, "fabs": abs,
     "exp": math.exp, "sqrt": math.sqrt, "pow": math.pow, "log": math.log,
@@ -45,48 +54,56 @@ _OPERATORS: dict[str, Callable[[float, float], float]] = {
 }  # fmt: skip
 
 
-class Region(Enum):
-    """What an operand counts in, until `compiler` gives everything its address."""
-
-    NOTHING = auto()
-    CODE = auto()
-    CONSTANT = auto()
-    GLOBAL = auto()
-    LOCAL = auto()
-    ARRAY = auto()
-
-
-class Instruction(NamedTuple):
-    operation: int
-    operand: int
-    region: Region
-    place: Place
-
-
 class CodeGenerator:
-    """Grows one code for a whole program, of the file `name`; the others are names that expressions may use."""
+    """Grows a program's two tables: `whole`, with the code, and `real`, with the numbers that it works on.
 
-    def __init__(
-        self,
-        name: str,
-        macros: Mapping[str, Macro],
-        arrays: Sequence[str],
-        functions: Sequence[str],
-        globals_: Sequence[str],
-    ) -> None:
-        self.name, self.macros = name, macros
-        self.arrays = {one: i for i, one in enumerate(arrays)}
-        self.functions = number_functions(functions)
-        self.globals = {one: i for i, one in enumerate(globals_)}
-        self.groups = {0}
-        self.counted: dict[str, int] = {}  # symbol -> global
-        self.code: list[Instruction] = []
-        self.constants: dict[float, int] = {}
+    Local variables come first in `real`, then room for a copy of them; the stack comes last.
+    """
+
+    def __init__(self, ast: ProgramAST) -> None:
+        self.name, self.macros = ast.name, ast.macros
+        self.whole, self.places = [0] * op.HEADER, dict[int, Place]()  # of each instruction, by its address
+        sizes = [
+            len({*(name for name, _ in formals(one)), *_assigned_in(one.before, one.after)})
+            for one in ast.all_productions
+        ]
+        self.whole[op.LOCAL_SIZE] = max(sizes, default=0)
+        self.real = [0.0] * (2 * self.whole[op.LOCAL_SIZE])
+        self.arrays: dict[str, int] = {}  # name -> address in `whole` of its first and last address in `real`
+        for name, values in ast.arrays.items():
+            first = self.append_reals(values)
+            self.arrays[name] = self.append([first, first + len(values)])
+        self.functions = number_functions(list(ast.functions))
+        self._lay_out_functions(ast)
+        names = _assigned_in(ast.start, ast.start_each, ast.end_each, ast.end)
+        self.globals = {one: self.append_reals([0.0]) for one in (GROUP, *names)}  # name -> address
+        self.counted: list[tuple[int, str]] = []  # number of the global that holds how many modules of a symbol
+        self.groups = {0, *(one.group for one in ast.productions)}
+        self.constants: dict[float, int] = {}  # value -> address
         self.kinds: dict[Kind, int] = {}
-        self.stack = self.stack_size = self.local_size = 0
+        self.stack = self.stack_size = 0
+
+    def _lay_out_functions(self, ast: ProgramAST) -> None:
+        """Of each number from 1 on, where its function's samples are and how many: 0, there is no such function."""
+        pairs = dict.fromkeys(range(1, max(self.functions.values(), default=0) + 1), (0, 0))
+        for name, points in ast.functions.items():
+            x, y = _sampled(points)
+            pairs[self.functions[name]] = self.append_reals([*x, *y]), len(x)
+        self.whole[op.FUNCTIONS] = len(pairs)
+        self.whole[op.FUNCTION_AT] = self.append([one for pair in pairs.values() for one in pair])
 
     def fail(self, problem: str, place: Place, **about: str | None) -> NoReturn:
-        raise LsystemError(problem, where=f"{self.name}:{place.line}:{place.column}", **about)
+        fail(problem, self.name, place, **about)
+
+    def append(self, values: Sequence[int]) -> int:
+        """The address in `whole` where the values begin."""
+        self.whole += values
+        return len(self.whole) - len(values)
+
+    def append_reals(self, values: Sequence[float]) -> int:
+        """The address in `real` where the values begin."""
+        self.real += values
+        return len(self.real) - len(values)
 
     def kind(self, symbol: str, arity: int) -> int:
         code = self.kinds.setdefault(Kind(symbol, arity), len(self.kinds))
@@ -94,22 +111,23 @@ class CodeGenerator:
             self.fail("too many kinds of modules", FIRST, expected=f"at most {_MOST_KINDS:,}")
         return code
 
-    def put(self, operation: int, place: Place, change: int, operand: int = 0, region: Region = Region.NOTHING) -> int:
-        """Append an instruction that changes the stack's height by `change`; its index."""
-        if len(self.code) >= _MOST_INSTRUCTIONS:
+    def put(self, operation: int, place: Place, change: int, operand: int = 0) -> int:
+        """Append an instruction that changes the stack's height by `change`; its address."""
+        if len(self.places) >= _MOST_INSTRUCTIONS:
             self.fail("the program is too long", place, expected=f"at most {_MOST_INSTRUCTIONS} instructions")
         self.stack += change
         self.stack_size = max(self.stack_size, self.stack)
-        self.code.append(Instruction(operation, operand, region, place))
-        return len(self.code) - 1
+        self.places[len(self.whole)] = place
+        return self.append([operation, operand])
 
     def land(self, jump: int) -> None:
         """Let an earlier jump go to where code is emitted next."""
-        self.code[jump] = self.code[jump]._replace(operand=len(self.code), region=Region.CODE)
+        self.whole[jump + 1] = len(self.whole)
 
     def constant(self, value: float, place: Place) -> None:
-        slot = self.constants.setdefault(value, len(self.constants))
-        self.put(op.LOAD, place, 1, slot, Region.CONSTANT)
+        if value not in self.constants:
+            self.constants[value] = self.append_reals([value])
+        self.put(op.LOAD, place, 1, self.constants[value])
 
 
 class Scope:
@@ -125,17 +143,12 @@ class Scope:
         for name, place in formals:
             if name in self.locals:
                 self.fail(f"the parameter {name} stands twice in one production", place, hint="give each its own name")
-            self.local(name)
-
-    def local(self, name: str) -> int:
-        slot = self.locals.setdefault(name, len(self.locals))
-        self.e.local_size = max(self.e.local_size, len(self.locals))
-        return slot
+            self.locals[name] = len(self.locals)
 
     def begin(self) -> int:
-        """Where code that is emitted next begins."""
+        """The address where code that is emitted next begins."""
         self.e.stack = 0
-        return len(self.e.code)
+        return len(self.e.whole)
 
     def statements(self, statements: Sequence[Statement]) -> None:
         for one in statements:
@@ -150,7 +163,7 @@ class Scope:
                     known = ", ".join(map(str, sorted(self.e.groups)))
                     self.fail("there is no such group", one.place, expected=known, got=f"{value:g}")
                 self.expression(one.group)
-                self.e.put(op.STORE, one.place, -1, GROUP, Region.GLOBAL)
+                self.e.put(op.STORE, one.place, -1, self.e.globals[GROUP])
             else:
                 self.expression(one.value)
                 self.assign_to(one.name, one.place)
@@ -158,17 +171,17 @@ class Scope:
     def assign_to(self, name: str, place: Place) -> None:
         """The value on the stack becomes a variable's."""
         if self.is_global:
-            self.e.put(op.STORE, place, -1, self.e.globals[name], Region.GLOBAL)
+            self.e.put(op.STORE, place, -1, self.e.globals[name])
             return
         if name in self.e.globals:
             problem = f"a production assigns the global variable {name}"
             self.fail(problem, place, expected="local variables: all modules are rewritten at once")
         if name in self.e.macros or name in self.e.arrays:
             self.fail(f"{name} is defined and cannot be assigned", place)
-        self.e.put(op.STORE, place, -1, self.local(name), Region.LOCAL)
+        self.e.put(op.STORE, place, -1, self.locals.setdefault(name, len(self.locals)))
 
     def branches(self, one: If) -> None:
-        for name in dict.fromkeys(assigned(one)):
+        for name in _assigned_in((one,)):
             if not self.is_global and name not in self.locals:  # 0 where no branch sets it
                 self.e.constant(0.0, one.place)
                 self.assign_to(name, one.place)
@@ -210,7 +223,7 @@ class Scope:
                 known = ", ".join(self.e.arrays) or "none is defined"
                 self.fail(f"there is no array {one.name}", one.place, expected=known, got=one.name)
             self.compute(one.index)
-            self.e.put(op.ELEMENT, one.place, 0, self.e.arrays[one.name], Region.ARRAY)
+            self.e.put(op.ELEMENT, one.place, 0, self.e.arrays[one.name])
         elif isinstance(one, Unary):
             self.compute(one.operand)
             self.e.put(op.NEGATE if one.operator == "-" else op.NOT, one.place, 0)
@@ -230,19 +243,17 @@ class Scope:
             self.bound.append(bound)
             self.expanding.append(macro)
         elif one.name in self.locals:
-            self.e.put(op.LOAD, one.place, 1, self.locals[one.name], Region.LOCAL)
+            self.e.put(op.LOAD, one.place, 1, self.locals[one.name])
         elif one.name in self.e.globals:
-            self.e.put(op.LOAD, one.place, 1, self.e.globals[one.name], Region.GLOBAL)
+            self.e.put(op.LOAD, one.place, 1, self.e.globals[one.name])
         elif one.name in self.e.macros:
             self.expand(Call(one.name, (), one.place), is_value=True)
         elif one.name in self.e.functions:
             self.e.constant(self.e.functions[one.name], one.place)
         else:
             known = [*self.locals, *(name for name in self.e.globals if name), *self.e.macros]
-            expected, hint = (
-                ", ".join(known[:12]) or "a number",
-                "a parameter of the predecessor, a local variable, or a #define",
-            )
+            expected = ", ".join(known[:12]) or "a number"
+            hint = "a parameter of the predecessor, a local variable, or a #define"
             self.fail(f"{one.name} has no value here", one.place, expected=expected, hint=hint)
 
     def expand(self, one: Call, *, is_value: bool = False) -> None:
@@ -286,9 +297,11 @@ class Scope:
         if isinstance(argument, Name) and len(argument.name) > 1:
             self.fail("a symbol is one character", argument.place, expected="count(A)", got=argument.name)
         symbol = argument.name if isinstance(argument, Name) else f"{argument.value:g}"
-        slot = self.e.counted.setdefault(symbol, len(self.e.globals))
-        self.e.globals.setdefault(f"count({symbol})", slot)
-        self.e.put(op.LOAD, one.place, 1, slot, Region.GLOBAL)
+        name = f"count({symbol})"
+        if name not in self.e.globals:
+            self.e.counted.append((len(self.e.globals), symbol))
+            self.e.globals[name] = self.e.append_reals([0.0])
+        self.e.put(op.LOAD, one.place, 1, self.e.globals[name])
 
     def shortcut(self, one: Binary) -> None:
         """The right side runs only if it decides: it may draw."""
@@ -303,13 +316,24 @@ class Scope:
         self.e.land(end)
 
 
-def assigned(one: Statement) -> Iterator[str]:
-    """Names that a statement may assign."""
-    if isinstance(one, Assign):
-        yield one.name
-    elif isinstance(one, If):
-        for inner in (*one.then, *one.otherwise):
-            yield from assigned(inner)
+def _assigned_in(*blocks: Sequence[Statement]) -> list[str]:
+    """Names that statements may assign, each once, in their order."""
+    found: list[str] = []
+    for one in (one for block in blocks for one in block):
+        found += (
+            [one.name]
+            if isinstance(one, Assign)
+            else _assigned_in(one.then, one.otherwise)
+            if isinstance(one, If)
+            else []
+        )
+    return list(dict.fromkeys(found))
+
+
+def formals(one: Production) -> list[tuple[str, Place]]:
+    """Names of the parameters before a production's arrow, in their order, with their places."""
+    modules = (*one.left, *one.predecessor, *one.right)
+    return [(a.name, a.place) for module in modules for a in module.arguments if isinstance(a, Name)]
 
 
 def number_functions(names: Sequence[str]) -> dict[str, int]:
@@ -317,6 +341,20 @@ def number_functions(names: Sequence[str]) -> dict[str, int]:
     numbers = {name: int(name) for name in names if name.isdigit()}
     free = (number for number in count(1) if number not in numbers.values())
     return {name: numbers[name] if name in numbers else next(free) for name in names}
+
+
+def _sampled(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
+    """The curve as a fine polyline: x ascending, and y."""
+    control = np.array(points, dtype=np.float64)
+    degree = min(3, len(control) - 1)
+    if degree == 1:
+        return control[:, 0].tolist(), control[:, 1].tolist()
+    from scipy.interpolate import BSpline  # late: most programs have no functions
+
+    spans = len(control) - degree
+    knots = np.concatenate([np.zeros(degree), np.linspace(0, 1, spans + 1), np.ones(degree)])
+    curve = BSpline(knots, control, degree)(np.linspace(0, 1, spans * _SAMPLES_A_SPAN + 1))
+    return np.maximum.accumulate(curve[:, 0]).tolist(), curve[:, 1].tolist()
 
 
 def fold(expression: Expression, macros: Mapping[str, Macro], name: str) -> float | None:
@@ -372,6 +410,5 @@ class _Folder:
             return float(bool(left))  # the right side never runs
         right = self.fold(one.right)
         if one.operator in "/%" and right == 0:
-            where = f"{self.name}:{one.place.line}:{one.place.column}"
-            raise LsystemError("division by zero", where=where)
+            fail("division by zero", self.name, one.place)
         return None if left is None or right is None else float(_OPERATORS[one.operator](left, right))

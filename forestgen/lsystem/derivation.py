@@ -15,6 +15,7 @@ from forestgen.core.threads import map_ranges
 from forestgen.lsystem import vm_layout as layout
 from forestgen.lsystem.multiset import PERCENT, Multiset
 from forestgen.lsystem.program import Program, RuleSet, answer_queries, has_queries
+from forestgen.lsystem.syntax import fail
 
 MOST_MODULES = 50_000_000
 _LARGEST_ID = 2**32 - 1
@@ -78,7 +79,7 @@ def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> D
     )
     start = Derivation(words, 0, len(sizes) + 1, glob)
     if program.decomposition.address >= 0 or np.any(words.code == PERCENT):
-        start = _rewritten(program, start, None, program.decomposition, seed, "axiom", 0, most_modules)
+        start = _rewritten(program, start, program.none, program.decomposition, seed, "axiom", 0, most_modules)
     return start
 
 
@@ -134,8 +135,8 @@ def interpret(program: Program, state: Derivation, seed: int, *, most_modules: i
     if program.interpretation.address < 0:
         return state.multiset
     inner = program.interpretation
-    drawn = _rewritten(program, state, None, inner, seed, "interpretation", state.step, most_modules, is_drawing=True)
-    return drawn.multiset
+    none, stage = program.none, "interpretation"
+    return _rewritten(program, state, none, inner, seed, stage, state.step, most_modules, is_drawing=True).multiset
 
 
 def percent_meaning(program: Program) -> int:
@@ -155,7 +156,7 @@ def _state(program: Program) -> NDArray[np.int64]:
 
 def _reals(program: Program, glob: NDArray[np.float64]) -> NDArray[np.float64]:
     real = program.real.copy()
-    real[program.globals_at : program.globals_at + len(glob)] = glob
+    real[program.globals_at] = glob
     return real
 
 
@@ -169,7 +170,7 @@ def _run_block(
     for slot, symbol in program.counted:
         glob[slot] = words.count(symbol) if words is not None else 0
     real = _run(program, begin, glob, key, np.empty(0, np.uint16), np.empty(0), step)
-    return real[program.globals_at : program.globals_at + len(glob)].copy()
+    return real[program.globals_at]
 
 
 def _run(
@@ -191,20 +192,19 @@ def _run(
 
 
 def _fail(program: Program, wrong: int, address: int, step: int, module: str | None) -> NoReturn:
-    place = program.place_of(address)
     problem, expected = _FAULTS[wrong]
     if wrong == layout.TOO_DEEP:
         most = f"{layout.MOST_EXPANSIONS:,} productions"
         expected = f"an end within maximum depth: {program.decomposition_depth}, and within {most}"
     at = f"rewriting {module} in" if module else "at"
-    where = f"{program.name}:{place.line}:{place.column}"
-    raise LsystemError(problem, where=where, expected=expected, got=f"this {at} derivation step {step}")
+    got = f"this {at} derivation step {step}"
+    fail(problem, program.name, program.places[address], expected=expected, got=got)
 
 
 def _rewritten(
     program: Program,
     state: Derivation,
-    rules: RuleSet | None,
+    rules: RuleSet,
     inner: RuleSet,
     seed: int,
     stage: str,
@@ -216,17 +216,14 @@ def _rewritten(
     """All words rewritten by `rules`, and what comes out by `inner`; ranges of many words on several threads."""
     from forestgen.lsystem import vm, vm_words  # late: compiled kernels
 
-    words, outer = state.multiset, rules or _nothing(program)
-    starts = mate = np.zeros(0, np.int64)
-    if program.has_contexts and rules is not None:
+    words, starts, mate = state.multiset, np.zeros(0, np.int64), np.zeros(0, np.int64)
+    if program.has_contexts and rules is program.productions:
         starts, mate = words.parameter_start(), np.zeros(len(words.code), np.int64)
         vm_words.pair_brackets(words.code, mate)
     text = layout.Text(words.code, words.parameter, starts, mate)
-    has_outer = outer.address >= 0
-    whole = program.whole if has_outer else _with_nothing(program)
     key = _key(seed, stage, step)
     how = layout.Rewriting(
-        rules=outer.address if has_outer else len(program.whole),
+        rules=rules.address,
         inner=inner.address,
         group=int(state.globals[0]),
         depth=program.interpretation_depth if is_drawing else program.decomposition_depth,
@@ -241,8 +238,8 @@ def _rewritten(
         begin = words.word_start[first]
         m[layout.NEXT_VALUE] = np.bincount(words.code[:begin], minlength=len(program.kinds)) @ words.arity
         m[layout.NEXT_ID] = state.next_id
-        space = _Space(program, words.code[begin : words.word_start[end]], end - first, outer, most_modules)
-        memory = layout.Memory(whole, real, m)
+        space = _Space(program, words.code[begin : words.word_start[end]], end - first, rules, most_modules)
+        memory = layout.Memory(program.whole, real, m)
         chosen = layout.Words(words.word_start[first : end + 1], words.word_id[first:end], words.born_step[first:end])
         while True:
             wrong = vm.rewrite(memory, key, how, text, chosen, space.made, space.pile, space.out, space.words)
@@ -279,17 +276,6 @@ def _too_many(program: Program, most_modules: int, step: int) -> TooManyModulesE
         got=f"more of them in derivation step {step}",
         hint="fewer steps, or a higher limit (`max_modules`)",
     )
-
-
-def _nothing(program: Program) -> RuleSet:
-    kinds = len(program.kinds)
-    arity = np.array([kind.arity for kind in program.kinds], np.int64)
-    return RuleSet(-1, np.ones(kinds, np.int64), arity)
-
-
-def _with_nothing(program: Program) -> NDArray[np.int64]:
-    """The program's table with an empty set of productions at its end."""
-    return np.concatenate([program.whole, np.zeros(len(program.kinds) + 1, np.int64)])
 
 
 class _Space:

@@ -39,6 +39,7 @@ class Program:
     productions: RuleSet
     decomposition: RuleSet
     interpretation: RuleSet
+    none: RuleSet  # without productions
     decomposition_depth: int
     interpretation_depth: int
     has_contexts: bool
@@ -49,21 +50,16 @@ class Program:
     start: int  # where code begins that runs before the derivation; -1: none
     start_each: int  # before each step
     end_each: int  # after each step
-    globals_at: int  # in `real`
+    globals_at: NDArray[np.int64]  # (number of globals,) addresses in `real`
     globals: tuple[str, ...]  # names; the first is the current group
     groups: frozenset[int]
     counted: tuple[tuple[int, str], ...]  # globals that hold the number of modules of a symbol
-    code_at: int  # in `whole`
-    places: tuple[Place, ...]  # of each instruction
+    places: dict[int, Place]  # in the text, of each instruction by its address in `whole`
     derivation_length: int | None
 
     @property
     def name(self) -> str:
         return self.ast.name
-
-    def place_of(self, address: int) -> Place:
-        """Where in the text the instruction at an address comes from."""
-        return self.places[(address - self.code_at) // 2]
 
 
 def has_queries(program: Program) -> bool:
