@@ -43,18 +43,6 @@ PATIENCE = 2.0  # within so many times the years that one of full vigour needs t
 _NO_MODULE = 2**32 - 1  # number of the draw: no plant has so many modules
 
 
-@compiled
-def _grow(start, end, first, species, vigour, numbers, step_yr, age):  # type: ignore[no-untyped-def]
-    mature_age, vigour_min, vigour_max, rate = numbers
-    for p in range(start, end):
-        sp = species[p]
-        span = vigour_max[sp] - vigour_min[sp]
-        for i in range(first[p], first[p + 1]):
-            x = min(1.0, max(0.0, (vigour[i] - vigour_min[sp]) / span))
-            grown = age[i] + (3.0 - 2.0 * x) * x * x * rate[sp] * step_yr
-            age[i] = min(grown, mature_age[sp])
-
-
 def grow(
     modules: Modules, vigour: NDArray[np.float32], species: NDArray[np.uint16], traits: Traits, step_yr: float
 ) -> NDArray[np.float32]:
@@ -62,10 +50,11 @@ def grow(
 
     `vigour` (M,) is that of each module, over its size; `species` (P,) that of each plant.
     """
-    age = modules.age.copy()
-    numbers = traits.mature_age, traits.vigour_min, traits.vigour_max, traits.growth_rate_per_yr
-    over_plants(modules, lambda start, end: _grow(start, end, modules.first, species, vigour, numbers, step_yr, age))
-    return age
+    kind = np.repeat(species, np.diff(modules.first))
+    span = traits.vigour_max - traits.vigour_min
+    x = np.clip((vigour - traits.vigour_min[kind]) / span[kind], 0.0, 1.0)
+    grown = modules.age + (3.0 - 2.0 * x) * x * x * traits.growth_rate_per_yr[kind] * step_yr
+    return np.minimum(grown, traits.mature_age[kind]).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -79,20 +68,6 @@ class NextRows:
     node: NDArray[np.int16]  # (N,) as in Modules
     number: NDArray[np.uint32]  # (N,) as in Modules
     next_number: NDArray[np.uint32]  # (P,) of the next module of each plant
-
-
-@compiled
-def _count(start, end, first, keep, sprouts, rows):  # type: ignore[no-untyped-def]
-    for p in range(start, end):
-        count = 0
-        for i in range(first[p], first[p + 1]):
-            if keep[i]:
-                count += 1
-                left = sprouts[i]
-                while left:
-                    left &= left - np.uint32(1)
-                    count += 1
-        rows[p + 1] = count
 
 
 @compiled
@@ -132,9 +107,8 @@ def rows_after(
     `keep` (M,) is of modules whose bearers stay too. Bit k of `sprouts` (M,): a module begins at terminal node k, if
     this module stays. `next_number` (P,) is the number of each plant's next module.
     """
-    first = np.zeros(modules.plants + 1, dtype=np.int64)
-    over_plants(modules, lambda start, end: _count(start, end, modules.first, keep, sprouts, first))
-    np.cumsum(first, out=first)
+    ends = np.cumsum(np.where(keep, 1 + np.bitwise_count(sprouts), 0), dtype=np.int64)
+    first = np.concatenate([[0], ends])[modules.first]
     n, following = int(first[-1]), next_number.copy()
     out: Any = (first, *(np.empty(n, kind) for kind in (np.int64, np.bool_, np.int32, np.int16, np.uint32)))
     columns = modules.first, modules.parent, modules.node, modules.number

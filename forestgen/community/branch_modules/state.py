@@ -8,9 +8,9 @@ follow from their identity: other plants do not change them.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,69 +167,38 @@ def refuse_more_seeds(seeds: float, where: str = "community.step_yr") -> None:
 STAND_IN = PlantType(life_span_yr=1.0, root_vigour_max=1.0, growth_rate_per_yr=1.0, apical_control=0.5, determinacy=0.5)
 
 
-@dataclass(frozen=True)
 class Traits:
-    """Every number of the plant types; arrays (T,) in the order of the species. Fields as in `PlantType`."""
+    """Every number of the plant types by its name in `PlantType`: arrays (T,) in the order of the species.
 
-    grows: NDArray[np.bool_]  # whether it is a plant at all; a building's kind never grows
-    life_span_yr: NDArray[np.float64]
-    root_vigour_max: NDArray[np.float64]
-    growth_rate_per_yr: NDArray[np.float64]
-    apical_control: NDArray[np.float64]
-    determinacy: NDArray[np.float64]
-    apical_control_mature: NDArray[np.float64]
-    determinacy_mature: NDArray[np.float64]
-    flowering_age_yr: NDArray[np.float64]
-    flowering_delay_max: NDArray[np.float64]
-    tropism_angle_rad: NDArray[np.float64]
-    tropism_weight: NDArray[np.float64]
-    collision_weight: NDArray[np.float64]
-    mature_age: NDArray[np.float64]
-    vigour_min: NDArray[np.float64]
-    vigour_max: NDArray[np.float64]
-    sprouting: NDArray[np.float64]
-    disused_share: NDArray[np.float64]
-    upkeep: NDArray[np.float64]
-    reach_m: NDArray[np.float64]
-    compensation: NDArray[np.float64]
-    opacity: NDArray[np.float64]
-    shade_tolerance: NDArray[np.float64]
-    seeds_per_yr: NDArray[np.float64]
-    seeding_radius_m: NDArray[np.float64]
-    temperature_c: NDArray[np.float64]
-    temperature_width_c: NDArray[np.float64]
-    precipitation_mm_per_yr: NDArray[np.float64]
-    precipitation_width_mm_per_yr: NDArray[np.float64]
+    What a type leaves open of mature plants is as before. Angles count from the vertical.
+    """
 
+    def __init__(self, types: Sequence[PlantType | None]) -> None:
+        """None: a species that does not grow, such as a building."""
+        self.grows: NDArray[np.bool_] = np.array([one is not None for one in types], dtype=np.bool_)
+        plants = [one or STAND_IN for one in types]
+        for name in PlantType.model_fields.keys() - {"prototypes"}:
+            values = [getattr(one, name) for one in plants]
+            young = [getattr(one, name.removesuffix("_mature")) for one in plants]
+            filled = [other if value is None else value for value, other in zip(values, young, strict=True)]
+            setattr(self, name, np.array(filled, dtype=np.float64))
+        angle_rad = self.tropism_angle_rad  # below 0: below the horizontal
+        self.tropism_angle_rad = np.where(angle_rad < 0.0, 0.5 * np.pi - angle_rad, angle_rad)
+        # As ages are kept: a limit that float32 cannot hold would never be reached.
+        self.mature_age = self.mature_age.astype(np.float32).astype(np.float64)
 
-def _traits_of(types: Sequence[PlantType | None]) -> Traits:
-    """The arrays of plant types in the order of the species; None: a species that does not grow."""
-    columns = {}
-    for name in (one.name for one in fields(Traits) if one.name != "grows"):
-        values = []
-        for one in types:
-            plant_type = STAND_IN if one is None else one
-            value = getattr(plant_type, name)
-            values.append(getattr(plant_type, name.removesuffix("_mature")) if value is None else value)
-        columns[name] = np.array(values, dtype=np.float64)
-    angle_rad = columns["tropism_angle_rad"]  # below 0: below the horizontal
-    columns["tropism_angle_rad"] = np.where(angle_rad < 0.0, 0.5 * np.pi - angle_rad, angle_rad)
-    # As ages are kept: a limit that float32 cannot hold would never be reached.
-    columns["mature_age"] = columns["mature_age"].astype(np.float32).astype(np.float64)
-    return Traits(grows=np.array([one is not None for one in types], dtype=np.bool_), **columns)
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NDArray[np.float64]: ...
 
 
 def _allowed_prototypes(names: Sequence[str], types: Sequence[PlantType | None]) -> NDArray[np.bool_]:
     """(T, S) which of the prototypes each type may have; a type that names none may have all."""
-    out = np.ones((len(types), len(names)), dtype=np.bool_)
-    for row, one in enumerate(types):
-        if one is None or not one.prototypes:
-            continue
-        for name in one.prototypes:
-            if name not in names:
-                raise no_prototype(name, names)
-        out[row] = [name in one.prototypes for name in names]
-    return out
+    wanted = [(one and one.prototypes) or names for one in types]
+    unknown = [name for own in wanted for name in own if name not in names]
+    if unknown:
+        raise no_prototype(unknown[0], names)
+    return np.array([[name in own for name in names] for own in wanted], dtype=np.bool_)
 
 
 def main_path(tables: Tables) -> NDArray[np.bool_]:
@@ -257,7 +226,7 @@ class StepParameters:
     traits: Traits
     tables: Tables
     main_path: NDArray[np.bool_]  # (S, N) of `main_path`
-    allowed: NDArray[np.bool_]  # (T, S) of `_allowed_prototypes`
+    allowed: NDArray[np.bool_]  # (T, S) which prototypes each type may have
 
 
 def step_parameters(state: State) -> StepParameters:
@@ -273,4 +242,4 @@ def _arrays(
     types: tuple[PlantType | None, ...], sphere_scale: float
 ) -> tuple[Traits, Tables, NDArray[np.bool_], NDArray[np.bool_]]:
     tables = tables_of(load_prototypes(), [one or STAND_IN for one in types], sphere_scale=sphere_scale)
-    return _traits_of(types), tables, main_path(tables), _allowed_prototypes(tables.names, types)
+    return Traits(types), tables, main_path(tables), _allowed_prototypes(tables.names, types)

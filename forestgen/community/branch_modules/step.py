@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,15 +36,6 @@ from forestgen.community.branch_modules.vigour import Flow, distribute, net_gain
 from forestgen.core.randomness import child_rng
 
 
-@dataclass(frozen=True)
-class StepContext:
-    """What holds in one step, with what its plants see."""
-
-    now: StepParameters
-    around: Surroundings
-    bearer: NDArray[np.int64]  # (M,) row of the module that bears each, -1 for roots
-
-
 def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arriving = NO_SEEDS) -> State:
     """The state one step later; `state` itself is left as it was.
 
@@ -76,7 +67,7 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
         flowering=plants.flowering | _flowers(state, now, flow),
         adaptation=np.where(traits.grows[species], adapted, 1.0).astype(np.float32),
     )
-    modules = _after(aged, rows, plants, state, StepContext(now, around, modules.parent_row()))
+    modules = _after(aged, rows, plants, state, now, around)
     withered, tallest_m = died_back(plants, modules, now)
     plants = replace(plants, tallest_m=tallest_m)
     alive = ((np.diff(rows.first) > 0) | ~traits.grows[species]) & ~withered
@@ -122,18 +113,20 @@ def _flowers(state: State, now: StepParameters, flow: Flow) -> NDArray[np.bool_]
     return out
 
 
-def _after(modules: Modules, rows: NextRows, plants: Plants, state: State, context: StepContext) -> Modules:
+def _after(
+    modules: Modules, rows: NextRows, plants: Plants, state: State, now: StepParameters, around: Surroundings
+) -> Modules:
     """The modules that stay, those that grow and bear nothing turned a little more, and those that begin."""
     new = np.flatnonzero(rows.new)
     names = ("prototype", "age", "age_yr", "base_m", "rotation", "vigour", "light", "disused_m2")
     columns = {name: getattr(modules, name)[rows.source] for name in names}
-    columns["age_yr"] += np.float32(context.now.parameters.step_yr)
+    columns["age_yr"] += np.float32(now.parameters.step_yr)
     for name in ("age", "age_yr", "vigour", "light", "disused_m2"):
         columns[name][new] = 0.0
     after = Modules(first=rows.first, number=rows.number, parent=rows.parent, node=rows.node, **columns)
     if len(new):
-        _begin(after, new, modules, rows, plants, state, context.now)
-    _turn(after, new, rows, state, context)
+        _begin(after, new, modules, rows, plants, state, now)
+    _turn(after, new, rows, state, now, around)
     return after
 
 
@@ -162,9 +155,11 @@ def _begin(
     after.rotation[new] = orientation_along(direction, roll_rad)
 
 
-def _turn(after: Modules, new: NDArray[np.int64], rows: NextRows, state: State, context: StepContext) -> None:
+def _turn(
+    after: Modules, new: NDArray[np.int64], rows: NextRows, state: State, now: StepParameters, around: Surroundings
+) -> None:
     """Turn new modules, then by fewer steps those that grow too: all by the spheres at the step's beginning."""
-    now, around, parameters = context.now, context.around, context.now.parameters
+    parameters = now.parameters
     if not parameters.orient or len(after) == 0:
         return
     kind = np.repeat(state.plants.species, np.diff(after.first))
@@ -176,7 +171,7 @@ def _turn(after: Modules, new: NDArray[np.int64], rows: NextRows, state: State, 
         (np.flatnonzero(growing), parameters.turning_steps),
     ):
         if steps and len(chosen):
-            turning = _turning(after, chosen, rows, state, context, axis[chosen])
+            turning = _turning(after, chosen, rows, state, now, axis[chosen])
             after.rotation[chosen] = orient(
                 around.grid, turning, steps=steps, angle_rad=parameters.turn_rad, boxes=around.boxes
             )
@@ -187,12 +182,12 @@ def _turning(
     chosen: NDArray[np.int64],
     rows: NextRows,
     state: State,
-    context: StepContext,
+    now: StepParameters,
     is_axis: NDArray[np.bool_],
 ) -> Turning:
     """The modules in rows `chosen` of `after`; `is_axis` (N,) says whether they continue the plant's main axis."""
-    traits, tables, plants = context.now.traits, context.now.tables, state.plants
-    born, source = rows.new[chosen], rows.source[chosen]
+    traits, tables, plants = now.traits, now.tables, state.plants
+    born, source, bearer = rows.new[chosen], rows.source[chosen], state.modules.parent_row()
     plant = np.searchsorted(after.first, chosen, side="right") - 1
     kind, prototype = plants.species[plant], after.prototype[chosen]
     return Turning(
@@ -201,7 +196,7 @@ def _turning(
         centre_m=tables.sphere_centre_m[kind, prototype],
         radius_m=tables.sphere_radius_m[kind, prototype],
         row=np.where(born, -1, source),
-        parent_row=np.where(born, source, context.bearer[source]),
+        parent_row=np.where(born, source, bearer[source]),
         # The leader goes up: an angle from the vertical is what its branches have.
         tropism_angle_rad=np.where(is_axis & (traits.apical_control[kind] > 0.5), 0.0, traits.tropism_angle_rad[kind]),
         tropism_weight=traits.tropism_weight[kind],
