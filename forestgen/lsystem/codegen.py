@@ -15,32 +15,15 @@ from typing import NoReturn
 
 import numpy as np
 
+from forestgen.lsystem import syntax
 from forestgen.lsystem import vm_layout as op
 from forestgen.lsystem.multiset import Kind
-from forestgen.lsystem.syntax import (
-    FIRST,
-    Assign,
-    Binary,
-    Call,
-    Expression,
-    If,
-    Index,
-    Macro,
-    Module,
-    Name,
-    Number,
-    Place,
-    Production,
-    ProgramAST,
-    Statement,
-    Unary,
-    UseGroup,
-    fail,
-)
+from forestgen.lsystem.syntax import FIRST, Place, fail
 
 GROUP = ""  # name of the first global variable, which holds the current group
 _MOST_INSTRUCTIONS = 200_000
 _MOST_KINDS = 65_536
+_SYMBOL = syntax.Name | syntax.Number  # what a symbol looks like as an argument
 _SAMPLES_A_SPAN = 64
 _FUNCTIONS: dict[str, Callable[..., float]] = {
     "min": min, "max": max, "floor": math.floor, "ceil": math.ceil, "trunc": math.trunc, "abs": abs, "fabs": abs,
@@ -60,7 +43,7 @@ class CodeGenerator:
     Local variables come first in `real`, then room for a copy of them; the stack comes last.
     """
 
-    def __init__(self, ast: ProgramAST) -> None:
+    def __init__(self, ast: syntax.ProgramAST) -> None:
         self.name, self.macros = ast.name, ast.macros
         self.whole, self.places = [0] * op.HEADER, dict[int, Place]()  # of each instruction, by its address
         sizes = [
@@ -83,7 +66,7 @@ class CodeGenerator:
         self.kinds: dict[Kind, int] = {}
         self.stack = self.stack_size = 0
 
-    def _lay_out_functions(self, ast: ProgramAST) -> None:
+    def _lay_out_functions(self, ast: syntax.ProgramAST) -> None:
         """Of each number from 1 on, where its function's samples are and how many: 0, there is no such function."""
         pairs = dict.fromkeys(range(1, max(self.functions.values(), default=0) + 1), (0, 0))
         for name, points in ast.functions.items():
@@ -139,7 +122,7 @@ class Scope:
         self.e, self.is_global, self.fail = code, is_global, code.fail
         self.locals: dict[str, int] = {}
         self.expanding: list[str] = []
-        self.bound: list[Mapping[str, Expression]] = []  # a macro's parameters
+        self.bound: list[Mapping[str, syntax.Expression]] = []  # a macro's parameters
         for name, place in formals:
             if name in self.locals:
                 self.fail(f"the parameter {name} stands twice in one production", place, hint="give each its own name")
@@ -150,11 +133,11 @@ class Scope:
         self.e.stack = 0
         return len(self.e.whole)
 
-    def statements(self, statements: Sequence[Statement]) -> None:
+    def statements(self, statements: Sequence[syntax.Statement]) -> None:
         for one in statements:
-            if isinstance(one, If):
+            if isinstance(one, syntax.If):
                 self.branches(one)
-            elif isinstance(one, UseGroup):
+            elif isinstance(one, syntax.UseGroup):
                 if not self.is_global:
                     expected = "it in Start, StartEach or EndEach"
                     self.fail("useGroup stands in a production", one.place, expected=expected)
@@ -180,7 +163,7 @@ class Scope:
             self.fail(f"{name} is defined and cannot be assigned", place)
         self.e.put(op.STORE, place, -1, self.locals.setdefault(name, len(self.locals)))
 
-    def branches(self, one: If) -> None:
+    def branches(self, one: syntax.If) -> None:
         for name in _assigned_in((one,)):
             if not self.is_global and name not in self.locals:  # 0 where no branch sets it
                 self.e.constant(0.0, one.place)
@@ -196,14 +179,14 @@ class Scope:
     def returns(self, place: Place) -> None:
         self.e.put(op.RETURN, place, 0)
 
-    def modules(self, modules: Sequence[Module]) -> None:
+    def modules(self, modules: Sequence[syntax.Module]) -> None:
         for one in modules:
             for argument in one.arguments:
                 self.expression(argument)
             arity = len(one.arguments)
             self.e.put(op.EMIT, one.place, -arity, self.e.kind(one.symbol, arity))
 
-    def expression(self, one: Expression) -> None:
+    def expression(self, one: syntax.Expression) -> None:
         """Code that leaves the expression's value on the stack; a known value is computed now."""
         hidden = {*self.locals, *self.e.globals, *(name for bound in self.bound for name in bound)}
         visible = {name: macro for name, macro in self.e.macros.items() if name not in hidden}
@@ -213,21 +196,21 @@ class Scope:
         else:
             self.e.constant(value, one.place)
 
-    def compute(self, one: Expression) -> None:
-        if isinstance(one, Number):
+    def compute(self, one: syntax.Expression) -> None:
+        if isinstance(one, syntax.Number):
             self.e.constant(one.value, one.place)
-        elif isinstance(one, Name):
+        elif isinstance(one, syntax.Name):
             self.named(one)
-        elif isinstance(one, Index):
+        elif isinstance(one, syntax.Index):
             if one.name not in self.e.arrays:
                 known = ", ".join(self.e.arrays) or "none is defined"
                 self.fail(f"there is no array {one.name}", one.place, expected=known, got=one.name)
             self.compute(one.index)
             self.e.put(op.ELEMENT, one.place, 0, self.e.arrays[one.name])
-        elif isinstance(one, Unary):
+        elif isinstance(one, syntax.Unary):
             self.compute(one.operand)
             self.e.put(op.NEGATE if one.operator == "-" else op.NOT, one.place, 0)
-        elif isinstance(one, Call):
+        elif isinstance(one, syntax.Call):
             self.call(one)
         elif one.operator in ("&&", "||"):
             self.shortcut(one)
@@ -236,7 +219,7 @@ class Scope:
             self.compute(one.right)
             self.e.put(op.OPERATORS[one.operator], one.place, -1)
 
-    def named(self, one: Name) -> None:
+    def named(self, one: syntax.Name) -> None:
         if self.bound and one.name in self.bound[-1]:
             argument, bound, macro = self.bound[-1][one.name], self.bound.pop(), self.expanding.pop()
             self.compute(argument)  # in the scope of the macro's caller
@@ -247,7 +230,7 @@ class Scope:
         elif one.name in self.e.globals:
             self.e.put(op.LOAD, one.place, 1, self.e.globals[one.name])
         elif one.name in self.e.macros:
-            self.expand(Call(one.name, (), one.place), is_value=True)
+            self.expand(syntax.Call(one.name, (), one.place), is_value=True)
         elif one.name in self.e.functions:
             self.e.constant(self.e.functions[one.name], one.place)
         else:
@@ -256,7 +239,7 @@ class Scope:
             hint = "a parameter of the predecessor, a local variable, or a #define"
             self.fail(f"{one.name} has no value here", one.place, expected=expected, hint=hint)
 
-    def expand(self, one: Call, *, is_value: bool = False) -> None:
+    def expand(self, one: syntax.Call, *, is_value: bool = False) -> None:
         macro = self.e.macros[one.name]
         parameters = macro.parameters or ()
         if (macro.parameters is None) != is_value or len(parameters) != len(one.arguments):
@@ -270,7 +253,7 @@ class Scope:
         self.bound.pop()
         self.expanding.pop()
 
-    def call(self, one: Call) -> None:
+    def call(self, one: syntax.Call) -> None:
         if one.name in self.e.macros:
             self.expand(one)
             return
@@ -283,27 +266,27 @@ class Scope:
         if len(one.arguments) != arity:
             self.fail(f"{one.name} takes {arity} argument{'s' * (arity > 1)}", one.place, got=f"{len(one.arguments)}")
         chosen = one.arguments[0]
-        if one.name == "func" and isinstance(chosen, Number) and chosen.value not in self.e.functions.values():
+        if one.name == "func" and isinstance(chosen, syntax.Number) and chosen.value not in self.e.functions.values():
             known = ", ".join(self.e.functions) or "none is defined"
             self.fail(f"there is no function {chosen.value:g}", chosen.place, expected=known)
         for argument in one.arguments:
             self.compute(argument)
         self.e.put(operation, one.place, 1 - arity)
 
-    def count(self, one: Call) -> None:
-        if not self.is_global or len(one.arguments) != 1 or not isinstance(one.arguments[0], Name | Number):
+    def count(self, one: syntax.Call) -> None:
+        if not self.is_global or len(one.arguments) != 1 or not isinstance(one.arguments[0], _SYMBOL):
             self.fail("count(A) counts modules in Start, StartEach and EndEach", one.place, expected="one symbol in it")
         argument = one.arguments[0]
-        if isinstance(argument, Name) and len(argument.name) > 1:
+        if isinstance(argument, syntax.Name) and len(argument.name) > 1:
             self.fail("a symbol is one character", argument.place, expected="count(A)", got=argument.name)
-        symbol = argument.name if isinstance(argument, Name) else f"{argument.value:g}"
+        symbol = argument.name if isinstance(argument, syntax.Name) else f"{argument.value:g}"
         name = f"count({symbol})"
         if name not in self.e.globals:
             self.e.counted.append((len(self.e.globals), symbol))
             self.e.globals[name] = self.e.append_reals([0.0])
         self.e.put(op.LOAD, one.place, 1, self.e.globals[name])
 
-    def shortcut(self, one: Binary) -> None:
+    def shortcut(self, one: syntax.Binary) -> None:
         """The right side runs only if it decides: it may draw."""
         self.compute(one.left)
         self.e.put(op.TRUTH if one.operator == "&&" else op.NOT, one.place, 0)
@@ -316,24 +299,21 @@ class Scope:
         self.e.land(end)
 
 
-def _assigned_in(*blocks: Sequence[Statement]) -> list[str]:
+def _assigned_in(*blocks: Sequence[syntax.Statement]) -> list[str]:
     """Names that statements may assign, each once, in their order."""
     found: list[str] = []
     for one in (one for block in blocks for one in block):
-        found += (
-            [one.name]
-            if isinstance(one, Assign)
-            else _assigned_in(one.then, one.otherwise)
-            if isinstance(one, If)
-            else []
-        )
+        if isinstance(one, syntax.Assign):
+            found.append(one.name)
+        elif isinstance(one, syntax.If):
+            found += _assigned_in(one.then, one.otherwise)
     return list(dict.fromkeys(found))
 
 
-def formals(one: Production) -> list[tuple[str, Place]]:
+def formals(one: syntax.Production) -> list[tuple[str, Place]]:
     """Names of the parameters before a production's arrow, in their order, with their places."""
     modules = (*one.left, *one.predecessor, *one.right)
-    return [(a.name, a.place) for module in modules for a in module.arguments if isinstance(a, Name)]
+    return [(a.name, a.place) for module in modules for a in module.arguments if isinstance(a, syntax.Name)]
 
 
 def number_functions(names: Sequence[str]) -> dict[str, int]:
@@ -357,7 +337,7 @@ def _sampled(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[f
     return np.maximum.accumulate(curve[:, 0]).tolist(), curve[:, 1].tolist()
 
 
-def fold(expression: Expression, macros: Mapping[str, Macro], name: str) -> float | None:
+def fold(expression: syntax.Expression, macros: Mapping[str, syntax.Macro], name: str) -> float | None:
     """Value of an expression of numbers and #defines; None where it needs more, draws, or has no value.
 
     Raises `LsystemError` for a division by zero.
@@ -372,21 +352,21 @@ def fold(expression: Expression, macros: Mapping[str, Macro], name: str) -> floa
 class _Folder:
     """Each #define is computed once, however often it stands."""
 
-    def __init__(self, macros: Mapping[str, Macro], name: str) -> None:
+    def __init__(self, macros: Mapping[str, syntax.Macro], name: str) -> None:
         self.macros, self.name = macros, name
         self.known: dict[str, float | None] = {}
 
-    def fold(self, one: Expression) -> float | None:
-        if isinstance(one, Number):
+    def fold(self, one: syntax.Expression) -> float | None:
+        if isinstance(one, syntax.Number):
             return one.value
-        if isinstance(one, Name):
+        if isinstance(one, syntax.Name):
             return self.named(one.name)
-        if isinstance(one, Unary):
+        if isinstance(one, syntax.Unary):
             value = self.fold(one.operand)
             return None if value is None else (-value if one.operator == "-" else float(not value))
-        if isinstance(one, Index):
+        if isinstance(one, syntax.Index):
             return None
-        return self.call(one) if isinstance(one, Call) else self.binary(one)
+        return self.call(one) if isinstance(one, syntax.Call) else self.binary(one)
 
     def named(self, name: str) -> float | None:
         macro = self.macros.get(name)
@@ -397,14 +377,14 @@ class _Folder:
             self.known[name] = self.fold(macro.body)
         return self.known[name]
 
-    def call(self, one: Call) -> float | None:
+    def call(self, one: syntax.Call) -> float | None:
         if one.name in self.macros or one.name not in _FUNCTIONS or len(one.arguments) != op.BUILTINS[one.name][1]:
             return None
         values = [self.fold(argument) for argument in one.arguments]
         known = [value for value in values if value is not None]
         return float(_FUNCTIONS[one.name](*known)) if len(known) == len(values) else None
 
-    def binary(self, one: Binary) -> float | None:
+    def binary(self, one: syntax.Binary) -> float | None:
         left = self.fold(one.left)
         if one.operator in ("&&", "||") and left is not None and bool(left) == (one.operator == "||"):
             return float(bool(left))  # the right side never runs

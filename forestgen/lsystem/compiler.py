@@ -8,30 +8,22 @@ from dataclasses import replace
 import numpy as np
 
 from forestgen.core.errors import LsystemError
+from forestgen.lsystem import syntax
 from forestgen.lsystem import vm_layout as layout
-from forestgen.lsystem.checks import check_arities, check_brackets, check_heads, check_probabilities
 from forestgen.lsystem.codegen import CodeGenerator, Scope, fold, formals
-from forestgen.lsystem.multiset import CLOSE, OPEN, RESERVED
+from forestgen.lsystem.multiset import CLOSE, OPEN, QUERIES, RESERVED
 from forestgen.lsystem.program import Program, RuleSet
-from forestgen.lsystem.syntax import (
-    FIRST,
-    Expression,
-    Macro,
-    Module,
-    Number,
-    Production,
-    ProgramAST,
-    Statement,
-    points_problem,
-)
+from forestgen.lsystem.syntax import FIRST, Place, fail, points_problem
 
+#: The turtle gives these defaults: they may come with and without parameters.
+TURTLE_SYMBOLS = frozenset([*"FfGg+-&^\\/|$!#';,_{}.~<>@%", "@v", "@Gs", "@Gc", "@Ge"])
 DEEPEST = 100_000  # decomposition, where the program states no maximum depth
 
 #: What a caller may set: a #define's or an array's value, or a function's control points.
 Value = float | Sequence[float] | Sequence[tuple[float, float]]
 
 
-def with_values(ast: ProgramAST, values: Mapping[str, Value]) -> ProgramAST:
+def with_values(ast: syntax.ProgramAST, values: Mapping[str, Value]) -> syntax.ProgramAST:
     """The program with other values of its #defines, arrays and functions.
 
     Raises `LsystemError` for a name that it does not define, or a value of the wrong sort.
@@ -39,7 +31,7 @@ def with_values(ast: ProgramAST, values: Mapping[str, Value]) -> ProgramAST:
     macros, arrays, functions = dict(ast.macros), dict(ast.arrays), dict(ast.functions)
     for name, value in values.items():
         if name in macros and macros[name].parameters is None and isinstance(value, int | float):
-            macros[name] = Macro(None, Number(float(value), macros[name].place), macros[name].place)
+            macros[name] = syntax.Macro(None, syntax.Number(float(value), macros[name].place), macros[name].place)
         elif name in arrays and _is_flat(value):
             arrays[name] = tuple(float(one) for one in value)  # type: ignore[union-attr,arg-type]
         elif name in functions and _is_points(value):
@@ -68,13 +60,13 @@ def _is_points(value: Value) -> bool:
     return not isinstance(value, int | float) and not any(isinstance(one, int | float) for one in value)
 
 
-def settable(ast: ProgramAST) -> list[str]:
+def settable(ast: syntax.ProgramAST) -> list[str]:
     """Names of the values that `with_values` can change."""
     plain = [name for name, macro in ast.macros.items() if macro.parameters is None]
     return [*plain, *ast.arrays, *ast.functions]
 
 
-def compile_program(ast: ProgramAST) -> Program:
+def compile_program(ast: syntax.ProgramAST) -> Program:
     """Check a program and compile it; raises `LsystemError`, with line and column, where it is wrong."""
     try:
         return _Compiler(ast).program()
@@ -83,7 +75,7 @@ def compile_program(ast: ProgramAST) -> Program:
 
 
 class _Compiler:
-    def __init__(self, ast: ProgramAST) -> None:
+    def __init__(self, ast: syntax.ProgramAST) -> None:
         self.ast, self.e = ast, CodeGenerator(ast)
         for kind in RESERVED:
             self.e.kind(*kind)
@@ -136,26 +128,26 @@ class _Compiler:
         """What is wrong with productions and words as a whole."""
         one = self.ast
         for production in one.all_productions:
-            check_heads(production, one)
-            check_brackets(production.successor, one)
+            _check_heads(production, one)
+            _check_brackets(production.successor, one)
         for production in (*one.decomposition.productions, *one.interpretation.productions):
             if production.left or production.right or len(production.predecessor) > 1:
                 problem = "a production of a block must be context-free"
                 self.e.fail(problem, production.place, expected="one module before the arrow")
         for word in one.axiom:
-            check_brackets(word, one)
-        check_arities(one)
+            _check_brackets(word, one)
+        _check_arities(one)
         for rules in (one.productions, one.decomposition.productions, one.interpretation.productions):
-            check_probabilities(rules, one)
+            _check_probabilities(rules, one)
 
-    def word(self, modules: tuple[Module, ...]) -> int:
+    def word(self, modules: tuple[syntax.Module, ...]) -> int:
         scope = Scope(self.e)
         begin = scope.begin()
         scope.modules(modules)
         scope.returns(modules[-1].place if modules else FIRST)
         return begin
 
-    def block(self, statements: tuple[Statement, ...]) -> int:
+    def block(self, statements: tuple[syntax.Statement, ...]) -> int:
         if not statements:
             return -1
         scope = Scope(self.e, is_global=True)
@@ -164,7 +156,7 @@ class _Compiler:
         scope.returns(statements[-1].place)
         return begin
 
-    def production(self, one: Production) -> list[int]:
+    def production(self, one: syntax.Production) -> list[int]:
         """Its record, as vm_layout.py says; its code and its lists of kinds are laid out."""
         left, head, right = (
             [self.e.kind(module.symbol, len(module.arguments)) for module in part]
@@ -175,7 +167,7 @@ class _Compiler:
         if one.condition is not None or one.before:
             condition = scope.begin()
             scope.statements(one.before)
-            scope.expression(one.condition or Number(1.0, one.place))
+            scope.expression(one.condition or syntax.Number(1.0, one.place))
             scope.returns(one.place)
         if one.probability is not None:
             probability = scope.begin()
@@ -202,7 +194,7 @@ class _Compiler:
         seen = None if considered is None else {module.symbol for module in considered}
         return [kind.symbol in hidden or (seen is not None and kind.symbol not in seen) for kind in self.e.kinds]
 
-    def number(self, expression: Expression | None, default: int, what: str) -> int:
+    def number(self, expression: syntax.Expression | None, default: int, what: str) -> int:
         if expression is None:
             return default
         value = fold(expression, self.ast.macros, self.ast.name)
@@ -243,3 +235,92 @@ def _with_branches(right: Sequence[int]) -> list[int]:
         elif kind == CLOSE:
             opened.pop()
     return [*right, *enclosing]
+
+
+def _check_heads(production: syntax.Production, ast: syntax.ProgramAST) -> None:
+    """Predecessor and contexts: brackets, balanced, in the right context only; as parameters only names."""
+    _check_brackets(production.right, ast, percent_turns=False)
+    for part, word in (("left context", production.left), ("predecessor", production.predecessor)):
+        bracket = next((module for module in word if module.symbol in "[]"), None)
+        if bracket is not None:
+            problem, expected = f"a bracket stands in a {part}", "modules only: branches may stand in the right context"
+            fail(problem, ast.name, bracket.place, expected=expected, got=bracket.symbol)
+    for module in (*production.left, *production.right, *production.predecessor):
+        if module.symbol == "%" and ast.dialect != "rhover":
+            fail("% cuts or fragments, and cannot be rewritten", ast.name, module.place)
+        for argument in module.arguments:
+            if not isinstance(argument, syntax.Name):
+                expected = f"{module.symbol}(x), with a condition on x where one is needed"
+                fail("a parameter before the arrow must be a name", ast.name, argument.place, expected=expected)
+
+
+def _check_brackets(
+    modules: Sequence[syntax.Module], ast: syntax.ProgramAST, *, percent_turns: bool | None = None
+) -> None:
+    """Brackets of a successor, a right context or an axiom's word are balanced, and take no parameters.
+
+    In a successor or an axiom % may turn the turtle: in rhover's dialect.
+    """
+    turns = ast.dialect == "rhover" if percent_turns is None else percent_turns
+    opened: list[Place] = []
+    for module in modules:
+        if module.symbol in "[]" and module.arguments:
+            fail("a bracket has no parameters", ast.name, module.place)
+        if module.symbol == "%" and module.arguments and not turns:
+            fail("% has no parameters", ast.name, module.place)
+        if module.symbol == "[":
+            opened.append(module.place)
+        elif module.symbol == "]":
+            if not opened:
+                fail("unbalanced brackets: this ] has no [", ast.name, module.place)
+            opened.pop()
+    if opened:
+        fail("unbalanced brackets: this [ has no ]", ast.name, opened[-1])
+
+
+def _check_arities(ast: syntax.ProgramAST) -> None:
+    """A symbol that productions know has a number of parameters that they know; any other has always the same."""
+    productions = ast.all_productions
+    known: dict[str, set[int]] = {}
+    for production in productions:
+        for module in production.predecessor:
+            known.setdefault(module.symbol, set()).add(len(module.arguments))
+    seen: dict[str, syntax.Module] = {}
+    successors = [production.successor for production in productions]
+    contexts = [part for production in productions for part in (production.left, production.right)]
+    for module in (module for word in (*ast.axiom, *successors, *contexts) for module in word):
+        symbol, arity = module.symbol, len(module.arguments)
+        if symbol in QUERIES and arity not in (2, 3):
+            fail(f"{symbol} takes 2 or 3 parameters", ast.name, module.place, got=str(arity))
+        if symbol in TURTLE_SYMBOLS or symbol in QUERIES:
+            continue
+        first = seen.setdefault(symbol, module)
+        wanted = known.get(symbol, {len(first.arguments)})
+        if arity not in wanted:
+            source = "productions" if symbol in known else f"line {first.place.line}"
+            expected = f"{' or '.join(map(str, sorted(wanted)))}, as in {source}"
+            problem = f"{symbol} stands here with {arity or 'no'} parameter{'s' * (arity != 1)}"
+            fail(problem, ast.name, module.place, expected=expected, got=str(arity))
+
+
+def _check_probabilities(productions: Sequence[syntax.Production], ast: syntax.ProgramAST) -> None:
+    """Known probabilities lie in [0, 1], and those of productions with one head and condition sum to at most 1."""
+    sums: dict[tuple[object, ...], float] = {}
+    for one in productions:
+        if one.probability is None:
+            continue
+        parts = (one.left, one.predecessor, one.right)
+        hidden = {name for name, _ in formals(one)}
+        visible = {name: macro for name, macro in ast.macros.items() if name not in hidden}
+        value, place = fold(one.probability, visible, ast.name), one.probability.place
+        if value is None:
+            continue
+        if not 0 <= value <= 1:
+            fail("a probability must lie between 0 and 1", ast.name, place, got=f"{value:g}")
+        heads = tuple(tuple((m.symbol, len(m.arguments)) for m in part) for part in parts)
+        key = (heads, one.condition, one.group)
+        sums[key] = sums.get(key, 0.0) + value
+        if sums[key] > 1 + 1e-9:
+            problem = f"the probabilities of {one.predecessor[0].symbol} sum to more than 1"
+            expected = "at most 1; what is missing leaves the module as it is"
+            fail(problem, ast.name, place, expected=expected, got=f"{sums[key]:g}")

@@ -20,6 +20,8 @@ class Kind(NamedTuple):
 #: These kinds have the same codes in every program.
 OPEN, CLOSE, PERCENT = 0, 1, 2
 RESERVED = (Kind("[", 0), Kind("]", 0), Kind("%", 0))
+#: Symbols that ask the turtle.
+QUERIES = ("?P", "?H", "?U", "?L")
 
 
 @dataclass(frozen=True)

@@ -1,36 +1,48 @@
-"""From a program's text to a `ProgramAST`."""
+"""From a program's text to a `ProgramAST`: in cpfg's conventions, or in RhoVeR's.
+
+The `.sys` files of RhoVeR's forest are L-systems whose rules are fired with given probabilities::
+
+    LSYSTEM
+    1
+    F
+    F F [%>F]F[<&F][<&F][%F] 1
+
+The header; the number r of rules; the axiom; r rules "A R p", where R replaces the symbol A with probability p. R may
+contain spaces, or be empty. With what its rules leave of 1, a symbol stays. Modules may have numbers as parameters,
+F(10, 2, 1); a rule for A replaces A with any parameters.
+
+The turtle's symbols are those of the dialect `rhover`; see `turtle`.
+
+References
+----------
+Forest growth simulation using L-systems (Rhodes University), section 4.2 and Fig. 5.2.
+"""
 
 from __future__ import annotations
 
 import difflib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import LsystemError
+from forestgen.lsystem import syntax
 from forestgen.lsystem.statements import Reader, Statement, read_program, statements
-from forestgen.lsystem.syntax import (
-    FIRST,
-    Block,
-    Expression,
-    Macro,
-    Place,
-    Production,
-    ProgramAST,
-    fail,
-    points_problem,
-)
-from forestgen.lsystem.sys_format import parse_sys_text
+from forestgen.lsystem.syntax import FIRST, Place, fail, points_problem
 
 DIALECTS = ("cpfg", "abop")
 _MOST_FUNCTIONS = 1000
 _MOST_GROUPS = 1_000_000
+_MOST_PARAMETERS = {"F": 3, "<": 1, ">": 1, "&": 1, "@": 1, "%": 1, "#": 1, "|": 0, "[": 0, "]": 0}
+_RULE = re.compile(
+    r"\s*(?P<symbol>\S)\s+(?P<successor>|.*\s)(?P<probability>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*"
+)
 
 
-def parse_file(path: Path) -> ProgramAST:
+def parse_file(path: Path) -> syntax.ProgramAST:
     """The program in a file: .sys as in Randleff-Rasmussen 2004, else in cpfg's conventions.
 
     Raises `AssetError` where it cannot be read, and `LsystemError`, with line and column, where it is not understood.
@@ -40,7 +52,7 @@ def parse_file(path: Path) -> ProgramAST:
     return parse_text(read_program(path), str(path))
 
 
-def parse_text(text: str, name: str) -> ProgramAST:
+def parse_text(text: str, name: str) -> syntax.ProgramAST:
     """The program in a text, which messages call `name`; raises `LsystemError`, with line and column."""
     builder = _Builder(name)
     try:
@@ -56,11 +68,12 @@ class _Builder:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.ast = ProgramAST(name)
+        self.ast = syntax.ProgramAST(name)
         self.group = 0
         self.block = "productions"
-        self.productions: dict[str, list[Production]] = {"productions": [], "decomposition": [], "interpretation": []}
-        self.depths: dict[str, Expression] = {}
+        kinds = ("productions", "decomposition", "interpretation")
+        self.productions = {one: list[syntax.Production]() for one in kinds}
+        self.depths: dict[str, syntax.Expression] = {}
         self.places: dict[str, Place] = {}
         self.seen: dict[str, Place] = {}
 
@@ -233,13 +246,13 @@ class _Builder:
         parameters = None if given is None else tuple(one.strip() for one in given.split(",") if one.strip())
         if parameters and not (all(map(str.isidentifier, parameters)) and len(set(parameters)) == len(parameters)):
             reader.fail(f"#define {name} has bad parameters", statement.place, expected="different names", got=given)
-        self.update(macros={**self.ast.macros, name: Macro(parameters, body, self.seen[name])})
+        self.update(macros={**self.ast.macros, name: syntax.Macro(parameters, body, self.seen[name])})
 
-    def finish(self) -> ProgramAST:
+    def finish(self) -> syntax.ProgramAST:
         if "axiom" not in self.seen:
             fail("the program has no axiom", self.name, FIRST, expected="axiom: and a string of modules")
         blocks = {
-            name: Block(tuple(self.productions[name]), self.depths.get(name), self.places.get(name, FIRST))
+            name: syntax.Block(tuple(self.productions[name]), self.depths.get(name), self.places.get(name, FIRST))
             for name in ("decomposition", "interpretation")
         }
         return replace(self.ast, productions=tuple(self.productions["productions"]), **blocks)  # type: ignore[arg-type]
@@ -275,3 +288,65 @@ _HANDLERS: dict[str, Any] = {  # by a statement's first word
     **dict.fromkeys(("start", "starteach", "endeach", "end", "define"), _Builder.instructions),
     **dict.fromkeys(_TURTLE, _Builder.turtle),
 }
+
+
+def parse_sys_text(text: str, name: str) -> syntax.ProgramAST:
+    """The program in a `.sys` file's text, dialect `rhover`; raises `LsystemError`, with line and column."""
+    lines = [
+        (Place(number, len(raw) - len(raw.lstrip()) + 1), raw.strip())
+        for number, raw in enumerate(text.splitlines(), 1)
+        if raw.strip()
+    ]
+    place, first = lines[0] if lines else (Place(1, 1), "")
+    if first != "LSYSTEM":
+        fail("no .sys file", name, place, expected="LSYSTEM in its first line", got=first[:60] or None)
+    end = Place(text.count("\n") + 1, 1)
+    if len(lines) < 3:
+        what = "the number of rules" if len(lines) == 1 else "the axiom"
+        fail(f"the file ends before {what}", name, end, expected=what)
+    (place, announced), (start, axiom_text), *rules = lines[1:]
+    if not re.fullmatch(r"[0-9]{1,6}", announced):
+        fail("the number of rules is not understood", name, place, expected="a whole number", got=announced)
+    count, expected = int(announced), f"{announced}, as line {place.line} says"
+    if len(rules) < count:
+        fail("too few rules", name, end, expected=expected, got=str(len(rules)))
+    if len(rules) > count:
+        fail("more rules than announced", name, rules[count][0], expected=expected, got=rules[count][1][:60])
+    axiom, parsed = _modules(axiom_text, name, start), [_rule(line, name, begin) for begin, line in rules]
+    arities: dict[str, set[int]] = {}
+    for module in [*axiom, *(module for rule in parsed for module in rule.successor)]:
+        arities.setdefault(module.symbol, set()).add(len(module.arguments))
+    productions = tuple(one for rule in parsed for one in _for_each_arity(rule, arities))
+    return syntax.ProgramAST(name, dialect="rhover", axiom=(axiom,), productions=productions)
+
+
+def _rule(line: str, name: str, start: Place) -> syntax.Production:
+    """A rule that begins at a place; its probability and brackets are checked where the program is compiled."""
+    found = _RULE.fullmatch(line)
+    if found is None or found["symbol"] in "[](),":
+        expected = "one symbol, its replacement and a probability, such as: F F[>F]F 1"
+        fail("this is no rule", name, start, expected=expected, got=line[:60])
+    successor, probability = (start._replace(column=start.column + found.start(k)) for k in (2, 3))
+    head = syntax.Module(found["symbol"], (), start)
+    value = syntax.Number(float(found["probability"]), probability)
+    return syntax.Production((head,), _modules(found["successor"], name, successor), value, start)
+
+
+def _modules(text: str, name: str, start: Place) -> tuple[syntax.Module, ...]:
+    """The modules of a text that begins at a place."""
+    modules: tuple[syntax.Module, ...] = Reader(name, start).parse(text, "sys_string")
+    for one in modules:
+        given = len(one.arguments)
+        most = _MOST_PARAMETERS.get(one.symbol, given)
+        if given > most:
+            expected = f"at most {most}" if most else "none"
+            fail(f"too many parameters of {one.symbol}", name, one.place, expected=expected, got=str(given))
+    return modules
+
+
+def _for_each_arity(rule: syntax.Production, arities: dict[str, set[int]]) -> Iterable[syntax.Production]:
+    """The rule for its symbol with no, one, two, ... parameters, as far as the program has them."""
+    (head,) = rule.predecessor
+    for count in sorted(arities.get(head.symbol, {0})):
+        formal = tuple(syntax.Name(f"p{k}", head.place) for k in range(1, count + 1))
+        yield replace(rule, predecessor=(syntax.Module(head.symbol, formal, head.place),))

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.checks import QUERIES
-from forestgen.lsystem.multiset import Kind, Multiset
+from forestgen.lsystem.multiset import QUERIES, Kind, Multiset
 from forestgen.lsystem.syntax import Place, ProgramAST
 
 

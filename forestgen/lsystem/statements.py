@@ -21,23 +21,8 @@ from lark.visitors import Transformer_NonRecursive
 
 from forestgen.core.arguments import read_text
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.syntax import (
-    Assign,
-    Binary,
-    Call,
-    Expression,
-    If,
-    Index,
-    Module,
-    Name,
-    Number,
-    Place,
-    Production,
-    Unary,
-    UseGroup,
-    fail,
-    place_in,
-)
+from forestgen.lsystem import syntax
+from forestgen.lsystem.syntax import Place, fail, place_in
 
 LARGEST_PROGRAM_BYTES = 8_000_000
 _STARTS = ["production", "words", "word", "string", "expression", "statements", "arrays", "points", "sys_string"]
@@ -77,7 +62,7 @@ class Array(NamedTuple):
     """``array name[size] = {values}``"""
 
     name: str
-    size: Number | None  # as written
+    size: syntax.Number | None  # as written
     values: tuple[float, ...]
     place: Place
 
@@ -185,15 +170,15 @@ def _lark() -> Lark:
 
 #: What the rules of tokens with places make, of their parts (a missing one is empty) and the first token's place.
 _MAKERS: dict[str, Callable[..., Any]] = {
-    "name": Name,
-    "call": Call,
-    "index": Index,
-    "binary": Binary,
-    "module": Module,
-    "comma": lambda comma, place: Module(comma, (), place),
-    "assignment": Assign,
-    "use_group": lambda keyword, group, place: UseGroup(group, place),
-    "conditional": lambda keyword, condition, then, otherwise, place: If(condition, then, otherwise, place),
+    "name": syntax.Name,
+    "call": syntax.Call,
+    "index": syntax.Index,
+    "binary": syntax.Binary,
+    "module": syntax.Module,
+    "comma": lambda comma, place: syntax.Module(comma, (), place),
+    "assignment": syntax.Assign,
+    "use_group": lambda keyword, group, place: syntax.UseGroup(group, place),
+    "conditional": lambda keyword, condition, then, otherwise, place: syntax.If(condition, then, otherwise, place),
 }
 
 
@@ -212,35 +197,35 @@ class _Syntax(Transformer_NonRecursive[Token, Any]):
         parts = (() if one is None else str(one) if isinstance(one, Token) else one for one in children)
         return _MAKERS[data](*parts, self.at(first))
 
-    def number(self, token: Token) -> Number:
-        return Number(float(token), self.at(token))
+    def number(self, token: Token) -> syntax.Number:
+        return syntax.Number(float(token), self.at(token))
 
-    def signed(self, sign: Token | None, token: Token) -> Number:
-        return Number(-float(token) if sign == "-" else float(token), self.at(token))
+    def signed(self, sign: Token | None, token: Token) -> syntax.Number:
+        return syntax.Number(-float(token) if sign == "-" else float(token), self.at(token))
 
-    def unary(self, operator: Token, operand: Expression) -> Expression:
-        return operand if operator == "+" else Unary(str(operator), operand, self.at(operator))
+    def unary(self, operator: Token, operand: syntax.Expression) -> syntax.Expression:
+        return operand if operator == "+" else syntax.Unary(str(operator), operand, self.at(operator))
 
     def nothing(self) -> None:
         return None
 
-    def array(self, name: Token, size: Number | None, values: tuple[Number, ...] | None) -> Array:
+    def array(self, name: Token, size: syntax.Number | None, values: tuple[syntax.Number, ...] | None) -> Array:
         return Array(str(name), size, tuple(one.value for one in values or ()), self.at(name))
 
-    def point(self, x: Number, y: Number) -> tuple[float, float]:
+    def point(self, x: syntax.Number, y: syntax.Number) -> tuple[float, float]:
         return x.value, y.value
 
-    def tested(self, test: Expression | None, after: Any) -> tuple[Any, ...]:
+    def tested(self, test: syntax.Expression | None, after: Any) -> tuple[Any, ...]:
         return (), test, after or ()
 
-    def prepared(self, before: Any, test: Expression | None, after: Any) -> tuple[Any, ...]:
+    def prepared(self, before: Any, test: syntax.Expression | None, after: Any) -> tuple[Any, ...]:
         return before, test, after or ()
 
     def production(
-        self, left: Any, predecessor: Any, right: Any, condition: Any, successor: Any, probability: Expression | None
-    ) -> Production:
+        self, left: Any, predecessor: Any, right: Any, condition: Any, successor: Any, probability: Any
+    ) -> syntax.Production:
         heads, place = (left or (), right or ()), predecessor[0].place
-        return Production(predecessor, successor, probability, place, *heads, *(condition or ()))
+        return syntax.Production(predecessor, successor, probability, place, *heads, *(condition or ()))
 
 
 class Reader:
