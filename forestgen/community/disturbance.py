@@ -195,12 +195,8 @@ class Selection(Region):
     @model_validator(mode="after")
     def _sizes_in_order(self) -> Self:
         if self.max_radius_m is not None and self.max_radius_m < self.min_radius_m:
-            raise violation(
-                f"at least min_radius_m = {self.min_radius_m:g}",
-                problem="no plant is that large and that small",
-                got=f"{self.max_radius_m:g}",
-                at=("max_radius_m",),
-            )
+            expected, got = f"at least min_radius_m = {self.min_radius_m:g}", f"{self.max_radius_m:g}"
+            raise violation(expected, problem="no plant is that large and that small", got=got, at=("max_radius_m",))
         return self
 
     def chosen(self, population: Population, ground: Ground) -> NDArray[np.uint32]:

@@ -167,28 +167,18 @@ def map_colours(plan: CommunityPlan) -> dict[str, str]:
 def check_graphs(plan: CommunityPlan, paths: Sequence[Path]) -> None:
     """Refuse, before anything is simulated, graphs of plants without branches and files that cannot be written."""
     if paths and capability(plan.model, OwnSkeletons) is None:
-        raise RecipeError(
-            "plants of this community have no branches of their own",
-            parameter="graphs",
-            expected=f"community.model: {models_with(OwnSkeletons)}",
-            got=plan.drawn.recipe.community.model,
-            hint="forestgen plant NAME --out exports a single plant",
-        )
+        problem = "plants of this community have no branches of their own"
+        expected, got = f"community.model: {models_with(OwnSkeletons)}", plan.drawn.recipe.community.model
+        hint = "forestgen plant NAME --out exports a single plant"
+        raise RecipeError(problem, parameter="graphs", expected=expected, got=got, hint=hint)
     for path in paths:
         if path.suffix.lower() not in GRAPH_FORMATS:
-            raise RecipeError(
-                "no format for skeletal graphs",
-                parameter="graphs",
-                expected=f"a name that ends with {', '.join(GRAPH_FORMATS)}",
-                got=str(path),
-            )
+            expected = f"a name that ends with {', '.join(GRAPH_FORMATS)}"
+            raise RecipeError("no format for skeletal graphs", parameter="graphs", expected=expected, got=str(path))
         if path.is_dir() or not os.access(path.parent, os.W_OK):
-            raise OutputError(
-                "the graph cannot be written",
-                where=str(path),
-                expected="a file in a folder that there is, and that may be written to",
-                got="a folder" if path.is_dir() else "no such folder" if not path.parent.is_dir() else "no permission",
-            )
+            expected = "a file in a folder that there is, and that may be written to"
+            got = "a folder" if path.is_dir() else "no such folder" if not path.parent.is_dir() else "no permission"
+            raise OutputError("the graph cannot be written", where=str(path), expected=expected, got=got)
 
 
 def write_graphs(plan: CommunityPlan, population: Population, paths: Sequence[Path]) -> None:

@@ -78,11 +78,8 @@ def refuse_large(need_bytes: float, what: str) -> None:
     """Raise `ResourceError` for what does not fit into memory: a small file may announce a large table."""
     free = free_bytes()
     if need_bytes > free / 2:
-        raise ResourceError(
-            f"the history's {what} do not fit into memory",
-            expected=f"at most half of the {free / 1e9:.1f} GB that are free",
-            got=f"{need_bytes / 1e9:,.1f} GB",
-        )
+        expected, got = f"at most half of the {free / 1e9:.1f} GB that are free", f"{need_bytes / 1e9:,.1f} GB"
+        raise ResourceError(f"the history's {what} do not fit into memory", expected=expected, got=got)
 
 
 class _Writer:

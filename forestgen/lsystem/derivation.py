@@ -93,12 +93,8 @@ def derive_step(program: Program, state: Derivation, seed: int, *, most_modules:
     key = _key(seed, "start each", step)
     glob = _run_block(program, program.start_each, state.globals, state.multiset, key, step)
     if glob[0] not in program.groups:
-        raise LsystemError(
-            "there is no such group",
-            where=program.name,
-            expected=", ".join(map(str, sorted(program.groups))),
-            got=f"useGroup({glob[0]:g}) in derivation step {step}",
-        )
+        expected, got = ", ".join(map(str, sorted(program.groups))), f"useGroup({glob[0]:g}) in derivation step {step}"
+        raise LsystemError("there is no such group", where=program.name, expected=expected, got=got)
     state = replace(state, globals=glob)
     after = _rewritten(program, state, program.productions, program.decomposition, seed, "step", step, most_modules)
     key = _key(seed, "end each", step)
@@ -269,13 +265,9 @@ def _check(
 
 
 def _too_many(program: Program, most_modules: int, step: int) -> TooManyModulesError:
-    return TooManyModulesError(
-        "the words grow too long",
-        where=program.name,
-        expected=f"at most {most_modules:,} modules",
-        got=f"more of them in derivation step {step}",
-        hint="fewer steps, or a higher limit (`max_modules`)",
-    )
+    expected, got = f"at most {most_modules:,} modules", f"more of them in derivation step {step}"
+    hint = "fewer steps, or a higher limit (`max_modules`)"
+    return TooManyModulesError("the words grow too long", where=program.name, expected=expected, got=got, hint=hint)
 
 
 class _Space:

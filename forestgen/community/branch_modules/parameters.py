@@ -63,31 +63,19 @@ class Change(Section):
         for key in data if isinstance(data, Mapping) else ():
             kind = None if key in cls.model_fields else nearest(str(key), KINDS)
             if kind is not None:
-                raise violation(
-                    "at_yr and set",
-                    problem=f"unknown key {str(key)!r}",
-                    hint=f"a change sets numbers; write disturbances: [{{at_yr: ..., {kind}: ...}}] beside changes",
-                    at=(str(key),),
-                )
+                hint = f"a change sets numbers; write disturbances: [{{at_yr: ..., {kind}: ...}}] beside changes"
+                raise violation("at_yr and set", problem=f"unknown key {str(key)!r}", hint=hint, at=(str(key),))
         return data
 
     @model_validator(mode="after")
     def _can_be_changed(self) -> Self:
         for key in self.set:
             if key in FIXED:
-                raise violation(
-                    "a key that may change with time",
-                    problem=f"{key} holds for the whole simulation",
-                    got=show(self.set[key]),
-                    at=("set", key),
-                )
+                expected, got = "a key that may change with time", show(self.set[key])
+                raise violation(expected, problem=f"{key} holds for the whole simulation", got=got, at=("set", key))
             if key.startswith("species") and species_key(key) is None:
-                raise violation(
-                    "species.NAME.KEY, such as species.pine.shade_tolerance",
-                    problem="this names no key of a species",
-                    got=repr(key),
-                    at=("set", key),
-                )
+                expected = "species.NAME.KEY, such as species.pine.shade_tolerance"
+                raise violation(expected, problem="this names no key of a species", got=repr(key), at=("set", key))
         return self
 
     def step(self, step_yr: float) -> int:
@@ -256,12 +244,8 @@ class BranchModulesParameters(CommunityParameters):
     @classmethod
     def _buildings_are_the_sites(cls, data: Any) -> Any:
         if isinstance(data, Mapping) and "obstacles" in data:
-            raise violation(
-                "site.buildings: [{position_m: [...], size_m: [...]}]",
-                problem="obstacles are buildings of the site",
-                got=show(data["obstacles"]),
-                at=("obstacles",),
-            )
+            expected, got = "site.buildings: [{position_m: [...], size_m: [...]}]", show(data["obstacles"])
+            raise violation(expected, problem="obstacles are buildings of the site", got=got, at=("obstacles",))
         return data
 
     @model_validator(mode="before")
@@ -287,24 +271,18 @@ class BranchModulesParameters(CommunityParameters):
             given = next(key for key in _CLIMATE if key not in missing)
             raise violation(missing[0], problem="half a climate", got=f"{given} alone", at=(given,))
         if missing and self.biome is not None:
-            raise violation(
-                "temperature_c and precipitation_mm_per_yr, or a place",
-                problem="a biome without a climate",
-                at=("biome",),
-            )
+            expected = "temperature_c and precipitation_mm_per_yr, or a place"
+            raise violation(expected, problem="a biome without a climate", at=("biome",))
         return self
 
     @model_validator(mode="after")
     def _some_ground_is_open(self) -> Self:
         blocked = self.blocked_soil()
         if blocked is not None and blocked.all():
-            raise violation(
-                f"a value of at most {BLOCKED_ABOVE:g}, where plants may grow",
-                problem="the soil map bars the whole site",
-                got=f"values from {self.soil.values().min():g}" if self.soil is not None else None,
-                hint="1 is blocked and 0 is open: invert: true turns a map round",
-                at=("soil",),
-            )
+            expected = f"a value of at most {BLOCKED_ABOVE:g}, where plants may grow"
+            got = f"values from {self.soil.values().min():g}" if self.soil is not None else None
+            hint = "1 is blocked and 0 is open: invert: true turns a map round"
+            raise violation(expected, problem="the soil map bars the whole site", got=got, hint=hint, at=("soil",))
         return self
 
     def blocked_soil(self) -> NDArray[np.bool_] | None:

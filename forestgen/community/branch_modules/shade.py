@@ -229,13 +229,10 @@ def shade(
     box_layers = np.ceil(boxes.size_m[:, 2] / grid.layer_m - 1e-9).astype(np.int64)  # (B,)
     top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(box_layers.max(initial=0)))
     if top > _MOST_LAYERS:
-        raise ResourceError(
-            "the trees are too tall for layers of light so thin",
-            where="community.cell_m",
-            expected=f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m",
-            got=f"modules {height.max():,.0f} m above the ground",
-            hint="make cell_m larger",
-        )
+        problem = "the trees are too tall for layers of light so thin"
+        expected = f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m"
+        got = f"modules {height.max():,.0f} m above the ground"
+        raise ResourceError(problem, where="community.cell_m", expected=expected, got=got, hint="make cell_m larger")
     open_shares = _open_shares(boxes, box_layers, grid, top)
     layer = np.clip(np.floor(height / grid.layer_m), 0, top - 1).astype(np.int16)
     order = np.argsort(layer, kind="stable")

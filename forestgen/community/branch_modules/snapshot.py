@@ -104,12 +104,9 @@ def state_of(
 ) -> State:
     """The state that a snapshot was made of."""
     if population.modules is None:
-        raise RecipeError(
-            "a snapshot without its modules cannot go on",
-            where="community.history_modules",
-            expected="a history that keeps each plant's modules",
-            hint="set history_modules: true and simulate again",
-        )
+        problem, expected = "a snapshot without its modules cannot go on", "a history that keeps each plant's modules"
+        hint = "set history_modules: true and simulate again"
+        raise RecipeError(problem, where="community.history_modules", expected=expected, hint=hint)
     n, columns = len(population), population.columns
     zeros = np.zeros(n, dtype=np.float32)
     position_m = np.ascontiguousarray(population.position_m[:, :2])

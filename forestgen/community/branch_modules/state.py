@@ -141,13 +141,9 @@ def no_snags(plants: Plants) -> Snags:
 def refuse_more_modules(modules: int, most: int) -> None:
     """Raise `ResourceError` for more modules than `community.most_modules`."""
     if modules > most:
-        raise ResourceError(
-            "the community has too many branch modules",
-            where="community.most_modules",
-            expected=f"at most {most:,}",
-            got=f"{modules:,}",
-            hint="make the site smaller, or raise most_modules",
-        )
+        problem, expected = "the community has too many branch modules", f"at most {most:,}"
+        hint = "make the site smaller, or raise most_modules"
+        raise ResourceError(problem, where="community.most_modules", expected=expected, got=f"{modules:,}", hint=hint)
 
 
 def refuse_more_seeds(seeds: float, where: str = "community.step_yr") -> None:

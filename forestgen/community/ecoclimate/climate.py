@@ -122,13 +122,9 @@ def climate_of(place: str) -> MonthlyClimate:
     found = by_name.get(place.casefold())
     if found is None:
         near = difflib.get_close_matches(place.casefold(), by_name, n=1)
-        raise RecipeError(
-            "no monthly climate of this place comes with forestgen",
-            where="community.climate.place",
-            expected=", ".join(places()),
-            got=place,
-            hint=f"did you mean {near[0].title()!r}?" if near else "give temperature_c and precipitation_mm by month",
-        )
+        problem = "no monthly climate of this place comes with forestgen"
+        hint = f"did you mean {near[0].title()!r}?" if near else "give temperature_c and precipitation_mm by month"
+        raise RecipeError(problem, where="community.climate.place", expected=", ".join(places()), got=place, hint=hint)
     return found
 
 

@@ -313,20 +313,14 @@ def shown_section(drawn: DrawnRecipe, parameters: EcoclimateParameters) -> Weath
     section = at_the_end.weather
     if section is None:
         turned_off = parameters.weather is not None
-        raise RecipeError(
-            "the community simulates no air" + (" any more when the picture is taken" if turned_off else ""),
-            where=drawn.where("sky", "clouds", "type"),
-            expected="a section community.weather",
-            got="a change to weather: null" if turned_off else "none",
-            hint="leave out that change" if turned_off else "set community.weather={} for one with usual values",
-        )
+        problem = "the community simulates no air" + (" any more when the picture is taken" if turned_off else "")
+        expected, got = "a section community.weather", "a change to weather: null" if turned_off else "none"
+        hint = "leave out that change" if turned_off else "set community.weather={} for one with usual values"
+        raise RecipeError(problem, where=drawn.where("sky", "clouds", "type"), expected=expected, got=got, hint=hint)
     if clouds.time_s is not None and not 0 < clouds.time_s <= _MOST_S:
-        raise RecipeError(
-            "no time of the day's simulated hours",
-            where=drawn.where("sky", "clouds", "time_s"),
-            expected=f"more than 0 and at most {_MOST_S:g} s",
-            got=f"{clouds.time_s:g}",
-        )
+        problem, expected = "no time of the day's simulated hours", f"more than 0 and at most {_MOST_S:g} s"
+        got = f"{clouds.time_s:g}"
+        raise RecipeError(problem, where=drawn.where("sky", "clouds", "time_s"), expected=expected, got=got)
     hours = None if clouds.time_s is None else clouds.time_s / 3600.0
     given = {"cell_m": clouds.cell_m, "cell_height_m": clouds.cell_height_m, "hours": hours}
     own = {key: value for key, value in given.items() if value is not None}
@@ -347,13 +341,9 @@ def shown_weather(drawn: DrawnRecipe, section: WeatherSection, state: Ecoclimate
             weather = hours_of(section, case.grid, case.day, case.surface).weather
             advance(1)
     except UnstableError as cause:
-        raise RecipeError(
-            "the air over the community cannot be simulated",
-            where=drawn.where("sky", "clouds"),
-            expected="air that stays slower than any storm",
-            got=str(cause),
-            hint="lower the heat, the vapour or the wind of community.weather, or make the cells larger",
-        ) from cause
+        problem, expected = "the air over the community cannot be simulated", "air that stays slower than any storm"
+        got, hint = str(cause), "lower the heat, the vapour or the wind of community.weather, or make the cells larger"
+        raise RecipeError(problem, where=drawn.where("sky", "clouds"), expected=expected, got=got, hint=hint) from cause
     if store is not None:
         store.write(key, pack(weather))
         store.trim()

@@ -98,22 +98,13 @@ class WeatherSection(Section):
         east, north = self.sides_m
         cells = east * north / self.cell_m**2 * self.height_m / self.cell_height_m
         if cells > MOST_CELLS:
-            raise violation(
-                f"at most {MOST_CELLS:,} cells",
-                problem="too fine an air",
-                got=f"{cells:,.0f}",
-                hint="raise cell_m or cell_height_m, or lower extent_m",
-                at=("cell_m",),
-            )
+            expected, hint = f"at most {MOST_CELLS:,} cells", "raise cell_m or cell_height_m, or lower extent_m"
+            raise violation(expected, problem="too fine an air", got=f"{cells:,.0f}", hint=hint, at=("cell_m",))
         if min(east, north) < 8 * self.cell_m or self.height_m < 8 * self.cell_height_m:
             along = east / self.cell_m, north / self.cell_m, self.height_m / self.cell_height_m
-            raise violation(
-                "8 cells or more along each axis",
-                problem="too coarse an air",
-                got=" x ".join(f"{one:.3g}" for one in along),
-                hint="smaller cells, or a larger extent_m and height_m",
-                at=("cell_m",),
-            )
+            expected, got = "8 cells or more along each axis", " x ".join(f"{one:.3g}" for one in along)
+            hint = "smaller cells, or a larger extent_m and height_m"
+            raise violation(expected, problem="too coarse an air", got=got, hint=hint, at=("cell_m",))
         return self
 
 
@@ -274,13 +265,9 @@ class EcoclimateParameters(BranchModulesParameters):
     def _vapour_of_air(self) -> Self:
         for index, one in enumerate(self.climate_changes):
             if one.vapour != 1.0 and self.weather is None:
-                raise violation(
-                    "weather, whose clouds go by it",
-                    problem="vapour without air",
-                    got=f"vapour: {one.vapour:g}, and no weather",
-                    hint="add weather: {}, or change precipitation",
-                    at=("climate_changes", index, "vapour"),
-                )
+                expected, problem = "weather, whose clouds go by it", "vapour without air"
+                got, hint = f"vapour: {one.vapour:g}, and no weather", "add weather: {}, or change precipitation"
+                raise violation(expected, problem=problem, got=got, hint=hint, at=("climate_changes", index, "vapour"))
         return self
 
     @model_validator(mode="after")
@@ -292,12 +279,9 @@ class EcoclimateParameters(BranchModulesParameters):
                 continue
             cell_m = soil.get("cell_m", SoilWaterSection.model_fields["cell_m"].default)
             if isinstance(cell_m, int | float) and cell_m != self.soil_water.cell_m:
-                raise violation(
-                    f"cell_m: {self.soil_water.cell_m:g}, as at the start",
-                    problem="the cells of water hold for the whole simulation",
-                    got=f"{cell_m:g}",
-                    at=("changes", index, "set", "soil_water"),
-                )
+                expected = f"cell_m: {self.soil_water.cell_m:g}, as at the start"
+                problem, got = "the cells of water hold for the whole simulation", f"{cell_m:g}"
+                raise violation(expected, problem=problem, got=got, at=("changes", index, "set", "soil_water"))
         return self
 
     def named_species(self) -> Iterator[tuple[Keys, str]]:

@@ -123,11 +123,8 @@ def _response(least: float, most: float, unit: str) -> Callable[[Function], Func
                 raise violation(f"values from {least:g} to {most:g} {unit}", problem="out of range", got=f"{outside:g}")
         if not (values.min() >= 0 and values.max() <= 1):
             wrong = values.min() if values.min() < 0 else values.max()
-            raise violation(
-                "a response from 0 (bars the species) to 1 (all of its density)",
-                got=f"{wrong:g}",
-                hint="cut a formula off: max(0, min(1, ...))" if isinstance(curve, Formula) else None,
-            )
+            got, hint = f"{wrong:g}", "cut a formula off: max(0, min(1, ...))" if isinstance(curve, Formula) else None
+            raise violation("a response from 0 (bars the species) to 1 (all of its density)", got=got, hint=hint)
         return curve
 
     return check
