@@ -109,7 +109,7 @@ def microclimate_of(stand: Stand, population: Population) -> tuple[Floats, Float
     """(rows, cols) temperature at the ground, deg C, and soil water, mm a year, as plants feel them."""
     state = state_of(stand.plan, population)
     kinds = step_parameters(state.forest)
-    stature = stature_of(state.forest.modules, state.forest.plants.species, kinds.tables, kinds.traits)
+    stature = stature_of(state.forest.modules, state.forest.plants.species, kinds)
     around = surroundings_of(state.forest, kinds, stature.leaves)
     shape = population.maps["soil_mean_mm"].shape
     place = middles(stand.plan.community.site.size_m, shape).reshape(-1, 2)

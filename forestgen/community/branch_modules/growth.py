@@ -34,7 +34,17 @@ from numpy.typing import NDArray
 from forestgen.architecture.geometry import diameters, over_plants, plant_sizes
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import MOST_NODES, Tables
-from forestgen.community.branch_modules.state import Plants, Snags, State, StepParameters, Traits, uniform
+from forestgen.community.branch_modules.state import (
+    Floats,
+    Floats32,
+    Mask,
+    Plants,
+    Snags,
+    SpeciesIndex,
+    State,
+    StepParameters,
+    uniform,
+)
 from forestgen.core.compiled import compiled
 from forestgen.core.frames import BREAST_HEIGHT_M
 
@@ -43,17 +53,15 @@ PATIENCE = 2.0  # within so many times the years that one of full vigour needs t
 _NO_MODULE = 2**32 - 1  # number of the draw: no plant has so many modules
 
 
-def grow(
-    modules: Modules, vigour: NDArray[np.float32], species: NDArray[np.uint16], traits: Traits, step_yr: float
-) -> NDArray[np.float32]:
+def grow(modules: Modules, vigour: Floats32, species: SpeciesIndex, now: StepParameters) -> Floats32:
     """(M,) physiological ages one step later: the growth rate rises smoothly from 0 at vigour_min to that of the type.
 
     `vigour` (M,) is that of each module, over its size; `species` (P,) that of each plant.
     """
-    kind = np.repeat(species, np.diff(modules.first))
+    traits, kind = now.traits, np.repeat(species, np.diff(modules.first))
     span = traits.vigour_max - traits.vigour_min
     x = np.clip((vigour - traits.vigour_min[kind]) / span[kind], 0.0, 1.0)
-    grown = modules.age + (3.0 - 2.0 * x) * x * x * traits.growth_rate_per_yr[kind] * step_yr
+    grown = modules.age + (3.0 - 2.0 * x) * x * x * traits.growth_rate_per_yr[kind] * now.parameters.step_yr
     return np.minimum(grown, traits.mature_age[kind]).astype(np.float32)
 
 
@@ -63,7 +71,7 @@ class NextRows:
 
     first: NDArray[np.int64]  # (P + 1,) as in Modules
     source: NDArray[np.int64]  # (N,) former row of a module; of a new one that of the module that bears it
-    new: NDArray[np.bool_]  # (N,)
+    new: Mask  # (N,)
     parent: NDArray[np.int32]  # (N,) as in Modules
     node: NDArray[np.int16]  # (N,) as in Modules
     number: NDArray[np.uint32]  # (N,) as in Modules
@@ -99,9 +107,7 @@ def _fill(start, end, modules, keep, sprouts, next_number, most_nodes, out):  # 
                         row += 1
 
 
-def rows_after(
-    modules: Modules, keep: NDArray[np.bool_], sprouts: NDArray[np.uint32], next_number: NDArray[np.uint32]
-) -> NextRows:
+def rows_after(modules: Modules, keep: Mask, sprouts: NDArray[np.uint32], next_number: NDArray[np.uint32]) -> NextRows:
     """Rows of the modules that stay and of those that begin; plants that keep nothing have none.
 
     `keep` (M,) is of modules whose bearers stay too. Bit k of `sprouts` (M,): a module begins at terminal node k, if
@@ -125,7 +131,7 @@ def _on_axis(start, end, first, parent, node, prototype, is_main, out):  # type:
             out[i] = parent[i] < 0 or (out[bearer] and is_main[prototype[bearer], node[i]])
 
 
-def on_axis(modules: Modules, is_main: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def on_axis(modules: Modules, is_main: Mask) -> Mask:
     """(M,) whether a module continues the plant's main axis: from the root by main children only."""
     out = np.empty(len(modules), dtype=np.bool_)
     columns = modules.first, modules.parent, modules.node, modules.prototype
@@ -187,27 +193,24 @@ def _overgrow(start, end, modules, species, before, shapes, numbers, squared, di
                 beside[u] += left
 
 
-def overgrown(
-    before: Modules, after: Modules, species: NDArray[np.uint16], tables: Tables, traits: Traits
-) -> tuple[Modules, NDArray[np.float32]]:
+def overgrown(before: Modules, after: Modules, species: SpeciesIndex, now: StepParameters) -> tuple[Modules, Floats32]:
     """`after`, where new pipes have taken the place of disused ones; and (M,) diameters of root nodes, metres.
 
     `before` and `after` are the same modules before and after they grew, with the same disused pipes.
     """
+    tables = now.tables
     was = diameters(tables, before, species).astype(np.float64) ** 2
     squared = diameters(tables, after, species).astype(np.float64) ** 2
     disused = after.disused_m2.copy()
     columns = after.first, after.parent, after.node, after.prototype
     shapes = tables.parent, tables.disused_node, tables.thickness
-    numbers = tables.thickening_m, traits.disused_share
+    numbers = tables.thickening_m, now.traits.disused_share
     arguments = columns, species, was, shapes, numbers, squared, disused
     over_plants(after, lambda start, end: _overgrow(start, end, *arguments))
     return replace(after, disused_m2=disused), np.sqrt(squared).astype(np.float32)
 
 
-def _lost_pipes(
-    modules: Modules, diameter_m: NDArray[np.float32], species: NDArray[np.uint16], tables: Tables
-) -> NDArray[np.float32]:
+def _lost_pipes(modules: Modules, diameter_m: Floats32, species: SpeciesIndex, tables: Tables) -> Floats32:
     """(M,) squared diameter that a module adds to the one that bears it, m2: its own less that of the bare terminal."""
     bearer = np.maximum(modules.parent_row(), 0)
     kind = np.repeat(species, np.diff(modules.first))
@@ -216,29 +219,23 @@ def _lost_pipes(
 
 
 def shed(
-    modules: Modules,
-    vigour: NDArray[np.float32],
-    diameter_m: NDArray[np.float32],
-    species: NDArray[np.uint16],
-    tables: Tables,
-    traits: Traits,
-    step_yr: float,
-) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    modules: Modules, vigour: Floats32, diameter_m: Floats32, species: SpeciesIndex, now: StepParameters
+) -> tuple[Mask, Floats32]:
     """(M,) which modules stay, and (M,) their disused pipes, m2, with those of the modules that do not.
 
     Those stay of at least vigour_min that have begun to grow in time, and whose bearers stay too. `vigour` (M,) is that
     of each module over its size, `diameter_m` (M,) that of its root node.
     """
-    keep, disused = np.empty(len(modules), dtype=np.bool_), modules.disused_m2.copy()
-    pipes = _lost_pipes(modules, diameter_m, species, tables)
+    keep, disused, traits = np.empty(len(modules), dtype=np.bool_), modules.disused_m2.copy(), now.traits
+    pipes = _lost_pipes(modules, diameter_m, species, now.tables)
     columns = modules.first, modules.parent, modules.age, modules.age_yr
-    patience_yr = PATIENCE * traits.mature_age / traits.growth_rate_per_yr + step_yr
+    patience_yr = PATIENCE * traits.mature_age / traits.growth_rate_per_yr + now.parameters.step_yr
     numbers = traits.vigour_min, STUNTED * traits.mature_age, patience_yr
     over_plants(modules, lambda start, end: _shed(start, end, columns, species, vigour, numbers, pipes, keep, disused))
     return keep, disused
 
 
-def died_back(plants: Plants, modules: Modules, now: StepParameters) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+def died_back(plants: Plants, modules: Modules, now: StepParameters) -> tuple[Mask, Floats32]:
     """(P,) which plants are dead of having died back, and (P,) the greatest height of each so far, metres.
 
     None, and the heights as they were, where no dieback is asked for. Plants that never were over 1.3 m sprout again.
@@ -251,7 +248,7 @@ def died_back(plants: Plants, modules: Modules, now: StepParameters) -> tuple[ND
     return (tallest_m > BREAST_HEIGHT_M) & (height_m < np.float32(share) * tallest_m), tallest_m
 
 
-def snags_after(state: State, now: StepParameters, plants: Plants, wood: Modules, alive: NDArray[np.bool_]) -> Snags:
+def snags_after(state: State, now: StepParameters, plants: Plants, wood: Modules, alive: Mask) -> Snags:
     """The snags one step later: those of before and the dead over 1.3 m, without those that have fallen.
 
     `plants` and `wood` are all that lived, and their modules before the step's shedding; `alive` (P,) says which still
@@ -272,7 +269,7 @@ def snags_after(state: State, now: StepParameters, plants: Plants, wood: Modules
     return snags.where(dead_yr < stands_yr(state.seed, snags.plants.plant_id, parameters.standing_dead_yr))
 
 
-def stands_yr(seed: int, plant_id: NDArray[np.uint32], median_yr: float) -> NDArray[np.float64]:
+def stands_yr(seed: int, plant_id: NDArray[np.uint32], median_yr: float) -> Floats:
     """(N,) years after its death in which each snag falls."""
     share = uniform(seed, plant_id, np.full(len(plant_id), _NO_MODULE, dtype=np.uint64))
     return np.asarray(median_yr * np.sqrt(-np.log2(1.0 - share)))

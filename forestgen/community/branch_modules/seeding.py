@@ -10,14 +10,16 @@ from dataclasses import dataclass, replace
 from math import floor
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import choose_prototype, load_prototypes
 from forestgen.community.arrivals import new_ids
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
 from forestgen.community.branch_modules.state import (
+    Floats,
+    Mask,
     Plants,
+    SpeciesIndex,
     State,
     StepParameters,
     no_modules,
@@ -29,13 +31,12 @@ from forestgen.community.branch_modules.state import (
     step_parameters,
     uniform,
 )
-from forestgen.community.branch_modules.surroundings import LocalClimate, Surroundings, adaptation, boxes_of, ground_at
+from forestgen.community.branch_modules.surroundings import Surroundings, adaptation, boxes_of, ground_at
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.core.compiled import compiled
 from forestgen.core.randomness import child_rng
 
-Floats = NDArray[np.float64]
 _ROUNDS = 200  # of draws for places on open ground
 _MOST_CELLS = 4_000_000
 _LEAST_SPACING_M = 0.01  # no two plants stand at one place
@@ -74,7 +75,7 @@ def _open_places(count: int, parameters: BranchModulesParameters, site: Site, rn
     return np.concatenate(found)
 
 
-def _is_open(place: Floats, parameters: BranchModulesParameters, site: Site) -> NDArray[np.bool_]:
+def _is_open(place: Floats, parameters: BranchModulesParameters, site: Site) -> Mask:
     """(N,) whether neither soil nor buildings bar places on the site."""
     is_open = ~is_blocked(parameters.blocked_soil(), place, site.size_m)
     if site.buildings:
@@ -89,7 +90,7 @@ class Standing:
     plants: Plants
     adapted: Floats  # (P,) how well the climate suits them
     trunk_m: Floats  # (P,) diameters of their stems at the foot, metres
-    alive: NDArray[np.bool_]  # (P,) which stay, and take room
+    alive: Mask  # (P,) which stay, and take room
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class Arriving:
     """Seeds from elsewhere."""
 
     position_m: Floats  # (N, 2) on the site
-    species: NDArray[np.uint16]  # (N,)
+    species: SpeciesIndex  # (N,)
     needed: Floats  # (N,) o (Eq. 38) from which on each germinates, 0 to 1
 
 
@@ -109,7 +110,6 @@ def seedlings(
     now: StepParameters,
     around: Surroundings,
     standing: Standing,
-    climate: LocalClimate | None,
     arriving: Arriving,
     rng: np.random.Generator,
 ) -> tuple[Plants, Modules]:
@@ -127,7 +127,7 @@ def seedlings(
         place[place >= size] = 0.0
     place, species = np.concatenate([place, arriving.position_m]), np.concatenate([sp[mother], arriving.species])
     needed = np.concatenate([np.zeros(len(mother)), arriving.needed])
-    fit = _germinates(place, species, needed, state, now, around, climate)
+    fit = _germinates(place, species, needed, state, now, around)
     place, species = place[fit], species[fit]
     alive = standing.alive
     own = int(fit[: len(mother)].sum())
@@ -140,22 +140,16 @@ def seedlings(
 
 
 def _germinates(
-    place: Floats,
-    species: NDArray[np.uint16],
-    needed: Floats,
-    state: State,
-    now: StepParameters,
-    around: Surroundings,
-    climate: LocalClimate | None,
-) -> NDArray[np.bool_]:
+    place: Floats, species: SpeciesIndex, needed: Floats, state: State, now: StepParameters, around: Surroundings
+) -> Mask:
     """(N,) whether ground, climate and light let a seed germinate, which needs so much of o."""
     traits, parameters = now.traits, now.parameters
-    fit: NDArray[np.bool_] = np.all((place >= 0) & (place <= state.site.size_m), axis=1)
+    fit: Mask = np.all((place >= 0) & (place <= state.site.size_m), axis=1)
     at = np.flatnonzero(fit)
     fit[at] = _is_open(place[at], parameters, state.site)
     at = np.flatnonzero(fit)
     ground = ground_at(state.site, place[at])
-    adapted, leaf_share = adaptation(parameters, traits, species[at], place[at], ground, around, climate)
+    adapted, leaf_share = adaptation(now, species[at], place[at], ground, around)
     suits = adapted >= np.maximum(needed[at], parameters.adaptation_min)
     tolerance = traits.shade_tolerance[species[at]]
     light = leaf_share * (tolerance + (1 - tolerance) * around.light_at(place[at]))
@@ -167,7 +161,7 @@ def _germinates(
 
 def _with_room(
     place: Floats, taken: Floats, trunk_m: Floats, parameters: BranchModulesParameters, size_m: tuple[float, float]
-) -> NDArray[np.bool_]:
+) -> Mask:
     """(N,) which seeds, in their order, lie far enough from plants and from the seeds before them."""
     keep = np.zeros(len(place), dtype=np.bool_)
     if not len(place):
@@ -221,7 +215,7 @@ def _settle(place, taken, trunk, spacing, width, height, cells, periodic, keep):
 
 
 def new_seedlings(
-    place: Floats, species: NDArray[np.uint16], state: State, now: StepParameters, step: int
+    place: Floats, species: SpeciesIndex, state: State, now: StepParameters, step: int
 ) -> tuple[Plants, Modules]:
     """Plants that begin, numbered from the state's next id: upright root modules, and seeds of no age."""
     plants = _new_plants(state.next_id, species, place, state.site, step=step, modules=1)
@@ -234,9 +228,7 @@ def new_seedlings(
     return plants, seedling_modules(prototype, orientation_along(up, roll_rad))
 
 
-def _new_plants(
-    first_id: int, species: NDArray[np.uint16], place: Floats, site: Site, *, step: int, modules: int
-) -> Plants:
+def _new_plants(first_id: int, species: SpeciesIndex, place: Floats, site: Site, *, step: int, modules: int) -> Plants:
     """Plants that arrive in a step, of no size, with so many modules each."""
     n = len(place)
     return Plants(

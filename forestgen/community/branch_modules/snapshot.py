@@ -11,7 +11,7 @@ from forestgen.architecture.geometry import plant_sizes
 from forestgen.architecture.modules import Modules
 from forestgen.community.arrivals import on_the_ground
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.state import Plants, Snags, State, step_parameters
+from forestgen.community.branch_modules.state import Floats, Floats32, Plants, Snags, State, step_parameters
 from forestgen.community.branch_modules.surroundings import ground_at
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
@@ -84,7 +84,7 @@ def _with_snags(state: State) -> tuple[Plants, Modules, NDArray[np.int32]]:
     return plants.where(order), state.modules.and_then(snags.modules).of_plants(order), died[order]
 
 
-def _mean(modules: Modules, values: NDArray[np.float32]) -> NDArray[np.float64]:
+def _mean(modules: Modules, values: Floats32) -> Floats:
     """(P,) mean of a number of each module; 0 for plants that have none."""
     sums = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
     count = np.diff(modules.first)

@@ -25,6 +25,8 @@ from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.species import PlantType
 from forestgen.recipe.suggestions import did_you_mean
 
+Floats, Floats32, Mask = NDArray[np.float64], NDArray[np.float32], NDArray[np.bool_]
+SpeciesIndex = NDArray[np.uint16]  # of plants: index in the recipe's species
 MOST_SEEDS = 20_000_000  # of one step: a gigabyte
 
 
@@ -33,14 +35,14 @@ class Plants(Rows):
     """One row a plant, in order of plant_id; an obstacle is a row without modules."""
 
     plant_id: NDArray[np.uint32]  # (P,)
-    species: NDArray[np.uint16]  # (P,) index of species
-    position_m: NDArray[np.float64]  # (P, 2) metres, world x and y
-    ground_m: NDArray[np.float64]  # (P,) height of the ground at the foot, metres, world
+    species: SpeciesIndex  # (P,) index of species
+    position_m: Floats  # (P, 2) metres, world x and y
+    ground_m: Floats  # (P,) height of the ground at the foot, metres, world
     born: NDArray[np.int32]  # (P,) step of arrival
-    flowering: NDArray[np.bool_]  # (P,)
+    flowering: Mask  # (P,)
     next_number: NDArray[np.uint32]  # (P,) of the next module
-    adaptation: NDArray[np.float32]  # (P,) o of Eq. 13 as felt in the last step; 1 before the first, and of obstacles
-    tallest_m: NDArray[np.float32]  # (P,) greatest height so far, where the recipe has a dieback_share; else 0
+    adaptation: Floats32  # (P,) o of Eq. 13 as felt in the last step; 1 before the first, and of obstacles
+    tallest_m: Floats32  # (P,) greatest height so far, where the recipe has a dieback_share; else 0
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class Snags:
     modules: Modules
     died: NDArray[np.int32]  # (P,) step of death
 
-    def where(self, keep: NDArray[np.bool_]) -> Snags:
+    def where(self, keep: Mask) -> Snags:
         if keep.all():
             return self
         return Snags(self.plants.where(keep), self.modules.of_plants(keep), self.died[keep])
@@ -85,7 +87,7 @@ def _mixed(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
     return np.asarray(bits ^ (bits >> np.uint64(31)))
 
 
-def uniform(seed: int, plant_id: NDArray[Any], number: NDArray[Any]) -> NDArray[np.float64]:
+def uniform(seed: int, plant_id: NDArray[Any], number: NDArray[Any]) -> Floats:
     """(N,) in [0, 1): one random number of each module, by its plant's id and its own number."""
     bits = np.full(len(plant_id), seed % 2**64, dtype=np.uint64)
     for identity in (plant_id, number):
@@ -93,7 +95,7 @@ def uniform(seed: int, plant_id: NDArray[Any], number: NDArray[Any]) -> NDArray[
     return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
-def orientation_along(direction: NDArray[Any], roll_rad: NDArray[np.float64]) -> NDArray[np.float32]:
+def orientation_along(direction: NDArray[Any], roll_rad: Floats) -> Floats32:
     """(N, 4) unit quaternions w, x, y, z that take z to unit vectors (N, 3), rolled about z by these angles before."""
     x, y, z = direction.astype(np.float64).T
     # The least rotation from z, of axis (-y, x, 0); straight down any axis will do.
@@ -107,7 +109,7 @@ def orientation_along(direction: NDArray[Any], roll_rad: NDArray[np.float64]) ->
     return np.asarray(turned / np.linalg.norm(turned, axis=-1, keepdims=True), dtype=np.float32)
 
 
-def seedling_modules(prototype: NDArray[np.uint8], rotation: NDArray[np.float32]) -> Modules:
+def seedling_modules(prototype: NDArray[np.uint8], rotation: Floats32) -> Modules:
     """The root modules of plants that begin; (P,) and (P, 4)."""
     n = len(prototype)
     zeros = np.zeros(n, dtype=np.float32)
@@ -171,7 +173,7 @@ class Traits:
 
     def __init__(self, types: Sequence[PlantType | None]) -> None:
         """None: a species that does not grow, such as a building."""
-        self.grows: NDArray[np.bool_] = np.array([one is not None for one in types], dtype=np.bool_)
+        self.grows: Mask = np.array([one is not None for one in types], dtype=np.bool_)
         plants = [one or STAND_IN for one in types]
         for name in PlantType.model_fields.keys() - {"prototypes"}:
             values = [getattr(one, name) for one in plants]
@@ -185,10 +187,10 @@ class Traits:
 
     if TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> NDArray[np.float64]: ...
+        def __getattr__(self, name: str) -> Floats: ...
 
 
-def _allowed_prototypes(names: Sequence[str], types: Sequence[PlantType | None]) -> NDArray[np.bool_]:
+def _allowed_prototypes(names: Sequence[str], types: Sequence[PlantType | None]) -> Mask:
     """(T, S) which of the prototypes each type may have; a type that names none may have all."""
     wanted = [(one and one.prototypes) or names for one in types]
     unknown = [name for own in wanted for name in own if name not in names]
@@ -197,7 +199,7 @@ def _allowed_prototypes(names: Sequence[str], types: Sequence[PlantType | None])
     return np.array([[name in own for name in names] for own in wanted], dtype=np.bool_)
 
 
-def main_path(tables: Tables) -> NDArray[np.bool_]:
+def main_path(tables: Tables) -> Mask:
     """(S, N) whether the way from a prototype's root to a node takes main children only."""
     out = np.zeros(tables.parent.shape, dtype=np.bool_)
     for s, children in enumerate(tables.first_child):
@@ -221,8 +223,8 @@ class StepParameters:
     parameters: BranchModulesParameters
     traits: Traits
     tables: Tables
-    main_path: NDArray[np.bool_]  # (S, N) of `main_path`
-    allowed: NDArray[np.bool_]  # (T, S) which prototypes each type may have
+    main_path: Mask  # (S, N) of `main_path`
+    allowed: Mask  # (T, S) which prototypes each type may have
 
 
 def step_parameters(state: State) -> StepParameters:
@@ -234,8 +236,6 @@ def step_parameters(state: State) -> StepParameters:
 
 
 @lru_cache(maxsize=16)
-def _arrays(
-    types: tuple[PlantType | None, ...], sphere_scale: float
-) -> tuple[Traits, Tables, NDArray[np.bool_], NDArray[np.bool_]]:
+def _arrays(types: tuple[PlantType | None, ...], sphere_scale: float) -> tuple[Traits, Tables, Mask, Mask]:
     tables = tables_of(load_prototypes(), [one or STAND_IN for one in types], sphere_scale=sphere_scale)
     return Traits(types), tables, main_path(tables), _allowed_prototypes(tables.names, types)

@@ -23,6 +23,8 @@ from forestgen.community.branch_modules.growth import (
 from forestgen.community.branch_modules.orientation import Turning, orient
 from forestgen.community.branch_modules.seeding import NO_SEEDS, Arriving, Standing, seedlings
 from forestgen.community.branch_modules.state import (
+    Floats,
+    Mask,
     Plants,
     State,
     StepParameters,
@@ -43,22 +45,22 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
     where others of their species would.
     """
     now = step_parameters(state)
-    plants, modules, traits, tables = state.plants, state.modules, now.traits, now.tables
-    species, counts, step_yr = plants.species, np.diff(modules.first), now.parameters.step_yr
-    stature = stature_of(modules, species, tables, traits)
-    around = surroundings_of(state, now, stature.leaves)
+    plants, modules, traits = state.plants, state.modules, now.traits
+    species, counts = plants.species, np.diff(modules.first)
+    stature = stature_of(modules, species, now)
+    around = surroundings_of(state, now, stature.leaves, climate)
     feet = plants.position_m, plants.ground_m
-    adapted, leaf_share = adaptation(now.parameters, traits, species, *feet, around, climate)
+    adapted, leaf_share = adaptation(now, species, *feet, around)
     light = np.repeat(traits.shade_tolerance[species].astype(np.float32), counts)
     light += (1 - light) * around.light
     most = traits.root_vigour_max[species] * adapted * _vitality(state, now)
     used = light * np.repeat(leaf_share.astype(np.float32), counts)
-    gain = net_gain(used, species, modules.first, traits)
-    flow = distribute(modules, gain, stature, species, most, _form(plants, now)[0], tables, traits)
+    gain = net_gain(used, species, modules.first, now)
+    flow = distribute(modules, gain, stature, species, most, _form(plants, now)[0], now)
     ready = flow.vigour / stature.size
-    wood = replace(modules, age=grow(modules, ready, species, traits, step_yr))
-    wood, diameter_m = overgrown(modules, wood, species, tables, traits)
-    keep, disused_m2 = shed(wood, ready, diameter_m, species, tables, traits, step_yr)
+    wood = replace(modules, age=grow(modules, ready, species, now))
+    wood, diameter_m = overgrown(modules, wood, species, now)
+    keep, disused_m2 = shed(wood, ready, diameter_m, species, now)
     rows = rows_after(wood, keep, flow.sprouts, plants.next_number)
     aged = replace(wood, vigour=flow.vigour, light=light, disused_m2=disused_m2)
     plants = replace(
@@ -75,7 +77,7 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
     trunk_m[counts > 0] = diameter_m[aged.first[:-1][counts > 0]]
     rng = child_rng(state.seed, "community", state.step + 1)
     standing = Standing(plants, adapted, trunk_m, alive)
-    new, seeded = seedlings(state, now, around, standing, climate, arriving, rng)
+    new, seeded = seedlings(state, now, around, standing, arriving, rng)
     snags = snags_after(state, now, plants, wood, alive)
     if not alive.all():
         modules, plants = modules.of_plants(alive), plants.where(alive)
@@ -85,21 +87,21 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
     return replace(state, step=step, next_id=next_id, plants=plants.and_then(new), modules=modules, snags=snags)
 
 
-def _vitality(state: State, now: StepParameters) -> NDArray[np.float64]:
+def _vitality(state: State, now: StepParameters) -> Floats:
     """(P,) share of its greatest vigour that each plant has at its age: 1, and after its life span less and less."""
     age_yr = (state.step + 1 - state.plants.born) * now.parameters.step_yr
     late = (age_yr - now.traits.life_span_yr[state.plants.species]) / now.parameters.senescence_yr
     return np.asarray(np.clip(1.0 - late, 0.0, 1.0))
 
 
-def _form(plants: Plants, now: StepParameters) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _form(plants: Plants, now: StepParameters) -> tuple[Floats, Floats]:
     """Apical control and determinacy of each plant, (P,) each: the mature ones once it flowers."""
     traits, sp = now.traits, plants.species
     control = np.where(plants.flowering, traits.apical_control_mature[sp], traits.apical_control[sp])
     return control, np.where(plants.flowering, traits.determinacy_mature[sp], traits.determinacy[sp])
 
 
-def _flowers(state: State, now: StepParameters, flow: Flow) -> NDArray[np.bool_]:
+def _flowers(state: State, now: StepParameters, flow: Flow) -> Mask:
     """(P,) whether a plant has reached its flowering age: the later, the less vigour its grown root module has."""
     plants, modules, traits = state.plants, state.modules, now.traits
     out = np.zeros(len(plants), dtype=np.bool_)
@@ -178,12 +180,7 @@ def _turn(
 
 
 def _turning(
-    after: Modules,
-    chosen: NDArray[np.int64],
-    rows: NextRows,
-    state: State,
-    now: StepParameters,
-    is_axis: NDArray[np.bool_],
+    after: Modules, chosen: NDArray[np.int64], rows: NextRows, state: State, now: StepParameters, is_axis: Mask
 ) -> Turning:
     """The modules in rows `chosen` of `after`; `is_axis` (N,) says whether they continue the plant's main axis."""
     traits, tables, plants = now.traits, now.tables, state.plants

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 from forestgen.architecture.geometry import spheres
 from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
 from forestgen.community.branch_modules.crowding import SphereGrid, overlap
-from forestgen.community.branch_modules.parameters import BranchModulesParameters, cells_at
+from forestgen.community.branch_modules.parameters import cells_at
 from forestgen.community.branch_modules.shade import Shade, ShadowGrid, shade
-from forestgen.community.branch_modules.state import State, StepParameters, Traits
+from forestgen.community.branch_modules.state import Floats, Floats32, State, StepParameters, Traits
 from forestgen.community.model import Site
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -51,13 +49,7 @@ class LocalClimate:
 
 
 def adaptation(
-    parameters: BranchModulesParameters,
-    traits: Traits,
-    species: NDArray[np.integer],
-    position_m: Floats,
-    elevation_m: Floats,
-    around: Surroundings,
-    climate: LocalClimate | None,
+    now: StepParameters, species: NDArray[np.integer], position_m: Floats, elevation_m: Floats, around: Surroundings
 ) -> tuple[Floats, Floats]:
     """(N,) o of Eq. 13, or of Eq. 38 in a local climate, and (N,) the share of its light that a leaf can use.
 
@@ -66,7 +58,7 @@ def adaptation(
     module needs itself does not become less, so that a drought takes the darkest leaves first (docs/adr/0012).
     `position_m` (N, 2) are their feet, `elevation_m` (N,) the ground's height there.
     """
-    unhindered = np.ones(len(species))
+    traits, parameters, climate, unhindered = now.traits, now.parameters, around.climate, np.ones(len(species))
     if climate is not None:
         temperature_c, rain = climate.at(position_m, climate.light_at(position_m, around))
         enough = np.minimum(rain, traits.precipitation_mm_per_yr[species])
@@ -97,9 +89,10 @@ class Surroundings:
     grid: SphereGrid
     shade: Shade | None  # None: plants do not shade what stands below them
     boxes: Boxes
-    light: NDArray[np.float32]  # (M,) Q Q_G, 0 to 1: before the species' shade tolerance
+    light: Floats32  # (M,) Q Q_G, 0 to 1: before the species' shade tolerance
+    climate: LocalClimate | None = None  # None: that of the parameters
 
-    def light_at(self, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def light_at(self, position_m: Floats) -> Floats:
         """(N,) Q_G near the ground at (N, 2) world x and y on the site."""
         return np.ones(len(position_m)) if self.shade is None else self.shade.light_at(position_m)
 
@@ -114,14 +107,16 @@ def boxes_of(site: Site) -> Boxes:
     return Boxes(base_m, np.array([one.size_m for one in site.buildings]), azimuth)
 
 
-def ground_at(site: Site, position_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def ground_at(site: Site, position_m: Floats) -> Floats:
     """(N,) height of the ground at (N, 2) world x and y, metres."""
     if site.height is None:
         return np.zeros(len(position_m))
     return np.asarray(site.height(position_m[:, 0], position_m[:, 1]), dtype=np.float64)
 
 
-def surroundings_of(state: State, now: StepParameters, leaves: NDArray[np.float32]) -> Surroundings:
+def surroundings_of(
+    state: State, now: StepParameters, leaves: Floats32, climate: LocalClimate | None = None
+) -> Surroundings:
     """Spheres, crowding (Eq. 1) and global shadow of a state's modules; `leaves` (M,) of a whole module's foliage."""
     parameters, modules, plants = now.parameters, state.modules, state.plants
     counts = np.diff(modules.first)
@@ -143,4 +138,4 @@ def surroundings_of(state: State, now: StepParameters, leaves: NDArray[np.float3
         shadows = ShadowGrid(state.site.size_m, cell_m=parameters.cell_m, layer_m=parameters.cell_m, periodic=periodic)
         seen = shade(world, centre[:, 2], radius, depth, shadows, boxes)
         light *= seen.light
-    return Surroundings(grid, seen, boxes, light)
+    return Surroundings(grid, seen, boxes, light, climate)

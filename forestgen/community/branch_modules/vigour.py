@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import over_plants
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.prototypes import Tables
-from forestgen.community.branch_modules.state import Traits, main_path
+from forestgen.community.branch_modules.state import Floats, Floats32, SpeciesIndex, StepParameters
 from forestgen.core.compiled import compiled
 
 
@@ -29,8 +28,8 @@ from forestgen.core.compiled import compiled
 class Flow:
     """What one step's passes say of each module."""
 
-    flux: NDArray[np.float64]  # (M,) light of the module and of all that it bears
-    vigour: NDArray[np.float32]  # (M,)
+    flux: Floats  # (M,) light of the module and of all that it bears
+    vigour: Floats32  # (M,)
     sprouts: NDArray[np.uint32]  # (M,) bit k: terminal node k is free and vigorous enough to bear a new module
 
 
@@ -119,13 +118,14 @@ def _distribute(start, end, modules, species, most, control, forks, traits, flow
             sprouts[a + i] = found & ~bearing
 
 
-def axis_lengths_m(tables: Tables, traits: Traits) -> NDArray[np.float64]:
+def axis_lengths_m(now: StepParameters) -> Floats:
     """(T, S) length of a grown module's main axis, metres."""
+    tables = now.tables
     spans_m = np.minimum(
         tables.longest_segment_m[:, None, None],
-        tables.length_per_age_m[:, None, None] * traits.mature_age[:, None, None] * (1 - tables.birth),
+        tables.length_per_age_m[:, None, None] * now.traits.mature_age[:, None, None] * (1 - tables.birth),
     )
-    return np.asarray(np.sum(tables.length * spans_m * main_path(tables), axis=-1))
+    return np.asarray(np.sum(tables.length * spans_m * now.main_path, axis=-1))
 
 
 @compiled
@@ -138,19 +138,19 @@ def _kept(way, axis, upkeep, reach):  # type: ignore[no-untyped-def]
 class Stature:
     """How much of itself each module is, as light and vigour count it."""
 
-    grown: NDArray[np.float32]  # (M,) share of the mature age, 0 to 1
-    leaves: NDArray[np.float32]  # (M,) of a grown module's that bears no other, 0 to 1
-    size: NDArray[np.float32]  # (M,) leaves of the module with those left on the terminal that bears it
+    grown: Floats32  # (M,) share of the mature age, 0 to 1
+    leaves: Floats32  # (M,) of a grown module's that bears no other, 0 to 1
+    size: Floats32  # (M,) leaves of the module with those left on the terminal that bears it
 
 
-def stature_of(modules: Modules, species: NDArray[np.uint16], tables: Tables, traits: Traits) -> Stature:
+def stature_of(modules: Modules, species: SpeciesIndex, now: StepParameters) -> Stature:
     """Leaves sit on the last shoots: a terminal loses its own as the module that it bears grows, which gets more.
 
     A seed has the reserves of a bare terminal.
     """
     kind = np.repeat(species, np.diff(modules.first))
-    grown = np.minimum(modules.age / traits.mature_age[kind], 1.0).astype(np.float32)
-    bearer, terminals = modules.parent_row(), tables.terminals[modules.prototype].astype(np.float32)
+    grown = np.minimum(modules.age / now.traits.mature_age[kind], 1.0).astype(np.float32)
+    bearer, terminals = modules.parent_row(), now.tables.terminals[modules.prototype].astype(np.float32)
     borne = bearer >= 0
     share = 1 / np.where(borne, terminals[np.maximum(bearer, 0)], terminals)  # of a module, that a terminal is
     size = grown + (1 - grown) * share
@@ -159,23 +159,20 @@ def stature_of(modules: Modules, species: NDArray[np.uint16], tables: Tables, tr
     return Stature(grown, leaves.astype(np.float32), size.astype(np.float32))
 
 
-def net_gain(
-    light: NDArray[np.float32], species: NDArray[np.uint16], first: NDArray[np.int64], traits: Traits
-) -> NDArray[np.float32]:
+def net_gain(light: Floats32, species: SpeciesIndex, first: NDArray[np.int64], now: StepParameters) -> Floats32:
     """(M,) 1 in full light, 0 at the type's compensation point, and less below it: then others must feed the module."""
-    point = np.repeat(traits.compensation[species].astype(np.float32), np.diff(first))
+    point = np.repeat(now.traits.compensation[species].astype(np.float32), np.diff(first))
     return np.asarray((light - point) / (1 - point))
 
 
 def distribute(
     modules: Modules,
-    gain: NDArray[np.float32],
+    gain: Floats32,
     stature: Stature,
-    species: NDArray[np.uint16],
-    root_vigour_max: NDArray[np.float64],
-    apical_control: NDArray[np.float64],
-    tables: Tables,
-    traits: Traits,
+    species: SpeciesIndex,
+    root_vigour_max: Floats,
+    apical_control: Floats,
+    now: StepParameters,
 ) -> Flow:
     """Light towards the root and vigour away from it.
 
@@ -183,12 +180,12 @@ def distribute(
     `root_vigour_max` (P,) is the most vigour of the root module, by climate and senescence; `apical_control` (P,) is
     lambda of each plant, by whether it flowers.
     """
-    m = len(modules)
+    m, tables, traits = len(modules), now.tables, now.traits
     flow = np.empty(m), np.empty(m, np.float32), np.empty(m, np.uint32)
     columns = modules.first, modules.parent, modules.node, modules.prototype, modules.age, gain
     whole = *columns, stature.grown, stature.leaves
     forks = tables.nodes, tables.terminals, tables.parent, tables.first_child, tables.next_sibling
-    axis_m, sprouting = axis_lengths_m(tables, traits), traits.sprouting * traits.vigour_min
+    axis_m, sprouting = axis_lengths_m(now), traits.sprouting * traits.vigour_min
     numbers = traits.mature_age, traits.upkeep, traits.reach_m, axis_m, sprouting
     arguments = whole, species, root_vigour_max, apical_control, forks, numbers, flow
     over_plants(modules, lambda start, end: _distribute(start, end, *arguments))

@@ -47,7 +47,7 @@ def test_the_height_of_a_lone_plant_levels_off_by_its_reach(row, low, high):
 def test_leaves_and_sizes_of_modules_are_those_of_their_terminals():
     state = last(**mixed(12))
     modules, kinds = state.modules, step_parameters(state)
-    stature = stature_of(modules, state.plants.species, kinds.tables, kinds.traits)
+    stature = stature_of(modules, state.plants.species, kinds)
     assert np.all((stature.leaves >= 0) & (stature.leaves <= 1) & (stature.size > 0) & (stature.size <= 1))
     bearer, ends = modules.parent_row(), kinds.tables.terminals[modules.prototype]
     for row in range(0, len(modules), 5):

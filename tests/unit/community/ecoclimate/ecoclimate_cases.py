@@ -73,5 +73,5 @@ def after(steps: int, site: Site = SITE, species: list[SpeciesEcology] | None = 
 def around(state: Ecoclimate) -> Surroundings:
     """What the plants of a state see of one another."""
     kinds = step_parameters(state.forest)
-    stature = stature_of(state.forest.modules, state.forest.plants.species, kinds.tables, kinds.traits)
+    stature = stature_of(state.forest.modules, state.forest.plants.species, kinds)
     return surroundings_of(state.forest, kinds, stature.leaves)
