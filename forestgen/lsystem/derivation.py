@@ -64,10 +64,10 @@ def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> D
     glob = _run_block(program, program.start, np.zeros(len(program.globals)), None, key, 0)
     codes, parameters = [], []
     for position, (begin, (modules, values)) in enumerate(zip(program.axiom, program.axiom_size, strict=True)):
-        out_code, out_parameter = np.empty(modules, np.uint16), np.empty(values)
-        _run(program, begin, glob, key ^ np.uint64(position + 1), out_code, out_parameter, 0)
-        codes.append(out_code)
-        parameters.append(out_parameter)
+        out = layout.Modules(np.empty(modules, np.uint16), np.empty(values))
+        _run(program, begin, glob, key ^ np.uint64(position + 1), out, 0)
+        codes.append(out.code)
+        parameters.append(out.parameter)
     sizes = [len(one) for one in codes]
     words = Multiset(
         kinds=program.kinds,
@@ -79,7 +79,7 @@ def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> D
     )
     start = Derivation(words, 0, len(sizes) + 1, glob)
     if program.decomposition.address >= 0 or np.any(words.code == PERCENT):
-        start = _rewritten(program, start, program.none, program.decomposition, seed, "axiom", 0, most_modules)
+        start = _rewritten(program, start, program.none, program.decomposition, key, 0, most_modules)
     return start
 
 
@@ -96,7 +96,8 @@ def derive_step(program: Program, state: Derivation, seed: int, *, most_modules:
         expected, got = ", ".join(map(str, sorted(program.groups))), f"useGroup({glob[0]:g}) in derivation step {step}"
         raise LsystemError("there is no such group", where=program.name, expected=expected, got=got)
     state = replace(state, globals=glob)
-    after = _rewritten(program, state, program.productions, program.decomposition, seed, "step", step, most_modules)
+    key = _key(seed, "step", step)
+    after = _rewritten(program, state, program.productions, program.decomposition, key, step, most_modules)
     key = _key(seed, "end each", step)
     glob = _run_block(program, program.end_each, after.globals, after.multiset, key, step)
     return replace(after, step=step, globals=glob)
@@ -130,9 +131,8 @@ def interpret(program: Program, state: Derivation, seed: int, *, most_modules: i
     """The words as the turtle reads them: rewritten by the interpretation, down to its maximum depth."""
     if program.interpretation.address < 0:
         return state.multiset
-    inner = program.interpretation
-    none, stage = program.none, "interpretation"
-    return _rewritten(program, state, none, inner, seed, stage, state.step, most_modules, is_drawing=True).multiset
+    key, rules = _key(seed, "interpretation", state.step), (program.none, program.interpretation)
+    return _rewritten(program, state, *rules, key, state.step, most_modules, is_drawing=True).multiset
 
 
 def percent_meaning(program: Program) -> int:
@@ -165,23 +165,18 @@ def _run_block(
     glob = glob.copy()
     for slot, symbol in program.counted:
         glob[slot] = words.count(symbol) if words is not None else 0
-    real = _run(program, begin, glob, key, np.empty(0, np.uint16), np.empty(0), step)
+    real = _run(program, begin, glob, key, layout.Modules(np.empty(0, np.uint16), np.empty(0)), step)
     return real[program.globals_at]
 
 
 def _run(
-    program: Program,
-    begin: int,
-    glob: NDArray[np.float64],
-    key: np.uint64,
-    out_code: NDArray[np.uint16],
-    out_parameter: NDArray[np.float64],
-    step: int,
+    program: Program, begin: int, glob: NDArray[np.float64], key: np.uint64, out: layout.Modules, step: int
 ) -> NDArray[np.float64]:
+    """The table of real numbers after code has run, which writes modules to `out`."""
     from forestgen.lsystem.vm_expressions import run  # late: compiled kernels
 
     real, state = _reals(program, glob), _state(program)
-    wrong = run(program.whole, real, state, key, begin, out_code, out_parameter)
+    wrong = run(program.whole, real, state, key, begin, *out)
     if wrong != layout.OK:
         _fail(program, wrong, int(state[layout.FAULT]), step, None)
     return real
@@ -198,17 +193,9 @@ def _fail(program: Program, wrong: int, address: int, step: int, module: str | N
 
 
 def _rewritten(
-    program: Program,
-    state: Derivation,
-    rules: RuleSet,
-    inner: RuleSet,
-    seed: int,
-    stage: str,
-    step: int,
-    most_modules: int,
-    *,
-    is_drawing: bool = False,
-) -> Derivation:
+    program: Program, state: Derivation, rules: RuleSet, inner: RuleSet, key: np.uint64, step: int, most_modules: int,
+    *, is_drawing: bool = False,
+) -> Derivation:  # fmt: skip
     """All words rewritten by `rules`, and what comes out by `inner`; ranges of many words on several threads."""
     from forestgen.lsystem import vm, vm_words  # late: compiled kernels
 
@@ -217,7 +204,6 @@ def _rewritten(
         starts, mate = words.parameter_start(), np.zeros(len(words.code), np.int64)
         vm_words.pair_brackets(words.code, mate)
     text = layout.Text(words.code, words.parameter, starts, mate)
-    key = _key(seed, stage, step)
     how = layout.Rewriting(
         rules=rules.address,
         inner=inner.address,

@@ -53,8 +53,7 @@ class Multiset:
 
     def count(self, symbol: str) -> int:
         """Number of modules of a symbol, whatever their parameters."""
-        per_kind = np.bincount(self.code, minlength=len(self.kinds))
-        return int(sum(per_kind[i] for i, kind in enumerate(self.kinds) if kind.symbol == symbol))
+        return self.counts().get(symbol, 0)
 
     def counts(self) -> dict[str, int]:
         """Number of modules of each symbol that occurs, most frequent first."""

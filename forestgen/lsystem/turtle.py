@@ -67,7 +67,7 @@ Mech, R., Prusinkiewicz, P. (1998). CPFG version 4.0 user's manual, appendix on 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
@@ -230,34 +230,21 @@ def _walk(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], op
     brackets = _deepest(op, act.PUSH, act.POP, code, kinds)
     braces = _deepest(op, act.POLYGON, act.END_POLYGON, code, kinds)
     nodes, events = _space(op, code, parameter, arity)
-    walk = _Walk(
-        code,
-        kinds,
-        np.zeros((nodes, act.NODE_NUMBERS)),
-        np.zeros((nodes, act.NODE_MARKS), np.int64),
-        np.zeros((events, act.EVENT_NUMBERS)),
-        np.zeros((events, act.EVENT_MARKS), np.int64),
-    )
-    walk.node_marks[0, act.MODULE] = -1
-    walk.node_marks[0, act.NODE_COLOUR] = options.colour
-    walk.nodes[0, act.START_RADIUS :] = 0.5 * options.scale * options.width
+    node, marks_of_node = np.zeros((nodes, act.NODE_NUMBERS)), np.zeros((nodes, act.NODE_MARKS), np.int64)
+    event, marks_of_event = np.zeros((events, act.EVENT_NUMBERS)), np.zeros((events, act.EVENT_MARKS), np.int64)
+    marks_of_node[0, act.MODULE], marks_of_node[0, act.NODE_COLOUR] = -1, options.colour
+    node[0, act.START_RADIUS :] = 0.5 * options.scale * options.width
     state, marks = options.start()
     states = np.empty((brackets, act.STATE_SIZE)), np.empty((brackets, act.MARKS_SIZE), np.int64)
     status, module = act.walk(
         code, parameter, ops, sign, arity, options.numbers(), state, marks,
-        walk.nodes, walk.node_marks, walk.events, walk.event_marks, *states, np.zeros(braces, np.int64), np.empty(3),
+        node, marks_of_node, event, marks_of_event, *states, np.zeros(braces, np.int64), np.empty(3),
     )  # fmt: skip
     if status != act.OK:
         problem, expected = _PROBLEMS[status]
-        walk.fail(problem, int(module), expected)
+        _fail(problem, int(module), code, kinds, expected)
     n, e = marks[act.NODES], marks[act.EVENTS]
-    return replace(
-        walk,
-        nodes=walk.nodes[:n],
-        node_marks=walk.node_marks[:n],
-        events=walk.events[:e],
-        event_marks=walk.event_marks[:e],
-    )
+    return _Walk(code, kinds, node[:n], marks_of_node[:n], event[:e], marks_of_event[:e])
 
 
 _PROBLEMS = {
