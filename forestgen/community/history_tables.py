@@ -82,12 +82,15 @@ def refuse_large(need_bytes: float, what: str) -> None:
         raise ResourceError(f"the history's {what} do not fit into memory", expected=expected, got=got)
 
 
-class _Writer:
+class Writer:
     """Writes something of snapshots as they come; the file appears when it is complete."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.partial = path, path.with_name(path.name + ".partial")
         self.file: Any = None  # None: there is nothing to write
+
+    def add(self, population: Population) -> None:
+        """Write a snapshot."""
 
     def finish(self) -> None:
         """What is left to write before the file is closed."""
@@ -108,7 +111,7 @@ class _Writer:
             self.partial.unlink(missing_ok=True)
 
 
-class ModuleWriter(_Writer):
+class ModuleWriter(Writer):
     """Writes the modules of snapshots."""
 
     def __init__(self, path: Path) -> None:
@@ -117,7 +120,6 @@ class ModuleWriter(_Writer):
         self.file = pq.ParquetWriter(self.partial, _SCHEMA, compression="zstd")
 
     def add(self, population: Population) -> None:
-        """Write a snapshot's modules."""
         modules = population.modules
         if modules is None or not len(modules):
             self.marks.append((0, 0))
@@ -135,7 +137,6 @@ class ModuleWriter(_Writer):
         self.marks.append((len(modules), _checksum(table)))
 
     def finish(self) -> None:
-        """Add the metadata."""
         self.file.add_key_value_metadata({_KEY: json.dumps(self.marks).encode()})
 
 
@@ -182,7 +183,7 @@ def read_modules(path: Path, population: Population, marks: Sequence[Sequence[in
         return Modules(first=first, **{name: columns[name] for name in _PLAIN}, **split)
 
 
-class MapWriter(_Writer):
+class MapWriter(Writer):
     """Writes the maps of snapshots, if they have any; cells are a metre where `size_m` is None."""
 
     def __init__(self, path: Path, size_m: tuple[float, float] | None) -> None:
@@ -192,7 +193,6 @@ class MapWriter(_Writer):
         self.sums: list[int] = []  # of each snapshot's maps
 
     def add(self, population: Population) -> None:
-        """Write a snapshot's maps."""
         if self.sums and list(population.maps) != self.names:
             raise ValueError("all snapshots of a history must have the same maps")
         if population.maps and self.file is None:
