@@ -11,28 +11,24 @@ unit does not fit; and what runs downhill leaves one cell and enters the next (a
 section 4.7.2.1's "infiltration is diminishing with the steepness of slopes". The source leaves both v open: soil water
 follows Darcy's law, surface water Manning's, in which speed goes with the root of the slope.
 
-A time is cut into equal sub-steps of at most `substep_days`. In each, half an `exchange` within the cells, then
-`Transport` between them, then the other half (Strang: second order where the ground is a plane). Sub-steps serve
-accuracy alone: any length is stable, keeps all water and makes nothing negative. At the default of half a day the two
-waters of a pattern of 40 m are right to 1%, and those of longer waves better.
+A time is cut into equal sub-steps of at most `substep_days`: half an `exchange` within the cells, `Transport` between
+them, the other half (Strang: second order where the ground is a plane). Any length is stable, keeps all water and makes
+nothing negative. At half a day, the default, the two waters of a pattern of 40 m are right to 1%.
 
-The parameters' defaults are those of Rietkerk et al. 2002 but for three that are not given there: both speeds downhill
-and `half_infiltration_gradient`.
+Defaults are those of Rietkerk et al. 2002, but for both speeds downhill and `half_infiltration_gradient`.
 
-Water spreads and runs downhill on a grid, exact for any time and never below 0. Finite volumes: a cell gives each
-neighbour a rate of what it holds, D / dx^2 by diffusion, and the speed downhill / dx where that neighbour lies lower
-(upwind). All else follows from these rates:
+Transport is by finite volumes: a cell gives each neighbour a rate of what it holds, D / dx^2 by diffusion, and the
+speed downhill / dx where that neighbour lies lower (upwind).
 
 - On a plane the rates are the same everywhere, so the system is diagonal in Fourier's basis, or in that of cosines
-  between closed edges: its exponential moves any field over any time, exactly as the rates say. What moves little in
-  the time takes one step of Euler's instead, at a tenth of the cost.
+  between closed edges: its exponential moves any field over any time exactly. What moves little takes one step of
+  Euler's instead, at a tenth of the cost.
 - Over heights the downhill part takes one implicit step of Euler's. Water only ever runs to a lower cell, so the cells
-  are solved one after another from the highest: each is a linear reservoir that the ones above fill. No step is too
-  long for it; long ones smear the way downhill, as a chain of reservoirs does.
+  are solved one after another from the highest. Any step is stable; long ones smear the way downhill.
 
-Both have a matrix without negative elements whose columns sum to 1. So nothing is lost or made but by rounding, nothing
-turns negative, and results do not depend on the number of threads. Diffusion's error is of second order in the cells'
-width, that of running downhill of first order.
+Both have a matrix without negative elements whose columns sum to 1: nothing is lost or made but by rounding, and
+results do not depend on the number of threads. Diffusion's error is of second order in the cells' width, that of
+running downhill of first order.
 
 References
 ----------

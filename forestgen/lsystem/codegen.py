@@ -342,53 +342,41 @@ def fold(expression: syntax.Expression, macros: Mapping[str, syntax.Macro], name
 
     Raises `LsystemError` for a division by zero.
     """
+    known: dict[str, float | None] = {}  # each #define is computed once, however often it stands
+
+    def value_of(one: syntax.Expression) -> float | None:
+        match one:
+            case syntax.Number():
+                return one.value
+            case syntax.Name():
+                macro = macros.get(one.name)
+                if macro is None or macro.parameters is not None:
+                    return None
+                if one.name not in known:
+                    known[one.name] = None  # if it is made of itself
+                    known[one.name] = value_of(macro.body)
+                return known[one.name]
+            case syntax.Unary():
+                value = value_of(one.operand)
+                return None if value is None else (-value if one.operator == "-" else float(not value))
+            case syntax.Call():
+                arity = len(one.arguments)
+                if one.name in macros or one.name not in _FUNCTIONS or arity != op.BUILTINS[one.name][1]:
+                    return None
+                values = [value for argument in one.arguments if (value := value_of(argument)) is not None]
+                return float(_FUNCTIONS[one.name](*values)) if len(values) == arity else None
+            case syntax.Binary():
+                left = value_of(one.left)
+                if one.operator in ("&&", "||") and left is not None and bool(left) == (one.operator == "||"):
+                    return float(bool(left))  # the right side never runs
+                right = value_of(one.right)
+                if one.operator in "/%" and right == 0:
+                    fail("division by zero", name, one.place)
+                return None if left is None or right is None else float(_OPERATORS[one.operator](left, right))
+        return None
+
     try:
-        value = _Folder(macros, name).fold(expression)
+        found = value_of(expression)
     except (OverflowError, ValueError):
         return None  # the VM reports where
-    return value if value is None or math.isfinite(value) else None
-
-
-class _Folder:
-    """Each #define is computed once, however often it stands."""
-
-    def __init__(self, macros: Mapping[str, syntax.Macro], name: str) -> None:
-        self.macros, self.name = macros, name
-        self.known: dict[str, float | None] = {}
-
-    def fold(self, one: syntax.Expression) -> float | None:
-        if isinstance(one, syntax.Number):
-            return one.value
-        if isinstance(one, syntax.Name):
-            return self.named(one.name)
-        if isinstance(one, syntax.Unary):
-            value = self.fold(one.operand)
-            return None if value is None else (-value if one.operator == "-" else float(not value))
-        if isinstance(one, syntax.Index):
-            return None
-        return self.call(one) if isinstance(one, syntax.Call) else self.binary(one)
-
-    def named(self, name: str) -> float | None:
-        macro = self.macros.get(name)
-        if macro is None or macro.parameters is not None:
-            return None
-        if name not in self.known:
-            self.known[name] = None  # if it is made of itself
-            self.known[name] = self.fold(macro.body)
-        return self.known[name]
-
-    def call(self, one: syntax.Call) -> float | None:
-        if one.name in self.macros or one.name not in _FUNCTIONS or len(one.arguments) != op.BUILTINS[one.name][1]:
-            return None
-        values = [self.fold(argument) for argument in one.arguments]
-        known = [value for value in values if value is not None]
-        return float(_FUNCTIONS[one.name](*known)) if len(known) == len(values) else None
-
-    def binary(self, one: syntax.Binary) -> float | None:
-        left = self.fold(one.left)
-        if one.operator in ("&&", "||") and left is not None and bool(left) == (one.operator == "||"):
-            return float(bool(left))  # the right side never runs
-        right = self.fold(one.right)
-        if one.operator in "/%" and right == 0:
-            fail("division by zero", self.name, one.place)
-        return None if left is None or right is None else float(_OPERATORS[one.operator](left, right))
+    return found if found is None or math.isfinite(found) else None

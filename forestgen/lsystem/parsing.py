@@ -23,14 +23,14 @@ from __future__ import annotations
 import difflib
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem import syntax
-from forestgen.lsystem.statements import Reader, Statement, read_program, statements
+from forestgen.lsystem.statements import Statement, read_program, statements
 from forestgen.lsystem.syntax import FIRST, Place, fail, points_problem
 
 DIALECTS = ("cpfg", "abop")
@@ -77,175 +77,149 @@ class _Builder:
         self.places: dict[str, Place] = {}
         self.seen: dict[str, Place] = {}
 
-    def take(self, statement: Statement) -> None:
-        reader = Reader(self.name, statement.place)
-        keyword = statement.keyword
-        if not keyword:
-            self.take_production(reader, statement.text)
-            return
-        if keyword in _ONCE:
-            if keyword in self.seen:
-                earlier = self.seen[keyword]
-                reader.fail(f"a second {keyword!r}", statement.start, expected=f"only the one in line {earlier.line}")
-            self.seen[keyword] = statement.start
-        first = keyword.split()[0]
-        handler: Callable[[Reader, Statement], None] | None = _HANDLERS.get(first)
-        if handler is None:
-            hint = "the seed is `seed`, or the recipe's" if first == "seed" else "of a preprocessor, only #define is"
-            reader.fail(f"{keyword} is not supported", statement.start, hint=hint)
-        handler(self, reader, statement)  # type: ignore[call-arg,arg-type]
-
-    def take_production(self, reader: Reader, text: str) -> None:
-        if "-->" not in text:
-            if re.search(r"->|→", text):
-                reader.unexpected(reader.origin, (), "a statement without an arrow", text)
-            problem, got = "this is neither a production nor a known statement", text.strip().split("\n")[0][:60]
-            expected = "predecessor --> successor, or axiom:, derivation length:, ignore:, ..."
-            reader.fail(problem, reader.origin, expected=expected, got=got)
-        self.refuse_slips(reader, text)
-        group = self.group if self.block == "productions" else 0
-        self.productions[self.block].append(replace(reader.parse(text, "production"), group=group))
-
-    def refuse_slips(self, reader: Reader, text: str) -> None:
-        """Slips that would be read as something else, far from what was meant."""
-        head = re.match(r"([A-Za-z][A-Za-z ]{2,30}?)\s*:", text)
-        near = difflib.get_close_matches(head[1].lower(), _STATEMENTS, n=1, cutoff=0.7) if head else []
-        if head and near:
-            reader.fail(f"there is no statement {head[1]}:", reader.origin, hint=f"did you mean {near[0]}: ?")
-        number = re.search(r"\s(\d*\.\d+)\s*$", text)
-        if number and ":" not in text.partition("-->")[2]:
-            hint = f"a probability is written : {number[1]}"
-            reader.fail("a number among the modules", reader.at(text, number.start(1)), got=number[1], hint=hint)
-
     def update(self, **changes: Any) -> None:
         self.ast = replace(self.ast, **changes)
 
-    def header(self, reader: Reader, statement: Statement) -> None:
-        """`lsystem: name` has no effect."""
+    def take(self, one: Statement) -> None:
+        keyword, kind = one.keyword, one.keyword.partition(" ")[0]
+        if keyword in _ONCE:
+            if keyword in self.seen:
+                one.fail(f"a second {keyword!r}", expected=f"only the one in line {self.seen[keyword].line}")
+            self.seen[keyword] = one.start
+        match kind:
+            case "lsystem":  # a name, which has no effect
+                pass
+            case "dialect":
+                word = one.text.strip().lower()
+                if word not in DIALECTS:
+                    one.fail("an unknown dialect", expected=" or ".join(DIALECTS), got=word or "nothing")
+                self.update(dialect=word)
+            case "derivation":
+                self.update(derivation_length=one.parse("expression"))
+            case "axiom":
+                self.axiom(one)
+            case "consider":
+                self.update(considered=one.parse("word"))
+            case "ignore":
+                self.update(ignored=one.parse("word"))
+            case "" | "production" | "productions" | "group" | "endgroup":
+                self.rules(one, kind)
+            case "decomposition" | "interpretation" | "homomorphism":
+                self.block, self.group = "interpretation" if kind == "homomorphism" else kind, 0
+                self.places[self.block] = one.start
+            case "maximum":
+                if self.block == "productions":
+                    expected = "decomposition or interpretation above it"
+                    one.fail("maximum depth belongs to a block", expected=expected)
+                self.depths[self.block] = one.parse("expression")
+            case "define" | "start" | "starteach" | "endeach" | "end":
+                self.instructions(one)
+            case "function":
+                self.function(one)
+            case "#define":
+                self.define(one)
+            case _ if kind in _TURTLE:
+                self.turtle(one)
+            case _:
+                hint = "the seed is `seed`, or the recipe's" if kind == "seed" else "of a preprocessor, only #define is"
+                one.fail(f"{keyword} is not supported", hint=hint)
 
-    def productions_begin(self, reader: Reader, statement: Statement) -> None:
-        """`production:`, which may also end a block."""
-        self.block = "productions"
-        if statement.text.strip():
-            self.take_production(reader, statement.text)
+    def rules(self, one: Statement, kind: str) -> None:
+        """A production, or a keyword that may stand before one; ``production:`` may also end a block."""
+        if kind.startswith("production"):
+            self.block = "productions"
+        elif kind == "endgroup":
+            if self.group == 0:
+                one.fail("endgroup without a group", expected="group 1: before it")
+            self.group = 0
+            return
+        elif kind == "group":
+            self.group = int(one.keyword.split()[1])
+            if self.group == 0:
+                one.fail("a group 0", expected="a number from 1 on; what is in no group is in all")
+            if self.group > _MOST_GROUPS:
+                one.fail("no number for a group", expected=f"at most {_MOST_GROUPS:,}")
+            if self.block != "productions":
+                one.fail(f"a group within the block {self.block}", expected="groups before all blocks")
+        if one.text.strip():
+            _refuse_slips(one)
+            group = self.group if self.block == "productions" else 0
+            self.productions[self.block].append(replace(one.parse("production"), group=group))
 
-    def dialect(self, reader: Reader, statement: Statement) -> None:
-        word = statement.text.strip().lower()
-        if word not in DIALECTS:
-            reader.fail("an unknown dialect", statement.start, expected=" or ".join(DIALECTS), got=word or "nothing")
-        self.update(dialect=word)
-
-    def length(self, reader: Reader, statement: Statement) -> None:
-        self.update(derivation_length=reader.parse(statement.text, "expression"))
-
-    def axiom(self, reader: Reader, statement: Statement) -> None:
-        text, bare = statement.text, statement.text.strip()
+    def axiom(self, one: Statement) -> None:
+        bare = one.text.strip()
         if not bare.startswith("{"):
-            word = reader.parse(text, "string")
+            word = one.parse("string")
             self.update(axiom=(word,) if word else ())
             return
         if not bare.endswith("}"):
-            place = reader.at(text, text.index("{"))
-            reader.fail("the set of words has no end", place, expected="}", got=bare.split("\n")[-1][-20:])
-        words = reader.parse(_within_braces(text), "words")
+            place, got = one.at(one.text.index("{")), bare.split("\n")[-1][-20:]
+            one.fail("the set of words has no end", place, expected="}", got=got)
+        words = _within_braces(one).parse("words")
         self.update(axiom=tuple(word for word in words if word), is_multiset=True)
 
-    def consider(self, reader: Reader, statement: Statement) -> None:
-        key = "considered" if statement.keyword == "consider" else "ignored"
-        self.update(**{key: reader.parse(statement.text, "word")})
-
-    def group_begins(self, reader: Reader, statement: Statement) -> None:
-        self.group = int(statement.keyword.split()[1])
-        if self.group == 0:
-            reader.fail("a group 0", statement.start, expected="a number from 1 on; what is in no group is in all")
-        if self.group > _MOST_GROUPS:
-            reader.fail("no number for a group", statement.start, expected=f"at most {_MOST_GROUPS:,}")
-        if self.block != "productions":
-            reader.fail(f"a group within the block {self.block}", statement.start, expected="groups before all blocks")
-        if statement.text.strip():
-            self.take_production(reader, statement.text)
-
-    def group_ends(self, reader: Reader, statement: Statement) -> None:
-        if self.group == 0:
-            reader.fail("endgroup without a group", statement.start, expected="group 1: before it")
-        self.group = 0
-
-    def block_begins(self, reader: Reader, statement: Statement) -> None:
-        self.block = "interpretation" if statement.keyword == "homomorphism" else statement.keyword
-        self.places[self.block] = statement.start
-        self.group = 0
-
-    def depth(self, reader: Reader, statement: Statement) -> None:
-        if self.block == "productions":
-            expected = "decomposition or interpretation above it"
-            reader.fail("maximum depth belongs to a block", statement.start, expected=expected)
-        self.depths[self.block] = reader.parse(statement.text, "expression")
-
-    def instructions(self, reader: Reader, statement: Statement) -> None:
-        bare = statement.text.strip()
+    def instructions(self, one: Statement) -> None:
+        bare = one.text.strip()
         if not (bare.startswith("{") and bare.endswith("}")):
-            got = bare[:40] or "nothing"
-            reader.fail(f"{statement.keyword} needs a block", reader.origin, expected="{ ... }", got=got)
-        inner = _within_braces(statement.text)
-        if statement.keyword == "define":
-            self.arrays(reader, inner)
+            one.fail(f"{one.keyword} needs a block", one.place, expected="{ ... }", got=bare[:40] or "nothing")
+        inner = _within_braces(one)
+        if one.keyword == "define":
+            self.arrays(inner)
             return
-        key = {"starteach": "start_each", "endeach": "end_each"}.get(statement.keyword, statement.keyword)
-        self.update(**{key: reader.parse(inner, "statements")})
+        key = {"starteach": "start_each", "endeach": "end_each"}.get(one.keyword, one.keyword)
+        self.update(**{key: inner.parse("statements")})
 
-    def arrays(self, reader: Reader, text: str) -> None:
+    def arrays(self, one: Statement) -> None:
         known = dict(self.ast.arrays)
-        for one in reader.parse(text, "arrays"):
-            if one.size is not None and one.size.value != len(one.values):
-                problem, expected = f"array {one.name} is declared with another size", str(len(one.values))
-                reader.fail(problem, one.size.place, expected=expected, got=f"{one.size.value:g}")
-            self.declare(reader, one.name, one.place)
-            known[one.name] = one.values
+        for array in one.parse("arrays"):
+            if array.size is not None and array.size.value != len(array.values):
+                problem, expected = f"array {array.name} is declared with another size", str(len(array.values))
+                one.fail(problem, array.size.place, expected=expected, got=f"{array.size.value:g}")
+            self.declare(one, array.name, array.place)
+            known[array.name] = array.values
         self.update(arrays=known)
 
-    def declare(self, reader: Reader, name: str, place: Place) -> None:
+    def declare(self, one: Statement, name: str, place: Place) -> None:
         if name in self.seen:
-            reader.fail(f"{name} is defined twice", place, got=f"the first in line {self.seen[name].line}")
+            one.fail(f"{name} is defined twice", place, got=f"the first in line {self.seen[name].line}")
         self.seen[name] = place
 
-    def function(self, reader: Reader, statement: Statement) -> None:
-        name = statement.keyword.split()[1]
+    def function(self, one: Statement) -> None:
+        name = one.keyword.split()[1]
         if name.isdigit() and not 1 <= int(name) <= _MOST_FUNCTIONS:
-            expected = f"1 to {_MOST_FUNCTIONS}, or a name"
-            reader.fail("no number for a function", statement.start, expected=expected, got=name)
-        self.declare(reader, f"function {name}", statement.start)
-        points = reader.parse(statement.text, "points")
+            one.fail("no number for a function", expected=f"1 to {_MOST_FUNCTIONS}, or a name", got=name)
+        self.declare(one, f"function {name}", one.start)
+        points = one.parse("points")
         problem = points_problem(points)
         if problem:
-            reader.fail(f"function {name} is wrong", statement.place, expected=problem)
+            one.fail(f"function {name} is wrong", one.place, expected=problem)
         self.update(functions={**self.ast.functions, name: points})
 
-    def turtle(self, reader: Reader, statement: Statement) -> None:
-        name = statement.keyword.replace("color", "colour")
+    def turtle(self, one: Statement) -> None:
+        name = one.keyword.replace("color", "colour")
         try:
-            numbers = tuple(float(one) for one in statement.text.split())
-            if not all(map(math.isfinite, numbers)):
-                raise ValueError
+            numbers = tuple(float(number) for number in one.text.split())
         except ValueError:
-            reader.fail(f"{name} needs numbers", statement.place, got=statement.text.strip())
+            numbers = (math.nan,)
+        if not all(map(math.isfinite, numbers)):
+            one.fail(f"{name} needs numbers", one.place, got=one.text.strip())
         if name in self.ast.turtle:
-            reader.fail(f"a second {name!r}", statement.start)
+            one.fail(f"a second {name!r}")
         self.update(turtle={**self.ast.turtle, name: numbers})
 
-    def define(self, reader: Reader, statement: Statement) -> None:
-        head = re.match(r"\s*([A-Za-z_]\w*)(\(([^()]*)\))?", statement.text)
+    def define(self, one: Statement) -> None:
+        head = re.match(r"\s*([A-Za-z_]\w*)(\(([^()]*)\))?", one.text)
         if head is None:
-            got = statement.text.strip()
-            reader.fail("#define needs a name", statement.place, expected="#define NAME value", got=got)
+            one.fail("#define needs a name", one.place, expected="#define NAME value", got=one.text.strip())
         name, _, given = head.groups()
-        rest = statement.text[head.end() :]
+        rest = one.text[head.end() :]
         if not rest.strip():
-            reader.fail(f"#define {name} has no value", statement.place, expected=f"#define {name} 1.5")
-        self.declare(reader, name, Place(statement.place.line, statement.place.column + head.start(1)))
-        body = reader.parse(" " * head.end() + rest, "expression")
-        parameters = None if given is None else tuple(one.strip() for one in given.split(",") if one.strip())
+            one.fail(f"#define {name} has no value", one.place, expected=f"#define {name} 1.5")
+        self.declare(one, name, one.at(head.start(1)))
+        body = replace(one, text=" " * head.end() + rest).parse("expression")
+        parameters = None if given is None else tuple(each.strip() for each in given.split(",") if each.strip())
         if parameters and not (all(map(str.isidentifier, parameters)) and len(set(parameters)) == len(parameters)):
-            reader.fail(f"#define {name} has bad parameters", statement.place, expected="different names", got=given)
+            one.fail(f"#define {name} has bad parameters", one.place, expected="different names", got=given)
         self.update(macros={**self.ast.macros, name: syntax.Macro(parameters, body, self.seen[name])})
 
     def finish(self) -> syntax.ProgramAST:
@@ -258,10 +232,28 @@ class _Builder:
         return replace(self.ast, productions=tuple(self.productions["productions"]), **blocks)  # type: ignore[arg-type]
 
 
-def _within_braces(text: str) -> str:
-    """The text with blanks for its outer braces: places stay as they are."""
-    opened, closed = text.index("{"), text.rindex("}")
-    return text[:opened] + " " + text[opened + 1 : closed]
+def _refuse_slips(one: Statement) -> None:
+    """What is no production, and slips that would be read as something else, far from what was meant."""
+    if "-->" not in one.text:
+        if re.search(r"->|→", one.text):
+            one.unexpected(one.place, (), "a statement without an arrow")
+        problem, got = "this is neither a production nor a known statement", one.text.strip().split("\n")[0][:60]
+        expected = "predecessor --> successor, or axiom:, derivation length:, ignore:, ..."
+        one.fail(problem, one.place, expected=expected, got=got)
+    head = re.match(r"([A-Za-z][A-Za-z ]{2,30}?)\s*:", one.text)
+    near = difflib.get_close_matches(head[1].lower(), _STATEMENTS, n=1, cutoff=0.7) if head else []
+    if head and near:
+        one.fail(f"there is no statement {head[1]}:", one.place, hint=f"did you mean {near[0]}: ?")
+    number = re.search(r"\s(\d*\.\d+)\s*$", one.text)
+    if number and ":" not in one.text.partition("-->")[2]:
+        hint = f"a probability is written : {number[1]}"
+        one.fail("a number among the modules", one.at(number.start(1)), got=number[1], hint=hint)
+
+
+def _within_braces(one: Statement) -> Statement:
+    """The statement with blanks for its text's outer braces: places stay as they are."""
+    opened, closed = one.text.index("{"), one.text.rindex("}")
+    return replace(one, text=one.text[:opened] + " " + one.text[opened + 1 : closed])
 
 
 _ONCE = {
@@ -272,22 +264,6 @@ _STATEMENTS = [
     "starteach", "endeach", "define", "production", "function", "angle", "step", "width", "tropism", "heading",
 ]  # fmt: skip
 _TURTLE = ("angle", "step", "scale", "width", "tip", "tropism", "elasticity", "heading", "colour", "color")
-_HANDLERS: dict[str, Any] = {  # by a statement's first word
-    "lsystem": _Builder.header,
-    "dialect": _Builder.dialect,
-    "derivation": _Builder.length,
-    "axiom": _Builder.axiom,
-    "group": _Builder.group_begins,
-    "endgroup": _Builder.group_ends,
-    "maximum": _Builder.depth,
-    "function": _Builder.function,
-    "#define": _Builder.define,
-    **dict.fromkeys(("production", "productions"), _Builder.productions_begin),
-    **dict.fromkeys(("consider", "ignore"), _Builder.consider),
-    **dict.fromkeys(("decomposition", "interpretation", "homomorphism"), _Builder.block_begins),
-    **dict.fromkeys(("start", "starteach", "endeach", "end", "define"), _Builder.instructions),
-    **dict.fromkeys(_TURTLE, _Builder.turtle),
-}
 
 
 def parse_sys_text(text: str, name: str) -> syntax.ProgramAST:
@@ -334,7 +310,7 @@ def _rule(line: str, name: str, start: Place) -> syntax.Production:
 
 def _modules(text: str, name: str, start: Place) -> tuple[syntax.Module, ...]:
     """The modules of a text that begins at a place."""
-    modules: tuple[syntax.Module, ...] = Reader(name, start).parse(text, "sys_string")
+    modules: tuple[syntax.Module, ...] = Statement(name, "", text, start, start).parse("sys_string")
     for one in modules:
         given = len(one.arguments)
         most = _MOST_PARAMETERS.get(one.symbol, given)

@@ -48,16 +48,6 @@ _KEYWORDS = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class Statement:
-    """A keyword, its text and the place where that begins; a production has the keyword ''."""
-
-    keyword: str  # lower case, one space between words, no colon
-    text: str
-    place: Place  # of the text
-    start: Place  # of the statement
-
-
 class Array(NamedTuple):
     """``array name[size] = {values}``"""
 
@@ -77,14 +67,14 @@ def statements(text: str, name: str) -> Iterator[Statement]:
     for start, raw in _logical_lines(_without_comments(text, name)):
         match = _KEYWORDS.match(raw)
         if match is None:
-            yield Statement("", raw, start, start)
+            yield Statement(name, "", raw, start, start)
             continue
         keyword = " ".join(match.group().rstrip(": \t").lower().replace("#", "# ").split()).replace("# ", "#")
         if keyword == "endlsystem":
             return
         if keyword.startswith("function "):  # its name keeps its capitals
             keyword = "function " + match.group().rstrip(": \t").split()[1]
-        yield Statement(keyword, raw[match.end() :], Place(start.line, start.column + match.end()), start)
+        yield Statement(name, keyword, raw[match.end() :], Place(start.line, start.column + match.end()), start)
 
 
 def _without_comments(text: str, name: str) -> str:
@@ -228,54 +218,58 @@ class _Syntax(Transformer_NonRecursive[Token, Any]):
         return syntax.Production(predecessor, successor, probability, place, *heads, *(condition or ()))
 
 
-class Reader:
-    """Turns the text of one statement into syntax; knows where the statement lies in the file."""
+@dataclass(frozen=True)
+class Statement:
+    """A keyword, its text and the place where that begins; a production has the keyword ''."""
 
-    def __init__(self, name: str, origin: Place) -> None:
-        self.name, self.origin = name, origin
-        self._syntax = _Syntax(lambda token: self.place(token.line or 1, token.column or 1))
+    name: str  # of the file
+    keyword: str  # lower case, one space between words, no colon
+    text: str
+    place: Place  # of the text
+    start: Place  # of the statement
 
-    def place(self, line: int, column: int) -> Place:
-        """Place in the file of a place in the statement."""
-        return Place(self.origin.line + line - 1, column + (self.origin.column - 1 if line == 1 else 0))
+    def at(self, position: int) -> Place:
+        """Place in the file of an index into the text."""
+        return self._in_file(*place_in(self.text, position))
 
-    def at(self, text: str, position: int) -> Place:
-        """Place in the file of an index into the statement's text."""
-        return self.place(*place_in(text, position))
+    def _in_file(self, line: int, column: int) -> Place:
+        return Place(self.place.line + line - 1, column + (self.place.column - 1 if line == 1 else 0))
 
-    def fail(self, problem: str, place: Place, **about: str | None) -> NoReturn:
-        fail(problem, self.name, place, **about)
+    def fail(self, problem: str, place: Place | None = None, **about: str | None) -> NoReturn:
+        """Raise `LsystemError` for a place in the file; None: where the statement begins."""
+        fail(problem, self.name, place or self.start, **about)
 
-    def parse(self, text: str, start: str) -> Any:
-        """The syntax of a text, by a rule of the grammar."""
-        self._refuse_deep(text)
+    def parse(self, rule: str) -> Any:
+        """The syntax of the text, by a rule of the grammar."""
+        self._refuse_deep()
         try:
-            return self._syntax.transform(_lark().parse(text, start=start))
+            tree = _lark().parse(self.text, start=rule)
         except UnexpectedCharacters as error:
-            got = repr(text[error.pos_in_stream or 0])
-            self.unexpected(self.place(error.line, error.column), error.allowed, got, text)
+            got = repr(self.text[error.pos_in_stream or 0])
+            self.unexpected(self._in_file(error.line, error.column), error.allowed, got)
         except UnexpectedToken as error:
             at_end = error.token.type == "$END"
-            place = self.at(text, len(text.rstrip())) if at_end else self.place(error.line, error.column)
+            place = self.at(len(self.text.rstrip())) if at_end else self._in_file(error.line, error.column)
             got = "the end of the statement" if at_end else repr(str(error.token))
-            self.unexpected(place, error.accepts or error.expected, got, text)
+            self.unexpected(place, error.accepts or error.expected, got)
+        return _Syntax(lambda token: self._in_file(token.line or 1, token.column or 1)).transform(tree)
 
-    def unexpected(self, place: Place, expected: Any, got: str, text: str) -> NoReturn:
+    def unexpected(self, place: Place, expected: Any, got: str) -> NoReturn:
         names = set(expected or ())
         shown = [_PLAIN[one] for one in _PLAIN if one in names]
         if names & _OPERATORS:
             shown.append("an operator")
         hint = None
-        if "-->" not in text and re.search(r"->|→", text):
+        if "-->" not in self.text and re.search(r"->|→", self.text):
             hint = "the arrow of a production is -->"
         elif got.strip("'\"") == "=":
             hint = "equality is =="
         self.fail("this is not understood", place, expected=", ".join(shown) or None, got=got, hint=hint)
 
-    def _refuse_deep(self, text: str) -> None:
+    def _refuse_deep(self) -> None:
         depth = 0
-        for position, character in enumerate(text):
+        for position, character in enumerate(self.text):
             depth += (character == "(") - (character == ")")
             if depth > _DEEPEST:
                 expected = f"at most {_DEEPEST}"
-                self.fail("parentheses lie too deep within one another", self.at(text, position), expected=expected)
+                self.fail("parentheses lie too deep within one another", self.at(position), expected=expected)

@@ -6,20 +6,17 @@ propagation after W. Palubicki et al., Self-organizing tree models for image syn
     S_k = spread(S_(k+1) + D_(k+1))          optical depth above layer k, from the highest layer to the ground
     Q_G = T exp(-(S_k + (D_k - own) / 2))
 
-The paper names a grid whose cells lose light below a module, and no rule. Here light falls by Beer's law. Layers follow
-the terrain: they count from the local ground. A module adds the optical depth opacity x area of its sphere's disc /
-area of a cell to the cells that the disc covers (as a square of the same area), in the layer of its centre. D_k is the
-depth of layer k and S_k that of all layers above, spread by the kernel [s, 1 - 2 s, s] along x and y for each layer
-down: the shadow's cone, which reaches the ground and keeps optical depth times area. A module sees, over its own disc,
+The paper names a grid whose cells lose light below a module, and no rule. Here light falls by Beer's law through layers
+that count from the local ground. A module adds the optical depth opacity x area of its sphere's disc / area of a cell
+to the cells that the disc covers (as a square of the same area), in the layer of its centre: D_k. S_k is that of all
+layers above, spread by the kernel [s, 1 - 2 s, s] along x and y for each layer down. A module sees, over its own disc,
 all layers above its own and half of its own layer less itself. At the edge of a bounded site what would spread out is
 mirrored back: the stand goes on.
 
 Obstacles are opaque: T, the share of the light that boxes let through, is 0 in them, 1 above them, and spreads down by
-the same kernel; a cell of which a box takes a part has at most the light of the other part. So a wall takes about half
-of the light of what stands at its foot.
+the same kernel; a cell of which a box takes a part has at most the light of the other part.
 
-Depths are summed as whole numbers: the order of modules does not matter to the bit. Time is O(modules + cells), and
-memory a few cells a column.
+Depths are summed as whole numbers: the order of modules does not matter to the bit. Time is O(modules + cells).
 """
 
 from __future__ import annotations

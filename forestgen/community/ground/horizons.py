@@ -9,25 +9,21 @@ the openness of Yokoyama et al. (2002), so that a crest is as exposed as a hollo
     T = sum over 32 directions of w (up + down) / 2        w = (1 + cos(angle to the prevailing wind)) / 32
     wind = 1 / (1 + exp(T / 5 degrees))
 
-0: deep in a hollow or under a steep lee slope; 0.5: on a plain; 1: on a sharp crest. Half of the weight is even over
-all directions, half looks towards the wind: a slope of 10° has 0.73 facing the wind and 0.27 in its lee.
+0: deep in a hollow or under a steep lee slope; 0.5: on a plain; 1: on a sharp crest. A slope of 10° has 0.73 facing the
+wind and 0.27 in its lee.
 
-Sun is the direct irradiation of inclined, shaded ground over a year, relative to open level ground at its latitude.
-
-The sun stands at (hour angle H, declination δ, latitude φ; Duffie and Beckman, section 1.6)::
+Sun is the direct irradiation of inclined, shaded ground over a year, relative to open level ground at its latitude,
+without air or clouds: 1 on level, open ground, 0 where the sun never reaches, above 1 on a sunny slope. At 50° north a
+slope of 30° has 1.36 facing south and 0.51 facing north. The sun stands at (hour angle H, declination δ, latitude φ;
+Duffie and Beckman, section 1.6)::
 
     east = -cos δ sin H,  north = cos φ sin δ - sin φ cos δ cos H,  up = sin φ sin δ + cos φ cos δ cos H
 
 and ground with the unit normal n receives max(0, n . s) of it where s clears the horizon. It is summed over hour
 angles and over the sun's longitude λ, sin δ = sin 23.44° sin λ, in even steps of both. Over a year this is exact in
 spite of the orbit's eccentricity: the time spent in a step of λ goes with the distance's square, the irradiance with
-its inverse (Kepler's second law; Berger et al. 2010). There is no air, hence no clouds either: potential irradiation.
-
-1: level, open ground; 0: ground that the sun never reaches; above 1: a sunny slope. At 50° north a slope of 30° has
-1.36 facing south and 0.51 facing north.
-
-Sums over the suns of each azimuth that stand higher than a given angle, as vectors, are made once for a latitude; a
-place looks up its horizon (of the terrain, or of its own inclined surface if that is higher) in every direction.
+its inverse (Kepler's second law; Berger et al. 2010). Sums over the suns of each azimuth above a given height, as
+vectors, are made once for a latitude; a place looks up its horizon, or its own surface's if that is higher.
 
 References
 ----------

@@ -1,25 +1,22 @@
 """The ground's height on a raster of nodes, values carried over to the cells of any grid, and moisture.
 
-Moisture: how much water gathers at a place, and how fast the ground there sheds it.
-
-The topographic wetness index is ln(a / tan β) (Beven and Kirkby 1979): a, the area upslope by width of contour, metres;
-tan β, the gradient. Here it is used in a form that is also right on a crest and on level ground::
+Moisture is the topographic wetness index ln(a / tan β) (Beven and Kirkby 1979; a, the area upslope by width of contour,
+metres; tan β, the gradient) in a form that is also right on a crest and on level ground::
 
     W = (a + a0) / (tan β + t0)        a0 = 20 m, t0 = 0.1
     moisture = W / (W + W0)            W0 = a0 / t0, W on a plain
 
 - 0.5: as wet as level ground that drinks its own rain alone. 0.8: four times the plain's W. Towards 1: hollows and
-  valley floors into which much ground drains. Towards 0: steep ground below nothing, as on crests and spurs.
+  valley floors. Towards 0: steep ground below nothing, as on crests and spurs.
 - Water runs by the D∞ method (Tarboton 1997): downhill along the steepest of eight triangular facets, shared between
   the two neighbours that its direction lies between. A node with no lower neighbour is a pit, and keeps its water,
-  unless there is lower ground within five nodes: real hollows stay, gaps of the raster in a narrow valley do not.
-- Water in the ground moves slowly, and most is drunk on its way: the steady state that the index supposes is seldom
-  reached (Barling et al. 1994). By Darcy's law it moves in proportion to the gradient, so the share that arrives
-  after a way s is exp(-s / (ℓ tan β)), ℓ = 1000 m: 100 m on a slope of 10%, and nothing moves on level ground.
+  unless there is lower ground within five nodes: gaps of the raster in a narrow valley are no pits.
+- Water moves slowly, and most is drunk on its way (Barling et al. 1994). By Darcy's law it moves in proportion to the
+  gradient, so the share that arrives after a way s is exp(-s / (ℓ tan β)), ℓ = 1000 m.
 - a and tan β (its root mean square) are smoothed by a Gaussian with σ = 5 m, which roots and soil even out in nature;
-  so moisture hardly depends on the raster's cells, though a line of flow is as narrow as they are.
-- Width of contour: water that crosses a raster at an angle ϑ to its rows or columns is counted by cells that are
-  narrower than their side, by cos ϑ + sin ϑ ϑ/(π/4); on a plane a is then the way to the divide, in any direction.
+  so moisture hardly depends on the raster's cells.
+- Water that crosses a raster at an angle ϑ to its rows or columns is counted by cells that are narrower than their
+  side, by cos ϑ + sin ϑ ϑ/(π/4): on a plane a is the way to the divide, in any direction.
 
 References
 ----------
