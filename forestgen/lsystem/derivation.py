@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
@@ -49,10 +49,6 @@ class Derivation:
     step: int  # derivation steps done
     next_id: int  # of the next new word
     globals: NDArray[np.float64]  # global variables; the first is the current group
-
-
-#: Answers ?E: gets the words with their queries, returns them with other parameters of ?E.
-CompetitionModel = Callable[[Multiset], Multiset]
 
 
 def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> Derivation:
@@ -103,27 +99,15 @@ def derive_step(program: Program, state: Derivation, seed: int, *, most_modules:
     return replace(after, step=step, globals=glob)
 
 
-def derive(
-    program: Program,
-    steps: int,
-    seed: int,
-    *,
-    competition_model: CompetitionModel | None = None,
-    most_modules: int = MOST_MODULES,
-) -> Iterator[Derivation]:
+def derive(program: Program, steps: int, seed: int, *, most_modules: int = MOST_MODULES) -> Iterator[Derivation]:
     """The words after step 0, 1, ..., `steps`, each made when it is asked for; see `derive_step`."""
-    asks = has_queries(program)
-
-    def answered(state: Derivation) -> Derivation:
-        if asks:
+    state = axiom(program, seed, most_modules=most_modules)
+    for step in range(steps + 1):
+        if step:
+            state = derive_step(program, state, seed, most_modules=most_modules)
+        if has_queries(program):
             drawn = interpret(program, state, seed, most_modules=most_modules)
             state = replace(state, multiset=answer_queries(program, state.multiset, drawn))
-        return state if competition_model is None else replace(state, multiset=competition_model(state.multiset))
-
-    state = answered(axiom(program, seed, most_modules=most_modules))
-    yield state
-    for _ in range(steps):
-        state = answered(derive_step(program, state, seed, most_modules=most_modules))
         yield state
 
 
@@ -132,14 +116,7 @@ def interpret(program: Program, state: Derivation, seed: int, *, most_modules: i
     if program.interpretation.address < 0:
         return state.multiset
     key, rules = _key(seed, "interpretation", state.step), (program.none, program.interpretation)
-    return _rewritten(program, state, *rules, key, state.step, most_modules, is_drawing=True).multiset
-
-
-def percent_meaning(program: Program) -> int:
-    """What % does: fragments a multiset's words, cuts a plain string's branches, nothing in rhover's dialect."""
-    if program.ast.dialect == "rhover":
-        return 0
-    return layout.FRAGMENT if program.ast.is_multiset else layout.CUT
+    return _rewritten(program, state, *rules, key, state.step, most_modules).multiset
 
 
 def _key(seed: int, stage: str, step: int) -> np.uint64:
@@ -193,9 +170,8 @@ def _fail(program: Program, wrong: int, address: int, step: int, module: str | N
 
 
 def _rewritten(
-    program: Program, state: Derivation, rules: RuleSet, inner: RuleSet, key: np.uint64, step: int, most_modules: int,
-    *, is_drawing: bool = False,
-) -> Derivation:  # fmt: skip
+    program: Program, state: Derivation, rules: RuleSet, inner: RuleSet, key: np.uint64, step: int, most_modules: int
+) -> Derivation:
     """All words rewritten by `rules`, and what comes out by `inner`; ranges of many words on several threads."""
     from forestgen.lsystem import vm, vm_words  # late: compiled kernels
 
@@ -204,13 +180,15 @@ def _rewritten(
         starts, mate = words.parameter_start(), np.zeros(len(words.code), np.int64)
         vm_words.pair_brackets(words.code, mate)
     text = layout.Text(words.code, words.parameter, starts, mate)
+    is_drawing = inner is program.interpretation
+    percent = layout.FRAGMENT if program.ast.is_multiset else layout.CUT  # what % does
     how = layout.Rewriting(
         rules=rules.address,
         inner=inner.address,
         group=int(state.globals[0]),
         depth=program.interpretation_depth if is_drawing else program.decomposition_depth,
         is_strict=not is_drawing,
-        percent=0 if is_drawing else percent_meaning(program),
+        percent=0 if is_drawing or program.ast.dialect == "rhover" else percent,
         step=step,
     )
 

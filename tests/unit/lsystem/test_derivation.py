@@ -244,7 +244,9 @@ def test_the_environment_gets_parameters_and_gives_others() -> None:
         values[1::3] = values[0::3] * 100 + values[2::3]
         return replace(found, parameter=values)
 
-    *_, state = derive(program, 1, 0, competition_model=environment)
+    start = axiom(program, 0)
+    after = derive_step(program, replace(start, multiset=environment(start.multiset)), 0)
+    state = replace(after, multiset=environment(after.multiset))
     assert list(words_as_text(state.multiset)) == ["T(310)?E(31007,7)", "T(412)?E(41208,8)"]
 
 
