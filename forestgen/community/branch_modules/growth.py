@@ -37,6 +37,7 @@ from forestgen.architecture.prototypes import MOST_NODES, Tables
 from forestgen.community.branch_modules.state import (
     Floats,
     Floats32,
+    Indices,
     Mask,
     Plants,
     Snags,
@@ -69,8 +70,8 @@ def grow(modules: Modules, vigour: Floats32, species: SpeciesIndex, now: StepPar
 class NextRows:
     """Rows of the modules after shedding and sprouting: of each plant those that stay, then those that begin."""
 
-    first: NDArray[np.int64]  # (P + 1,) as in Modules
-    source: NDArray[np.int64]  # (N,) former row of a module; of a new one that of the module that bears it
+    first: Indices  # (P + 1,) as in Modules
+    source: Indices  # (N,) former row of a module; of a new one that of the module that bears it
     new: Mask  # (N,)
     parent: NDArray[np.int32]  # (N,) as in Modules
     node: NDArray[np.int16]  # (N,) as in Modules

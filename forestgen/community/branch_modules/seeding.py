@@ -106,16 +106,11 @@ NO_SEEDS = Arriving(np.empty((0, 2)), np.empty(0, np.uint16), np.empty(0))
 
 
 def seedlings(
-    state: State,
-    now: StepParameters,
-    around: Surroundings,
-    standing: Standing,
-    arriving: Arriving,
-    rng: np.random.Generator,
+    state: State, now: StepParameters, around: Surroundings, standing: Standing, arriving: Arriving
 ) -> tuple[Plants, Modules]:
     """The plants that germinate in a step: first of the seeds that fall, then of those that arrive."""
     traits, parameters, plants = now.traits, now.parameters, standing.plants
-    sp = plants.species
+    sp, rng = plants.species, child_rng(state.seed, "community", state.step + 1)
     mean = np.where(plants.flowering, traits.seeds_per_yr[sp] * standing.adapted * parameters.step_yr, 0.0)
     refuse_more_seeds(float(mean.sum()) + len(arriving.species))
     count = rng.poisson(mean)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,7 +11,7 @@ from forestgen.community.arrivals import on_the_ground
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.state import Floats, Floats32, Plants, Snags, State, step_parameters
 from forestgen.community.branch_modules.surroundings import ground_at
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.population import Population, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns, place_of
@@ -96,11 +94,7 @@ def _steps(years: NDArray[np.floating], parameters: BranchModulesParameters) -> 
 
 
 def state_of(
-    parameters: BranchModulesParameters,
-    site: Site,
-    species: Sequence[SpeciesEcology],
-    seed: int,
-    population: Population,
+    parameters: BranchModulesParameters, site: Site, species: Ecologies, seed: int, population: Population
 ) -> State:
     """The state that a snapshot was made of."""
     if population.modules is None:
@@ -130,7 +124,7 @@ def state_of(
 
 
 def check_resumable(
-    parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+    parameters: BranchModulesParameters, site: Site, species: Ecologies, population: Population
 ) -> None:
     """Raise `ImpossibleValueError` unless `state_of` can make a state of a snapshot with its modules."""
     keeps_dead = parameters.standing_dead_yr > 0
@@ -150,7 +144,7 @@ def check_resumable(
         _check_module_numbers(population.modules, population)
 
 
-def _check_obstacles(site: Site, species: Sequence[SpeciesEcology], population: Population) -> None:
+def _check_obstacles(site: Site, species: Ecologies, population: Population) -> None:
     """The recipe's buildings are the first rows, stand, and no other row is of a species that does not grow."""
     names = [one.name for one in species]
     wanted, row = [names.index(one.kind) for one in site.buildings], 0

@@ -25,7 +25,8 @@ from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.species import PlantType
 from forestgen.recipe.suggestions import did_you_mean
 
-Floats, Floats32, Mask = NDArray[np.float64], NDArray[np.float32], NDArray[np.bool_]
+Floats, Floats32 = NDArray[np.float64], NDArray[np.float32]
+Mask, Indices = NDArray[np.bool_], NDArray[np.int64]
 SpeciesIndex = NDArray[np.uint16]  # of plants: index in the recipe's species
 MOST_SEEDS = 20_000_000  # of one step: a gigabyte
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import terminal_pose
 from forestgen.architecture.modules import Modules
@@ -24,6 +23,7 @@ from forestgen.community.branch_modules.orientation import Turning, orient
 from forestgen.community.branch_modules.seeding import NO_SEEDS, Arriving, Standing, seedlings
 from forestgen.community.branch_modules.state import (
     Floats,
+    Indices,
     Mask,
     Plants,
     State,
@@ -35,7 +35,6 @@ from forestgen.community.branch_modules.state import (
 )
 from forestgen.community.branch_modules.surroundings import LocalClimate, Surroundings, adaptation, surroundings_of
 from forestgen.community.branch_modules.vigour import Flow, distribute, net_gain, stature_of
-from forestgen.core.randomness import child_rng
 
 
 def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arriving = NO_SEEDS) -> State:
@@ -75,9 +74,8 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
     alive = ((np.diff(rows.first) > 0) | ~traits.grows[species]) & ~withered
     trunk_m = np.zeros(len(plants))
     trunk_m[counts > 0] = diameter_m[aged.first[:-1][counts > 0]]
-    rng = child_rng(state.seed, "community", state.step + 1)
     standing = Standing(plants, adapted, trunk_m, alive)
-    new, seeded = seedlings(state, now, around, standing, arriving, rng)
+    new, seeded = seedlings(state, now, around, standing, arriving)
     snags = snags_after(state, now, plants, wood, alive)
     if not alive.all():
         modules, plants = modules.of_plants(alive), plants.where(alive)
@@ -133,13 +131,7 @@ def _after(
 
 
 def _begin(
-    after: Modules,
-    new: NDArray[np.int64],
-    modules: Modules,
-    rows: NextRows,
-    plants: Plants,
-    state: State,
-    now: StepParameters,
+    after: Modules, new: Indices, modules: Modules, rows: NextRows, plants: Plants, state: State, now: StepParameters
 ) -> None:
     """Give new modules, rows `new` of `after`, their prototype, their place and their first orientation."""
     bearer = rows.source[new]
@@ -158,7 +150,7 @@ def _begin(
 
 
 def _turn(
-    after: Modules, new: NDArray[np.int64], rows: NextRows, state: State, now: StepParameters, around: Surroundings
+    after: Modules, new: Indices, rows: NextRows, state: State, now: StepParameters, around: Surroundings
 ) -> None:
     """Turn new modules, then by fewer steps those that grow too: all by the spheres at the step's beginning."""
     parameters = now.parameters
@@ -180,7 +172,7 @@ def _turn(
 
 
 def _turning(
-    after: Modules, chosen: NDArray[np.int64], rows: NextRows, state: State, now: StepParameters, is_axis: Mask
+    after: Modules, chosen: Indices, rows: NextRows, state: State, now: StepParameters, is_axis: Mask
 ) -> Turning:
     """The modules in rows `chosen` of `after`; `is_axis` (N,) says whether they continue the plant's main axis."""
     traits, tables, plants = now.traits, now.tables, state.plants

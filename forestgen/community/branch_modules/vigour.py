@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import over_plants
 from forestgen.architecture.modules import Modules
-from forestgen.community.branch_modules.state import Floats, Floats32, SpeciesIndex, StepParameters
+from forestgen.community.branch_modules.state import Floats, Floats32, Indices, SpeciesIndex, StepParameters
 from forestgen.core.compiled import compiled
 
 
@@ -159,7 +159,7 @@ def stature_of(modules: Modules, species: SpeciesIndex, now: StepParameters) -> 
     return Stature(grown, leaves.astype(np.float32), size.astype(np.float32))
 
 
-def net_gain(light: Floats32, species: SpeciesIndex, first: NDArray[np.int64], now: StepParameters) -> Floats32:
+def net_gain(light: Floats32, species: SpeciesIndex, first: Indices, now: StepParameters) -> Floats32:
     """(M,) 1 in full light, 0 at the type's compensation point, and less below it: then others must feed the module."""
     point = np.repeat(now.traits.compensation[species].astype(np.float32), np.diff(first))
     return np.asarray((light - point) / (1 - point))

@@ -110,6 +110,8 @@ class BoundaryConditions:
     vapour_mm_per_day: Floats  # (rows, cols) transpired and evaporated
     light: Floats  # (rows, cols) share of the light that comes down to the ground
     lapse_rate_k_per_km: float  # usual change of temperature with elevation, below 0
+    wind_from_deg: float  # where the wind comes from, clockwise from north
+    seed: int  # of the days' random numbers
 
 
 @dataclass(frozen=True)
@@ -154,18 +156,16 @@ class Hours:
     weather: Weather  # at the end
 
 
-def month_of_air(
-    section: WeatherSection, month: Month, number: int, bounds: BoundaryConditions, wind_from_deg: float, seed: int
-) -> MonthOfAir:
+def month_of_air(section: WeatherSection, month: Month, number: int, bounds: BoundaryConditions) -> MonthOfAir:
     """The air of month `number` since the beginning."""
     grid = grid_of(section, bounds.ground)
     maps = regridder_for(bounds.ground, grid)
     of_year, indices = number % MONTHS_PER_YR, range(section.days_per_month)
-    usual = partial(_usual, section, grid, of_year=of_year, wind_from_deg=wind_from_deg, seed=seed)
+    usual = partial(_usual, section, grid, of_year=of_year, wind_from_deg=bounds.wind_from_deg, seed=bounds.seed)
     normal = replace(month, vapour=1.0)
 
     def over_the_site(index: int) -> Hours:
-        case = case_of(section, month, number, bounds, wind_from_deg, seed, index)
+        case = case_of(section, month, number, bounds, index)
         return hours_of(section, case.grid, case.day, case.surface)
 
     # A step of so little air has too short loops for several cores: every day has one.
@@ -189,15 +189,7 @@ def month_of_air(
     return MonthOfAir(wetness, float(region), warmth, float(condensed), error)
 
 
-def case_of(
-    section: WeatherSection,
-    month: Month,
-    number: int,
-    bounds: BoundaryConditions,
-    wind_from_deg: float,
-    seed: int,
-    index: int,
-) -> Case:
+def case_of(section: WeatherSection, month: Month, number: int, bounds: BoundaryConditions, index: int) -> Case:
     """Day `index` of month `number` since the beginning, over the site's own ground."""
     grid = grid_of(section, bounds.ground)
     maps = regridder_for(bounds.ground, grid)
@@ -205,7 +197,7 @@ def case_of(
     terrain = height - height.min() if np.ptp(height) > _FLAT * grid.cell_m[2] else None
     shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(bounds.light).astype(np.float64))
     vapour = maps.for_air(bounds.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
-    day = day_of(section, month, number % MONTHS_PER_YR, index, wind_from_deg, seed)
+    day = day_of(section, month, number % MONTHS_PER_YR, index, bounds.wind_from_deg, bounds.seed)
     heat, damp = day.heat_w_per_m2 * shaded, day.vapour_kg_per_m2_s + vapour
     return Case(grid, day, Surface(heat.astype(np.float32), damp.astype(np.float32), terrain))
 

@@ -221,13 +221,11 @@ def _mean_unless(local: bool, values: Floats) -> Floats:
 
 def _under_air(state: Ecoclimate, ground: Ground, leaves: Floats, now: Month, month: int) -> Ecoclimate:
     """What the month's air makes of the rain and of the warmth; the same state if none is simulated in this month."""
-    parameters, site = state.parameters, state.forest.site
+    parameters = state.parameters
     section = parameters.weather
     if section is None or month % section.every_months:
         return state
-    sky = month_of_air(
-        section, now, month, _boundary_conditions(state, ground, leaves), site.wind_from_deg, state.forest.seed
-    )
+    sky = month_of_air(section, now, month, _boundary_conditions(state, ground, leaves))
     share, local = section.local_share, _mean_unless(parameters.microclimate, sky.wetness)
     wetness = (1.0 - share) * sky.region + share * local
     warmth = _mean_unless(parameters.microclimate, sky.warmth_k)
@@ -240,20 +238,20 @@ def air_over(state: Ecoclimate, section: WeatherSection, day: int) -> Case:
 
     The section is that of the state's parameters; another, such as one with finer cells, has days of its own.
     """
-    parameters, site = state.parameters, state.forest.site
-    ground = soil_of(parameters, site).ground
+    parameters = state.parameters
+    ground = soil_of(parameters, state.forest.site).ground
     month = state.forest.step * parameters.months_per_step
     now = month_at(parameters.climate.normals(), parameters.climate_changes, month)
-    bounds = _boundary_conditions(state, ground, _leaves(state, ground))
-    return case_of(section, now, month, bounds, site.wind_from_deg, state.forest.seed, day)
+    return case_of(section, now, month, _boundary_conditions(state, ground, _leaves(state, ground)), day)
 
 
 def _boundary_conditions(state: Ecoclimate, ground: Ground, leaves: Floats) -> BoundaryConditions:
     """What the ground gives to the air."""
-    parameters = state.parameters
+    parameters, forest = state.parameters, state.forest
     light = np.exp(-_EXTINCTION * leaves / max(parameters.soil_water.leaf_mass_g_per_m2, 1e-9))
-    height_m = _heights(_SiteKey(state.forest.site), parameters.soil_water.cell_m)
-    return BoundaryConditions(ground, height_m, state.vapour_mm_per_day, light, parameters.lapse_rate_k_per_km)
+    height_m, lapse_rate = _heights(_SiteKey(forest.site), parameters.soil_water.cell_m), parameters.lapse_rate_k_per_km
+    given = ground, height_m, state.vapour_mm_per_day, light
+    return BoundaryConditions(*given, lapse_rate, forest.site.wind_from_deg, forest.seed)
 
 
 def _share_of_months(parameters: EcoclimateParameters, count: int) -> float:
