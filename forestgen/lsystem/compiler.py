@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem import syntax
 from forestgen.lsystem import vm_layout as layout
 from forestgen.lsystem.codegen import CodeGenerator, Scope, fold, formals
-from forestgen.lsystem.multiset import CLOSE, OPEN, QUERIES, RESERVED
-from forestgen.lsystem.program import Program, RuleSet
+from forestgen.lsystem.multiset import CLOSE, OPEN, QUERIES, RESERVED, Kind
 from forestgen.lsystem.syntax import FIRST, Place, fail, points_problem
 
 #: The turtle gives these defaults: they may come with and without parameters.
@@ -21,6 +21,49 @@ DEEPEST = 100_000  # decomposition, where the program states no maximum depth
 
 #: What a caller may set: a #define's or an array's value, or a function's control points.
 Value = float | Sequence[float] | Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class RuleSet:
+    """A set of productions: where the VM finds it, and how much it writes."""
+
+    address: int  # in the table of whole numbers: for each kind, where its productions begin; -1: there are none
+    most_modules: NDArray[np.int64]  # (number of kinds,) written for a module of a kind, at most
+    most_values: NDArray[np.int64]  # (number of kinds,) parameters of these
+
+
+@dataclass(frozen=True)
+class Program:
+    """An L-system, ready to run."""
+
+    ast: syntax.ProgramAST
+    kinds: tuple[Kind, ...]
+    whole: NDArray[np.int64]  # code, productions, arities: see vm.py
+    real: NDArray[np.float64]  # constants, global and local variables, arrays, functions, stack
+    productions: RuleSet
+    decomposition: RuleSet
+    interpretation: RuleSet
+    none: RuleSet  # without productions
+    decomposition_depth: int
+    interpretation_depth: int
+    has_contexts: bool
+    longest_successor: tuple[int, int]  # modules and parameters
+    longest_context: int
+    axiom: tuple[int, ...]  # where each word's code begins
+    axiom_size: tuple[tuple[int, int], ...]  # modules and parameters of each word
+    start: int  # where code begins that runs before the derivation; -1: none
+    start_each: int  # before each step
+    end_each: int  # after each step
+    globals_at: NDArray[np.int64]  # (number of globals,) addresses in `real`
+    globals: tuple[str, ...]  # names; the first is the current group
+    groups: frozenset[int]
+    counted: tuple[tuple[int, str], ...]  # globals that hold the number of modules of a symbol
+    places: dict[int, Place]  # in the text, of each instruction by its address in `whole`
+    derivation_length: int | None
+
+    @property
+    def name(self) -> str:
+        return self.ast.name
 
 
 def with_values(ast: syntax.ProgramAST, values: Mapping[str, Value]) -> syntax.ProgramAST:

@@ -1,4 +1,10 @@
-"""Derivation: axiom, steps, interpretation."""
+"""Derivation: axiom, steps, interpretation, and answers to queries.
+
+Queries ?P, ?H, ?U, ?L: after each step the turtle gives the module its place or direction. A query of three parameters
+gets x, y, z in the plant's frame (positions in metres), one of two x and y. The turtle reads the interpreted words.
+
+Reference: P. Prusinkiewicz, M. James, R. Mech, Synthetic topiary, SIGGRAPH 1994.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +19,8 @@ from forestgen.core.errors import LsystemError, ResourceError
 from forestgen.core.randomness import child_root
 from forestgen.core.threads import map_ranges
 from forestgen.lsystem import vm_layout as layout
-from forestgen.lsystem.multiset import PERCENT, Multiset
-from forestgen.lsystem.program import Program, RuleSet, answer_queries, has_queries
+from forestgen.lsystem.compiler import Program, RuleSet
+from forestgen.lsystem.multiset import PERCENT, QUERIES, Multiset
 from forestgen.lsystem.syntax import fail
 
 MOST_MODULES = 50_000_000
@@ -105,10 +111,36 @@ def derive(program: Program, steps: int, seed: int, *, most_modules: int = MOST_
     for step in range(steps + 1):
         if step:
             state = derive_step(program, state, seed, most_modules=most_modules)
-        if has_queries(program):
+        if any(kind.symbol in QUERIES for kind in program.kinds):
             drawn = interpret(program, state, seed, most_modules=most_modules)
-            state = replace(state, multiset=answer_queries(program, state.multiset, drawn))
+            state = replace(state, multiset=_answer_queries(program, state.multiset, drawn))
         yield state
+
+
+def _answer_queries(program: Program, words: Multiset, drawn: Multiset) -> Multiset:
+    """The words with the parameters of their queries set; `drawn` is the same words, interpreted.
+
+    Raises `LsystemError` where the turtle cannot read a word, or the interpretation makes or removes queries.
+    """
+    from forestgen.lsystem.turtle import options_from, query_values  # late: compiled kernels
+
+    options = options_from(program.ast.turtle, program.ast.dialect, program.name)
+    asks = np.array([kind.symbol in QUERIES for kind in program.kinds])
+    arity, starts, drawn_starts = words.arity, words.parameter_start(), drawn.parameter_start()
+    asked = np.flatnonzero(asks[words.code])
+    parameter = words.parameter.copy()
+    answers = []
+    for begin, end in zip(drawn.word_start[:-1], drawn.word_start[1:], strict=True):
+        own = drawn.parameter[drawn_starts[begin] : drawn_starts[end]]
+        answers.append(query_values(drawn.code[begin:end], own, drawn.kinds, options)[0])
+    values = np.concatenate([np.zeros((0, 3)), *answers])
+    if len(values) != len(asked):
+        problem, expected = "the interpretation makes or removes queries", f"{len(asked)} queries, as in the words"
+        raise LsystemError(problem, where=program.name, expected=expected, got=str(len(values)))
+    for axis in range(3):
+        wide = arity[words.code[asked]] > axis
+        parameter[starts[:-1][asked[wide]] + axis] = values[wide, axis]
+    return replace(words, parameter=parameter)
 
 
 def interpret(program: Program, state: Derivation, seed: int, *, most_modules: int = MOST_MODULES) -> Multiset:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
 from forestgen.geometry.mesh import unit
+from forestgen.lsystem.compiler import Program
 from forestgen.lsystem.derivation import MOST_MODULES, derive, interpret
-from forestgen.lsystem.program import Program
 from forestgen.lsystem.turtle import Drawing, Polygons, draw_word, options_from
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 

@@ -158,11 +158,7 @@ class Climate(Section):
 
     def normals(self) -> MonthlyClimate:
         """The twelve months; numbers that are given take the place's places."""
-        if self.place is not None:
-            of_place = climate_of(self.place)
-            return MonthlyClimate(
-                self.temperature_c or of_place.temperature_c, self.precipitation_mm or of_place.precipitation_mm
-            )
-        assert self.temperature_c is not None
-        assert self.precipitation_mm is not None
-        return MonthlyClimate(self.temperature_c, self.precipitation_mm)
+        place = MonthlyClimate((), ()) if self.place is None else climate_of(self.place)
+        return MonthlyClimate(
+            self.temperature_c or place.temperature_c, self.precipitation_mm or place.precipitation_mm
+        )

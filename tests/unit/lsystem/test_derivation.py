@@ -13,11 +13,10 @@ from scipy import stats
 
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.codegen import fold
-from forestgen.lsystem.compiler import compile_program, with_values
+from forestgen.lsystem.compiler import Program, compile_program, with_values
 from forestgen.lsystem.derivation import Derivation, axiom, derive, derive_step, interpret
 from forestgen.lsystem.multiset import Multiset, show_number, words_as_lists, words_as_text
 from forestgen.lsystem.parsing import parse_text
-from forestgen.lsystem.program import Program
 
 
 def compiled(text: str) -> Program:
