@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from forestgen.architecture.modules import Modules
 from forestgen.core.frames import BREAST_HEIGHT_M
 
-Floats = NDArray[np.float64]
+Floats, Floats32 = NDArray[np.float64], NDArray[np.float32]
+Mask, Indices = NDArray[np.bool_], NDArray[np.int64]
+SpeciesIndex = NDArray[np.uint16]  # of plants: index in the recipe's species
 
 
 class Status(IntEnum):

@@ -333,10 +333,6 @@ class WaterBudget:
         rain, uptake, loss = later.rain_mm, later.uptake_mm, later.loss_mm
         return WaterBudget(self.start_mm, self.rain_mm + rain, self.uptake_mm + uptake, self.loss_mm + loss)
 
-    def error_mm(self, stored_mm: float) -> float:
-        """What was made of nothing, with so much on the surface and in the soil at the end: rounding."""
-        return stored_mm + self.uptake_mm + self.loss_mm - self.rain_mm - self.start_mm
-
 
 @dataclass(frozen=True)
 class Passed:

@@ -331,19 +331,13 @@ class SphereGrid:
 
 
 def overlap_volumes(grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES) -> Floats:
-    """(M,) float64, m3: sum of each sphere's common volumes with all others and boxes; see `overlap`."""
+    """(M,) m3: sum of each sphere's common volumes with all others and boxes; over its own volume it is f(u) of Eq. 1.
+
+    `parent_row` (M,) is the row of the module that bears each, -1 for roots: pairs that share a joint do not count.
+    """
     total = np.empty(len(grid))
     parent = np.ascontiguousarray(parent_row, dtype=np.int64)
     if len(grid):
         cells, rows = grid.cells, boxes.rows
         parallel_for(len(grid), lambda first, end: _sum_overlaps(first, end, cells, parent, rows, total))
     return total
-
-
-def overlap(grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES) -> NDArray[np.float32]:
-    """(M,) crowding f(u) of each module, in units of its own volume (Eq. 1).
-
-    `parent_row` (M,) is the row of the module that bears each, -1 for roots (`Modules.parent_row`): pairs that share a
-    joint do not count.
-    """
-    return (overlap_volumes(grid, parent_row, boxes) / grid.volume_m3).astype(np.float32)

@@ -34,18 +34,8 @@ from numpy.typing import NDArray
 from forestgen.architecture.geometry import diameters, over_plants, plant_sizes
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import MOST_NODES, Tables
-from forestgen.community.branch_modules.state import (
-    Floats,
-    Floats32,
-    Indices,
-    Mask,
-    Plants,
-    Snags,
-    SpeciesIndex,
-    State,
-    StepParameters,
-    uniform,
-)
+from forestgen.community.branch_modules.state import Plants, Snags, State, StepParameters, uniform
+from forestgen.community.population import Floats, Floats32, Indices, Mask, SpeciesIndex
 from forestgen.core.compiled import compiled
 from forestgen.core.frames import BREAST_HEIGHT_M
 

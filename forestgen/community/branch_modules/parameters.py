@@ -296,13 +296,9 @@ class BranchModulesParameters(CommunityParameters):
         total, kinds = self.initial_plants[_ALL], max(1, len(names))
         return np.array([total // kinds + (index < total % kinds) for index in range(len(names))], dtype=np.int64)
 
-    def counted_species(self) -> list[str]:
-        """The species whose plants at the start have a number of their own."""
-        return [name for name in self.initial_plants if name != _ALL]
-
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
-        yield from ((("initial_plants", name), name) for name in self.counted_species())
+        yield from ((("initial_plants", name), name) for name in self.initial_plants if name != _ALL)
         for index, change in enumerate(self.changes):
             for key in change.set:
                 if (parts := species_key(key)) is not None:

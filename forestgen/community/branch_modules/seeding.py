@@ -16,10 +16,7 @@ from forestgen.architecture.prototypes import choose_prototype, load_prototypes
 from forestgen.community.arrivals import new_ids
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
 from forestgen.community.branch_modules.state import (
-    Floats,
-    Mask,
     Plants,
-    SpeciesIndex,
     State,
     StepParameters,
     no_modules,
@@ -34,6 +31,7 @@ from forestgen.community.branch_modules.state import (
 from forestgen.community.branch_modules.surroundings import Surroundings, adaptation, boxes_of, ground_at
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
+from forestgen.community.population import Floats, Mask, SpeciesIndex
 from forestgen.core.compiled import compiled
 from forestgen.core.randomness import child_rng
 

@@ -9,11 +9,11 @@ from forestgen.architecture.geometry import plant_sizes
 from forestgen.architecture.modules import Modules
 from forestgen.community.arrivals import on_the_ground
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.state import Floats, Floats32, Plants, Snags, State, step_parameters
+from forestgen.community.branch_modules.state import Plants, Snags, State, step_parameters
 from forestgen.community.branch_modules.surroundings import ground_at
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Floats, Floats32, Population, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns, place_of
 from forestgen.core.errors import RecipeError
 

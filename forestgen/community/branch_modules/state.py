@@ -21,13 +21,11 @@ from forestgen.community.arrivals import Rows
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, parameters_at
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
+from forestgen.community.population import Floats, Floats32, Mask, SpeciesIndex
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.species import PlantType
 from forestgen.recipe.suggestions import did_you_mean
 
-Floats, Floats32 = NDArray[np.float64], NDArray[np.float32]
-Mask, Indices = NDArray[np.bool_], NDArray[np.int64]
-SpeciesIndex = NDArray[np.uint16]  # of plants: index in the recipe's species
 MOST_SEEDS = 20_000_000  # of one step: a gigabyte
 
 

@@ -9,22 +9,11 @@ import numpy as np
 from forestgen.architecture.geometry import terminal_pose
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import choose_prototype, load_prototypes
-from forestgen.community.branch_modules.growth import (
-    NextRows,
-    died_back,
-    grow,
-    on_axis,
-    overgrown,
-    rows_after,
-    shed,
-    snags_after,
-)
+from forestgen.community.branch_modules import growth
+from forestgen.community.branch_modules.growth import NextRows
 from forestgen.community.branch_modules.orientation import Turning, orient
 from forestgen.community.branch_modules.seeding import NO_SEEDS, Arriving, Standing, seedlings
 from forestgen.community.branch_modules.state import (
-    Floats,
-    Indices,
-    Mask,
     Plants,
     State,
     StepParameters,
@@ -35,6 +24,7 @@ from forestgen.community.branch_modules.state import (
 )
 from forestgen.community.branch_modules.surroundings import LocalClimate, Surroundings, adaptation, surroundings_of
 from forestgen.community.branch_modules.vigour import Flow, distribute, net_gain, stature_of
+from forestgen.community.population import Floats, Indices, Mask
 
 
 def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arriving = NO_SEEDS) -> State:
@@ -57,10 +47,10 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
     gain = net_gain(used, species, modules.first, now)
     flow = distribute(modules, gain, stature, species, most, _form(plants, now)[0], now)
     ready = flow.vigour / stature.size
-    wood = replace(modules, age=grow(modules, ready, species, now))
-    wood, diameter_m = overgrown(modules, wood, species, now)
-    keep, disused_m2 = shed(wood, ready, diameter_m, species, now)
-    rows = rows_after(wood, keep, flow.sprouts, plants.next_number)
+    wood = replace(modules, age=growth.grow(modules, ready, species, now))
+    wood, diameter_m = growth.overgrown(modules, wood, species, now)
+    keep, disused_m2 = growth.shed(wood, ready, diameter_m, species, now)
+    rows = growth.rows_after(wood, keep, flow.sprouts, plants.next_number)
     aged = replace(wood, vigour=flow.vigour, light=light, disused_m2=disused_m2)
     plants = replace(
         plants,
@@ -69,14 +59,14 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
         adaptation=np.where(traits.grows[species], adapted, 1.0).astype(np.float32),
     )
     modules = _after(aged, rows, plants, state, now, around)
-    withered, tallest_m = died_back(plants, modules, now)
+    withered, tallest_m = growth.died_back(plants, modules, now)
     plants = replace(plants, tallest_m=tallest_m)
     alive = ((np.diff(rows.first) > 0) | ~traits.grows[species]) & ~withered
     trunk_m = np.zeros(len(plants))
     trunk_m[counts > 0] = diameter_m[aged.first[:-1][counts > 0]]
     standing = Standing(plants, adapted, trunk_m, alive)
     new, seeded = seedlings(state, now, around, standing, arriving)
-    snags = snags_after(state, now, plants, wood, alive)
+    snags = growth.snags_after(state, now, plants, wood, alive)
     if not alive.all():
         modules, plants = modules.of_plants(alive), plants.where(alive)
     modules = modules.and_then(seeded)
@@ -157,7 +147,7 @@ def _turn(
     if not parameters.orient or len(after) == 0:
         return
     kind = np.repeat(state.plants.species, np.diff(after.first))
-    axis = on_axis(after, now.main_path)
+    axis = growth.on_axis(after, now.main_path)
     growing = (after.age < now.traits.mature_age[kind]) & (after.parent >= 0)
     together = min(parameters.turning_steps, parameters.orientation_steps)
     for chosen, steps in (

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import spheres
 from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
-from forestgen.community.branch_modules.crowding import SphereGrid, overlap
+from forestgen.community.branch_modules.crowding import SphereGrid, overlap_volumes
 from forestgen.community.branch_modules.parameters import cells_at
 from forestgen.community.branch_modules.shade import Shade, ShadowGrid, shade
-from forestgen.community.branch_modules.state import Floats, Floats32, State, StepParameters, Traits
+from forestgen.community.branch_modules.state import State, StepParameters, Traits
 from forestgen.community.model import Site
+from forestgen.community.population import Floats, Floats32
 
 
 @dataclass(frozen=True)
@@ -128,7 +129,7 @@ def surroundings_of(
     periodic = parameters.periodic
     grid = SphereGrid.of(world, radius, state.site.size_m if periodic else None)
     boxes = boxes_of(state.site)
-    light = overlap(grid, modules.parent_row(), boxes)
+    light = (overlap_volumes(grid, modules.parent_row(), boxes) / grid.volume_m3).astype(np.float32)
     np.exp(np.multiply(light, np.float32(-parameters.crowding), out=light), out=light)
     seen = None
     if parameters.global_shade:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import over_plants
 from forestgen.architecture.modules import Modules
-from forestgen.community.branch_modules.state import Floats, Floats32, Indices, SpeciesIndex, StepParameters
+from forestgen.community.branch_modules.state import StepParameters
+from forestgen.community.population import Floats, Floats32, Indices, SpeciesIndex
 from forestgen.core.compiled import compiled
 
 

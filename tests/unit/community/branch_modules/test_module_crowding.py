@@ -14,11 +14,10 @@ from forestgen.community.branch_modules.boxes import Boxes
 from forestgen.community.branch_modules.crowding import (
     SphereGrid,
     lens,
-    overlap,
     overlap_volumes,
     without,
 )
-from support.module_spheres import intersection_ratio
+from support.module_spheres import intersection_ratio, overlap
 from support.module_stands import ModuleStand, module_stand
 
 Floats = NDArray[np.float64]
