@@ -67,9 +67,7 @@ class Multiset:
 
 def show_number(value: float) -> str:
     """The shortest form that reads back as the same number: 2, 0.5, 1e+30."""
-    if value == int(value) if np.isfinite(value) and abs(value) < 1e15 else False:
-        return str(int(value)) if value or not np.signbit(value) else "0"
-    return repr(float(value))
+    return repr(float(value)).removesuffix(".0") if value else "0"
 
 
 def words_as_text(multiset: Multiset) -> Iterator[str]:

@@ -21,7 +21,6 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ from forestgen.community.ecoclimate.parameters import EcoclimateParameters, Weat
 from forestgen.community.model import Site
 from forestgen.community.soil_water import Floats, Ground, SoilWater, SoilWaterParameters, Water, WaterBudget
 from forestgen.core.array_serialization import pack
-from forestgen.core.cache import code_hash
+from forestgen.core.cache import BoundedCache, code_hash
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -163,7 +162,7 @@ def local_climate(state: Ecoclimate) -> LocalClimate:
     """What plants feel of warmth and wetness by place."""
     parameters, soil = state.parameters, soil_of(state.parameters, state.forest.site)
     ground = soil.ground
-    height_m = _heights(_SiteKey(state.forest.site), parameters.soil_water.cell_m)
+    height_m = _heights(parameters, state.forest.site)
     warmth = state.temperature_mean_c + state.warmth_mean_k + parameters.lapse_rate_k_per_km * height_m / 1000.0
     wetness = _mean_unless(parameters.microclimate, state.soil_mean_mm)
     rain = worth_mm_per_yr(wetness, soil.parameters, parameters.soil_water.reference_g_per_m2)
@@ -178,35 +177,27 @@ def worth_mm_per_yr(soil_mm: Floats, soil: SoilWaterParameters, leaves_g_per_m2:
 
 def soil_of(parameters: EcoclimateParameters, site: Site) -> SoilWater:
     """The soil of a site; level without microclimate."""
-    section = parameters.soil_water
-    if not parameters.microclimate:
-        site = replace(site, height=None)
-    return _soil(_SiteKey(site), section.cell_m, parameters.periodic, section.water())
+    return _soil_and_heights(parameters, site)[1]
 
 
-class _SiteKey:
-    """A site as a key: the same object, or one of the same size without heights."""
-
-    def __init__(self, site: Site) -> None:
-        self.site = site
-        self._key = (site.size_m, None if site.height is None else id(site.height))
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _SiteKey) and self._key == other._key
+def _heights(parameters: EcoclimateParameters, site: Site) -> Floats:
+    """(rows, cols) heights of the ground, metres, with microclimate or without."""
+    return _soil_and_heights(parameters, site)[2]
 
 
-@lru_cache(maxsize=4)
-def _soil(site: _SiteKey, cell_m: float, periodic: bool, water: SoilWaterParameters) -> SoilWater:
-    return SoilWater(Ground.of_site(site.site, cell_m, periodic=periodic), water)
+def _soil_and_heights(parameters: EcoclimateParameters, site: Site) -> tuple[Site, SoilWater, Floats]:
+    section, water, uneven = parameters.soil_water, parameters.soil_water.water(), parameters.microclimate
+
+    def made() -> tuple[Site, SoilWater, Floats]:
+        ground = Ground.of_site(site, section.cell_m, periodic=parameters.periodic)
+        height_m = np.zeros(ground.shape) if ground.height_m is None else ground.height_m
+        return site, SoilWater(ground if uneven else replace(ground, height_m=None), water), height_m
+
+    # By the height function's identity, which cannot be another's while the site is kept.
+    return _soils.get((site.size_m, id(site.height), section.cell_m, parameters.periodic, uneven, water), made)
 
 
-@lru_cache(maxsize=4)
-def _heights(site: _SiteKey, cell_m: float) -> Floats:
-    ground = Ground.of_site(site.site, cell_m, periodic=False)
-    return np.zeros(ground.shape) if ground.height_m is None else ground.height_m
+_soils: BoundedCache[tuple[Site, SoilWater, Floats]] = BoundedCache(4, lambda kept: 1)
 
 
 def _leaves(state: Ecoclimate, ground: Ground) -> Floats:
@@ -249,7 +240,7 @@ def _boundary_conditions(state: Ecoclimate, ground: Ground, leaves: Floats) -> B
     """What the ground gives to the air."""
     parameters, forest = state.parameters, state.forest
     light = np.exp(-_EXTINCTION * leaves / max(parameters.soil_water.leaf_mass_g_per_m2, 1e-9))
-    height_m, lapse_rate = _heights(_SiteKey(forest.site), parameters.soil_water.cell_m), parameters.lapse_rate_k_per_km
+    height_m, lapse_rate = _heights(parameters, forest.site), parameters.lapse_rate_k_per_km
     given = ground, height_m, state.vapour_mm_per_day, light
     return BoundaryConditions(*given, lapse_rate, forest.site.wind_from_deg, forest.seed)
 
