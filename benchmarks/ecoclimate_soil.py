@@ -39,9 +39,8 @@ def soil(report: Report, quick: bool, seeds: range) -> Figure:
         water, budget = passed.water, passed.budget
         uptake, loss, rain = uptake + budget.uptake_mm, loss + budget.loss_mm, rain + budget.rain_mm
         stored = float(water.soil_mm.mean() + water.surface_mm.mean())
-        error = max(
-            error, abs(stored + budget.uptake_mm + budget.loss_mm - budget.rain_mm - budget.start_mm) / budget.rain_mm
-        )
+        left = stored + budget.uptake_mm + budget.loss_mm
+        error = max(error, abs(left - budget.rain_mm - budget.start_mm) / budget.rain_mm)
     wall, own = perf_counter() - wall, process_time() - own
     stored = float(water.soil_mm.mean() + water.surface_mm.mean())
     rows, cols = ground.shape

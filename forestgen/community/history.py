@@ -64,11 +64,11 @@ def _table(population: Population) -> Any:
     for axis, name in enumerate(("x_m", "y_m", "z_m")):
         columns[name] = population.position_m[:, axis].copy()
     own = {_OWN + name: pa.array(values) for name, values in population.columns.items()}
-    return pa.table({name: _array(columns[name], kind) for name, kind in _COLUMNS.items()} | own)
-
-
-def _array(values: Any, kind: Any) -> Any:
-    return values if isinstance(values, pa.Array) else pa.array(values, type=kind)
+    shared = {
+        name: one if isinstance(one := columns[name], pa.Array) else pa.array(one, type=kind)
+        for name, kind in _COLUMNS.items()
+    }
+    return pa.table(shared | own)
 
 
 class _PlantWriter(tables.Writer):

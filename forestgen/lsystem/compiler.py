@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,35 +73,27 @@ def with_values(ast: syntax.ProgramAST, values: Mapping[str, Value]) -> syntax.P
     Raises `LsystemError` for a name that it does not define, or a value of the wrong sort.
     """
     macros, arrays, functions = dict(ast.macros), dict(ast.arrays), dict(ast.functions)
+    value: Any  # checked here
     for name, value in values.items():
-        if name in macros and macros[name].parameters is None and isinstance(value, int | float):
+        is_number = isinstance(value, int | float)
+        numbers = 0 if is_number else sum(isinstance(one, int | float) for one in value)
+        if name in macros and macros[name].parameters is None and is_number:
             macros[name] = syntax.Macro(None, syntax.Number(float(value), macros[name].place), macros[name].place)
-        elif name in arrays and _is_flat(value):
-            arrays[name] = tuple(float(one) for one in value)  # type: ignore[union-attr,arg-type]
-        elif name in functions and _is_points(value):
-            points = tuple((float(x), float(y)) for x, y in value)  # type: ignore[union-attr,misc]
+        elif name in arrays and not is_number and numbers == len(value):
+            arrays[name] = tuple(float(one) for one in value)
+        elif name in functions and not is_number and not numbers:
+            points = tuple((float(x), float(y)) for x, y in value)
             problem = points_problem(points)
             if problem:
                 raise LsystemError(f"function {name} is wrong", where=ast.name, expected=problem, got=repr(points))
             functions[name] = points
-        else:
+        elif name in macros or name in arrays or name in functions:
             sort = "a list of numbers" if name in arrays else "[x, y] points" if name in functions else "a number"
-            known = name in macros or name in arrays or name in functions
-            raise LsystemError(
-                f"{name} cannot be set so" if known else f"the program defines no {name}",
-                where=ast.name,
-                expected=sort if known else ", ".join(settable(ast)) or "it defines nothing that can be set",
-                got=repr(value) if known else name,
-            )
+            raise LsystemError(f"{name} cannot be set so", where=ast.name, expected=sort, got=repr(value))
+        else:
+            known = ", ".join(settable(ast)) or "it defines nothing that can be set"
+            raise LsystemError(f"the program defines no {name}", where=ast.name, expected=known, got=name)
     return replace(ast, macros=macros, arrays=arrays, functions=functions)
-
-
-def _is_flat(value: Value) -> bool:
-    return not isinstance(value, int | float) and all(isinstance(one, int | float) for one in value)
-
-
-def _is_points(value: Value) -> bool:
-    return not isinstance(value, int | float) and not any(isinstance(one, int | float) for one in value)
 
 
 def settable(ast: syntax.ProgramAST) -> list[str]:

@@ -85,14 +85,6 @@ class WeatherSection(Section):
         """Least sides of the box of air, to the east and to the north."""
         return self.extent_m if isinstance(self.extent_m, tuple) else (self.extent_m, self.extent_m)
 
-    def heat_of(self, of_year: int) -> float:
-        """Heat from open ground in a month of the year, 0 to 11, W/m2."""
-        return _of_month(self.heat_w_per_m2, of_year)
-
-    def vapour_of(self, of_year: int) -> float:
-        """The region's vapour in a month of the year, 0 to 11, W/m2."""
-        return _of_month(self.vapour_w_per_m2, of_year)
-
     @model_validator(mode="after")
     def _not_too_large(self) -> Self:
         east, north = self.sides_m
@@ -106,10 +98,6 @@ class WeatherSection(Section):
             hint = "smaller cells, or a larger extent_m and height_m"
             raise violation(expected, problem="too coarse an air", got=got, hint=hint, at=("cell_m",))
         return self
-
-
-def _of_month(values: float | tuple[float, ...], of_year: int) -> float:
-    return values[of_year] if isinstance(values, tuple) else values
 
 
 #: Numbers of `SoilWaterParameters` by the kind of soil. Drylands' are its defaults (Rietkerk et al. 2002). A forest's

@@ -14,7 +14,7 @@ from forestgen.atmosphere.extinction import cloud_grid_of
 from forestgen.atmosphere.grid import Weather
 from forestgen.community.capabilities import OwnAir, capability
 from forestgen.community.ecoclimate import months
-from forestgen.community.ecoclimate.air import regridder_for
+from forestgen.community.ecoclimate.air import AreaRegridder
 from forestgen.community.population import Population
 from forestgen.community.simulation import final_population
 from forestgen.core.errors import RecipeError
@@ -117,7 +117,7 @@ def test_it_is_the_air_that_the_next_month_sees(
     assert number == 5
     case = months.air_over(state, section, 0)
     hours = months.hours_of(section, case.grid, case.day, case.surface)
-    over_the_site = regridder_for(given.ground, case.grid).for_ground(hours.condensed_kg_per_m2)
+    over_the_site = AreaRegridder(given.ground, case.grid).for_ground(hours.condensed_kg_per_m2)
     assert over_the_site.mean() == pytest.approx(sky.condensed_kg_per_m2, rel=1e-12)
     shown = own_weather(one, population)
     assert shown.cloud.tobytes() == hours.weather.cloud.tobytes()
