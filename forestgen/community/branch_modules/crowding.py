@@ -24,7 +24,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 from math import floor, pi, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -303,22 +303,11 @@ class SphereGrid:
 
     @classmethod
     def of(
-        cls,
-        centre_world_m: NDArray[np.floating],
-        radius_m: NDArray[np.floating],
-        period_m: tuple[float, float] | None = None,
+        cls, centre_world_m: NDArray[Any], radius_m: NDArray[Any], period_m: tuple[float, float] | None = None
     ) -> SphereGrid:
-        """The grid of spheres: centres (M, 3), metres, world frame, and radii (M,), metres, at least 0.
-
-        Raises
-        ------
-        ValueError : numbers that are not finite, or radii below 0.
-        """
+        """The grid of spheres: centres (M, 3), metres, world frame, and radii (M,), metres, at least 0; all finite."""
         centre = np.ascontiguousarray(centre_world_m, dtype=np.float64)
-        radius = np.ascontiguousarray(radius_m, dtype=np.float64)
-        if not (np.isfinite(centre).all() and np.isfinite(radius).all() and radius.min(initial=0.0) >= 0.0):
-            raise ValueError("spheres need finite centres and finite radii of at least 0")
-        radius = np.maximum(radius, LEAST_RADIUS_M)
+        radius = np.maximum(np.ascontiguousarray(radius_m, dtype=np.float64), LEAST_RADIUS_M)
         return cls(cells_of(centre, radius, period_m), radius, period_m)
 
     def __len__(self) -> int:

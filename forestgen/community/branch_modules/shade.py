@@ -221,8 +221,6 @@ def shade(
         position %= grid.size_m
     else:
         np.clip(position, 0.0, np.array(grid.size_m) * (1 - 1e-12), out=position)
-    if not (np.isfinite(position).all() and np.isfinite(height).all()):
-        raise ValueError("modules need finite positions")
     box_layers = np.ceil(boxes.size_m[:, 2] / grid.layer_m - 1e-9).astype(np.int64)  # (B,)
     top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(box_layers.max(initial=0)))
     if top > _MOST_LAYERS:

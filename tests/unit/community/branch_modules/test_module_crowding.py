@@ -85,12 +85,6 @@ def test_no_modules() -> None:
     assert intersection_ratio(grid, np.empty(0, dtype=np.int64)) == 0.0
 
 
-@pytest.mark.parametrize(("centre", "radius"), [(np.nan, 1.0), (0.0, -1.0), (0.0, np.inf)])
-def test_spheres_that_are_none(centre: float, radius: float) -> None:
-    with pytest.raises(ValueError, match="finite"):
-        SphereGrid.of(np.full((1, 3), centre), np.array([radius]))
-
-
 def test_boxes_count_like_spheres() -> None:
     wall = Boxes(np.array([[5.0, 0, 0]]), np.array([[2.0, 50, 50]]), np.zeros(1))
     grid = SphereGrid.of(np.array([[4.0, 0, 20], [1, 0, 20]]), np.array([1.0, 1.0]))
