@@ -25,8 +25,7 @@ from silviculture_stands import Report
 from forestgen.atmosphere.fluid.parameters import Surface
 from forestgen.community.ecoclimate import months
 from forestgen.community.ecoclimate.air import AreaRegridder, Hours, day_of, grid_of, hours_of
-from forestgen.community.ecoclimate.climate import Month
-from forestgen.community.ecoclimate.parameters import WeatherSection
+from forestgen.community.ecoclimate.parameters import Month, WeatherSection
 from forestgen.community.model import simulate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population

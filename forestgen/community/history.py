@@ -37,19 +37,11 @@ _OWN = "model."
 _KEY = b"forestgen.community"
 _VERSION = 2
 _COLUMNS = {
-    "time_yr": pa.float64(),
-    "step": pa.uint32(),
-    "plant_id": pa.uint32(),
-    "species": pa.uint16(),
+    "time_yr": pa.float64(), "step": pa.uint32(), "plant_id": pa.uint32(), "species": pa.uint16(),
     "species_name": pa.dictionary(pa.uint16(), pa.string()),
-    "x_m": pa.float64(),
-    "y_m": pa.float64(),
-    "z_m": pa.float64(),
-    "radius_m": pa.float64(),
-    "height_m": pa.float64(),
-    "age_yr": pa.float64(),
-    "status": pa.uint8(),
-}
+    "x_m": pa.float64(), "y_m": pa.float64(), "z_m": pa.float64(), "radius_m": pa.float64(), "height_m": pa.float64(),
+    "age_yr": pa.float64(), "status": pa.uint8(),
+}  # fmt: skip
 _FOR_PEOPLE = ("step", "species_name")  # a snapshot has them from elsewhere; older files lack them
 _SAME = ("plant_id", "species", "radius_m", "height_m", "age_yr", "status")  # arrays of a population by these names
 

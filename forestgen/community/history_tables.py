@@ -33,16 +33,9 @@ from forestgen.core.processes import free_bytes
 MODULES_NAME, MAPS_NAME = "modules.parquet", "maps.nc"
 _KEY = b"forestgen.modules"
 _PLAIN = {
-    "number": pa.uint32(),
-    "parent": pa.int32(),
-    "node": pa.int16(),
-    "prototype": pa.uint8(),
-    "age": pa.float32(),
-    "age_yr": pa.float32(),
-    "vigour": pa.float32(),
-    "light": pa.float32(),
-    "disused_m2": pa.float32(),
-}
+    "number": pa.uint32(), "parent": pa.int32(), "node": pa.int16(), "prototype": pa.uint8(),
+    **dict.fromkeys(("age", "age_yr", "vigour", "light", "disused_m2"), pa.float32()),
+}  # fmt: skip
 _SPLIT = {
     "base_m": ("base_x_m", "base_y_m", "base_z_m"),
     "rotation": ("rotation_w", "rotation_x", "rotation_y", "rotation_z"),

@@ -30,8 +30,7 @@ from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding
-from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, Month
-from forestgen.community.ecoclimate.parameters import WeatherSection
+from forestgen.community.ecoclimate.parameters import MONTHS_PER_YR, Month, WeatherSection
 from forestgen.community.soil_water import Floats, Ground
 from forestgen.core.randomness import child_rng
 from forestgen.core.threads import parallel_map

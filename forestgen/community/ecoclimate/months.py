@@ -38,8 +38,14 @@ from forestgen.community.branch_modules.state import State, refuse_more_seeds, s
 from forestgen.community.branch_modules.step import step_forest
 from forestgen.community.branch_modules.surroundings import LocalClimate
 from forestgen.community.ecoclimate.air import BoundaryConditions, Case, case_of, hours_of, month_of_air
-from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR, Month, month_at
-from forestgen.community.ecoclimate.parameters import EcoclimateParameters, WeatherSection
+from forestgen.community.ecoclimate.parameters import (
+    DAYS_PER_MONTH,
+    MONTHS_PER_YR,
+    EcoclimateParameters,
+    Month,
+    WeatherSection,
+    month_at,
+)
 from forestgen.community.model import Site
 from forestgen.community.soil_water import Floats, Ground, SoilWater, SoilWaterParameters, Water, WaterBudget
 from forestgen.core.array_serialization import pack

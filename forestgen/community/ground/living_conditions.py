@@ -16,8 +16,8 @@ name        unit        meaning                                                 
 elevation   m           height above sea level: site.altitude_m and the ground's height    altitude_m
 slope       degrees     of the steepest descent                                            0
 moisture    0 to 1      topographic wetness, see `relief`: 0 dry crest, 1 valley floor     0.5
-wind        0 to 1      exposure, see `horizons`: 0 sheltered hollow, 1 crest              0.5
-sun         0 and more  direct irradiation over the year, see `horizons`                   1
+wind        0 to 1      exposure, see `relief`: 0 sheltered hollow, 1 crest              0.5
+sun         0 and more  direct irradiation over the year, see `relief`                   1
 ==========  ==========  =================================================================  =============
 
 The ground is defined everywhere, so what lies around the site counts: 200 m of it for water, 1000 m for views. It is
@@ -40,8 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from forestgen.community.ground.horizons import Views, exposure, irradiation, views
-from forestgen.community.ground.relief import Nodes, Relief, far_relief, moisture, near_relief
+from forestgen.community.ground import relief
 from forestgen.community.model import GroundHeight, Site
 from forestgen.core.cache import BoundedCache
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
@@ -67,7 +66,7 @@ class _Ground:
 
     def __init__(self, site: Site, height: GroundHeight) -> None:
         self.site, self.height = site, height
-        self._made: dict[str, tuple[Nodes, Floats]] = {}
+        self._made: dict[str, tuple[relief.Nodes, Floats]] = {}
 
     def on_cells(self, name: str, shape: tuple[int, int], rows: slice) -> Floats:
         """(rows, cols) of one living condition on the cells of some rows of a grid."""
@@ -80,29 +79,29 @@ class _Ground:
         )
         return nodes.between(values, x, y[rows])
 
-    def _at_nodes(self, name: str) -> tuple[Nodes, Floats]:
+    def _at_nodes(self, name: str) -> tuple[relief.Nodes, Floats]:
         """Nodes over the site, and (rows, cols) one living condition there."""
         near, site, over = self._near, self.site, self._near.over(self.site)
         along_x, along_y = (np.ascontiguousarray(one[over]) for one in near.slopes)
-        nodes = Nodes(near.nodes.x_m[over[1]], near.nodes.y_m[over[0]])
+        nodes = relief.Nodes(near.nodes.x_m[over[1]], near.nodes.y_m[over[0]])
         match name:
             case "elevation_m":
                 return nodes, site.altitude_m + near.z_m[over]
             case "slope_deg":
                 return nodes, np.asarray(np.degrees(np.arctan(np.hypot(along_x, along_y))))
             case "moisture":
-                return nodes, np.ascontiguousarray(moisture(near)[over])
+                return nodes, np.ascontiguousarray(relief.moisture(near)[over])
             case "wind":
-                return self._views.nodes, exposure(self._views, site.wind_from_deg)
-        return nodes, irradiation(along_x, along_y, nodes, self._views, site.latitude_deg)
+                return self._views.nodes, relief.exposure(self._views, site.wind_from_deg)
+        return nodes, relief.irradiation(along_x, along_y, nodes, self._views, site.latitude_deg)
 
     @cached_property
-    def _near(self) -> Relief:
-        return near_relief(self.height, self.site)
+    def _near(self) -> relief.Relief:
+        return relief.near_relief(self.height, self.site)
 
     @cached_property
-    def _views(self) -> Views:
-        return views(self._near, far_relief(self.height, self.site), self.site)
+    def _views(self) -> relief.Views:
+        return relief.views(self._near, relief.far_relief(self.height, self.site), self.site)
 
 
 #: The grounds asked for last, each of which counts as one; they take some tens of megabytes each.

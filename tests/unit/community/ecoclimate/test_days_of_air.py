@@ -9,8 +9,7 @@ import pytest
 
 from forestgen.atmosphere.fluid.parameters import Surface
 from forestgen.community.ecoclimate.air import BoundaryConditions, day_of, grid_of, hours_of, month_of_air
-from forestgen.community.ecoclimate.climate import Month
-from forestgen.community.ecoclimate.parameters import WeatherSection
+from forestgen.community.ecoclimate.parameters import Month, WeatherSection
 from forestgen.community.soil_water import Ground
 
 SECTION = WeatherSection.model_validate(
