@@ -1,17 +1,8 @@
 """From a program's text to a `ProgramAST`: in cpfg's conventions, or in RhoVeR's.
 
-The `.sys` files of RhoVeR's forest are L-systems whose rules are fired with given probabilities::
-
-    LSYSTEM
-    1
-    F
-    F F [%>F]F[<&F][<&F][%F] 1
-
-The header; the number r of rules; the axiom; r rules "A R p", where R replaces the symbol A with probability p. R may
-contain spaces, or be empty. With what its rules leave of 1, a symbol stays. Modules may have numbers as parameters,
-F(10, 2, 1); a rule for A replaces A with any parameters.
-
-The turtle's symbols are those of the dialect `rhover`; see `turtle`.
+A `.sys` file of RhoVeR's forest has a header, the number r of rules, the axiom, and r rules "A R p", where R, which may
+contain spaces or be empty, replaces the symbol A with probability p; with what its rules leave of 1, a symbol stays.
+Modules may have numbers as parameters; a rule for A replaces A with any. See docs/lsystem.md.
 
 References
 ----------

@@ -5,36 +5,9 @@ L = U x H. It starts at the origin with H up (z), L = -x and U = -y: cpfg's pict
 the ground. A turn by a positive angle about an axis is right-handed: about U, H goes towards L; about L, U goes
 towards H; about H, L goes towards U.
 
-==============  =========================  =========================  =================================
-module          cpfg                       abop                       rhover
-==============  =========================  =========================  =================================
-F(l)            draw a segment             draw a segment             F(l, w, t): a cone of widths w, t
-f(l)            move                       move                       --
-G(l)            as F, records no vertex    as F, records no vertex    --
-g(l)            as f, records no vertex    --                         --
-``+(a) -(a)``   about U by a, -a           about U by a, -a           --
-``&(a) ^(a)``   about L by a, -a           about L by a, -a           & is about H by -a
-``\(a) /(a)``   about H by a, -a           about H by -a, a           --
-``<(a) >(a)``   (contexts)                 (contexts)                 about U by -a, a
-``@(a)``        --                         --                         about H by a
-``%(a)``        (cuts or fragments)        (cuts or fragments)        about L by a: pitch down
-``#(a)``        width, see below           --                         about L by -a: pitch up
-``|``           about U by 180             about U by 180             about U by 180
-``$``           L level, U upwards (@v)    L level, U upwards         --
-!(w)            width; ! less by the       width; ! times the         --
-                increment                  factor
-#(w)            width; # more by the       --                         pitch up
-                increment
-_(e)            elasticity; _ more         elasticity; _ more         --
-colour          ``;(n)`` next, ``,`` back  ``'(n)`` next              --
-``~K(s, ...)``  surface K                  surface K                  --
-``{ . }``       polygon                    polygon                    --
-@Gs @Gc @Ge     generalized cylinder       --                         --
-?P ?H ?L ?U     query                      query                      query
-==============  =========================  =========================  =================================
-
-Modules that a column leaves out are read over, as are all other symbols. A parameter replaces the default: the
-angle, the step, or the increment. Angles are in degrees.
+docs/lsystem.md has the modules of each dialect and the options in a program's header (`ACTIONS` and
+`TURTLE_STATEMENTS` of `turtle_options`). All other symbols are read over. A parameter replaces the default: the angle,
+the step, or the increment. What was decided:
 
 - Roll: cpfg's program keeps the opposite of U, so that its ``\`` takes L towards U as H x L has it; ABOP's words
   ("roll left using R_H") and its matrices, read so that + turns left and & pitches down, take L away from U. Each
@@ -52,11 +25,6 @@ angle, the step, or the increment. Angles are in degrees.
   branch within needs an @Gs of its own.
 - ``rhover``: the turtle's x, y, z axes are -L, H, U; "right" is the negative sense of a rotation. F's defaults are
   10, 2, 1; that of an angle is 45 degrees.
-
-Options in a program's header (name: numbers; see `TURTLE_STATEMENTS`): ``angle: 22.5``, ``step: 1``, ``scale: 0.1``
-(metres a unit), ``width: 0.1``, ``width increment: 0.01`` or ``width factor: 0.7``, ``tip width: 1`` (rhover's t),
-``tropism: 0 0 -1 0.2`` (T and e), ``elasticity: 0.2``, ``elasticity increment: 0.1``, ``heading: 0 0 1``,
-``colour: 0``.
 
 References
 ----------
