@@ -1,9 +1,7 @@
 """Files beside a community's history: the modules of its plants, and the maps of its ground.
 
-``modules.parquet`` has one row a module a snapshot. Columns: ``step``, ``plant_id`` and those of `Modules`; ``base_m``
-as ``base_x_m``, ``base_y_m``, ``base_z_m``, and ``rotation`` as ``rotation_w`` to ``rotation_z``. `parent` is the row
-of the module that bears it, counted from its plant's first row. A snapshot is one row group. The metadata, JSON under
-``forestgen.modules``, has the number of modules of every snapshot and the checksum of their columns.
+``modules.parquet`` has one row a module a snapshot; docs/branch_modules.md has its columns. A snapshot is one row group.
+The metadata, JSON under ``forestgen.modules``, has the number of modules of every snapshot and their checksum.
 
 ``maps.nc`` is NetCDF-4. Dimensions ``snapshot``, ``y`` and ``x``; coordinates ``y`` and ``x`` are the cells' middles in
 the world, metres, row 0 at the least y; ``step`` and ``time_yr`` identify the snapshots. Values are as they were, in

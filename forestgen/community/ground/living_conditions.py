@@ -1,28 +1,12 @@
 """What a species asks of the ground: the five living conditions of Zamuda et al. 2007, section IV.
 
-Each condition has a response: a curve (`forestgen.recipe.curves`) of the condition's value that says which share of
-the species' density grows there, 1 all of it, 0 none. The responses are multiplied, so any one can bar the species::
+Each condition (docs/placement.md; moisture, wind and sun as in `relief`) has a response: a curve
+(`forestgen.recipe.curves`) of its value that says which share of the species' density grows there, 1 all of it, 0 none.
+The responses are multiplied, so any one can bar the species.
 
-    conditions:
-      elevation_m: [[200, 1], [900, 1], [1200, 0]]     # straight between the points, constant beyond
-      slope_deg: {smooth: [[25, 1], [45, 0]]}          # without corners
-      moisture: {formula: "exp(-((x - 0.6) / 0.2)^2)"} # of the condition's value, x
-      wind: [[0.6, 1], [0.9, 0.2]]
-      sun: [[0.5, 0], [0.9, 1]]
-
-==========  ==========  =================================================================  =============
-name        unit        meaning                                                            level ground
-==========  ==========  =================================================================  =============
-elevation   m           height above sea level: site.altitude_m and the ground's height    altitude_m
-slope       degrees     of the steepest descent                                            0
-moisture    0 to 1      topographic wetness, see `relief`: 0 dry crest, 1 valley floor     0.5
-wind        0 to 1      exposure, see `relief`: 0 sheltered hollow, 1 crest              0.5
-sun         0 and more  direct irradiation over the year, see `relief`                   1
-==========  ==========  =================================================================  =============
-
-The ground is defined everywhere, so what lies around the site counts: 200 m of it for water, 1000 m for views. It is
-sampled at nodes that depend on the site alone: 480 across the site with the 200 m around it, or one every 4 m if that
-is closer. A grid of any number of cells reads its values between the nodes, so that its own fineness matters little.
+What lies around the site counts: 200 m of it for water, 1000 m for views. The ground is sampled at nodes that depend on
+the site alone: 480 across the site with the 200 m around it, or one every 4 m if that is closer. A grid of any number
+of cells reads its values between the nodes, so that its own fineness matters little.
 
 References
 ----------
