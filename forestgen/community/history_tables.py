@@ -1,7 +1,8 @@
 """Files beside a community's history: the modules of its plants, and the maps of its ground.
 
-``modules.parquet`` has one row a module a snapshot; docs/branch_modules.md has its columns. A snapshot is one row group.
-The metadata, JSON under ``forestgen.modules``, has the number of modules of every snapshot and their checksum.
+``modules.parquet`` has one row a module a snapshot, and a row group a snapshot; its columns are in
+docs/branch_modules.md. The metadata, JSON under ``forestgen.modules``, has the number of modules of every snapshot and
+their checksum.
 
 ``maps.nc`` is NetCDF-4. Dimensions ``snapshot``, ``y`` and ``x``; coordinates ``y`` and ``x`` are the cells' middles in
 the world, metres, row 0 at the least y; ``step`` and ``time_yr`` identify the snapshots. Values are as they were, in

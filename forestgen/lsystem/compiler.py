@@ -119,11 +119,11 @@ class _Compiler:
     def program(self) -> Program:
         one, code = self.ast, self.e
         self.check()
-        axiom = tuple(self.word(word) for word in one.axiom)
+        axiom = tuple(self.code(word) for word in one.axiom)
         sets = (one.productions, one.decomposition.productions, one.interpretation.productions)
         records = [[self.production(production) for production in rules] for rules in sets]
-        start, start_each, end_each = (self.block(block) for block in (one.start, one.start_each, one.end_each))
-        self.block(one.end)  # nothing is left for it to change, but it must be right
+        blocks = (one.start, one.start_each, one.end_each, one.end)  # the last has nothing to change, but must be right
+        start, start_each, end_each, _ = (self.code(block=block) if block else -1 for block in blocks)
         arity = [kind.arity for kind in code.kinds]
         code.whole[layout.ARITY], code.whole[layout.IGNORED] = code.append(arity), code.append(self.ignored())
         code.whole[layout.STACK] = code.append_reals([0.0] * (code.stack_size + 1))
@@ -176,20 +176,13 @@ class _Compiler:
         for rules in (one.productions, one.decomposition.productions, one.interpretation.productions):
             _check_probabilities(rules, one)
 
-    def word(self, modules: tuple[syntax.Module, ...]) -> int:
-        scope = Scope(self.e)
+    def code(self, word: Sequence[syntax.Module] = (), block: Sequence[syntax.Statement] = ()) -> int:
+        """The address of code that emits a word's modules, or runs a block's statements."""
+        scope = Scope(self.e, is_global=bool(block))
         begin = scope.begin()
-        scope.modules(modules)
-        scope.returns(modules[-1].place if modules else FIRST)
-        return begin
-
-    def block(self, statements: tuple[syntax.Statement, ...]) -> int:
-        if not statements:
-            return -1
-        scope = Scope(self.e, is_global=True)
-        begin = scope.begin()
-        scope.statements(statements)
-        scope.returns(statements[-1].place)
+        scope.statements(block)
+        scope.modules(word)
+        scope.returns([FIRST, *(one.place for one in (*word, *block))][-1])
         return begin
 
     def production(self, one: syntax.Production) -> list[int]:

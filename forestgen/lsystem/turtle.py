@@ -124,7 +124,8 @@ def draw(
     nodes, marks = walk.nodes, walk.node_marks
     near = np.all(np.abs(nodes[:, :3]) < FARTHEST_M, axis=1)
     if not near.all():
-        walk.fail("the turtle went too far", int(marks[np.argmin(near), act.MODULE]), f"less than {FARTHEST_M:g} m")
+        module = int(marks[np.argmin(near), act.MODULE])
+        _fail("the turtle went too far", module, code, kinds, f"less than {FARTHEST_M:g} m")
     by_axis = np.argsort(marks[:, act.AXIS], kind="stable")  # a branch's axis has a larger number than its bearer's
     place = np.empty(len(nodes), dtype=np.int32)
     place[by_axis] = np.arange(len(nodes), dtype=np.int32)
@@ -181,9 +182,6 @@ class _Walk:
     events: Floats  # (E, EVENT_NUMBERS)
     event_marks: Ints  # (E, EVENT_MARKS)
 
-    def fail(self, problem: str, module: int, expected: str) -> NoReturn:
-        _fail(problem, module, self.code, self.kinds, expected)
-
 
 def _walk(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], options: TurtleOptions) -> _Walk:
     code = np.require(code, np.uint16, ["C", "W"])  # one type for the kernel, which is compiled for each
@@ -193,8 +191,15 @@ def _walk(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], op
     ops, sign = np.array([op for op, _ in found]), np.array([sense for _, sense in found])
     arity = np.array([kind.arity for kind in kinds], dtype=np.int64)
     op = ops[code]
-    _check_numbers(code, parameter, kinds, arity)
-    _check_splines(code, kinds, op)
+    infinite = np.flatnonzero(~np.isfinite(parameter))
+    if len(infinite):
+        module = int(np.searchsorted(_starts(code, arity), infinite[0], side="right")) - 1
+        _fail("a parameter is not finite", module, code, kinds, "a finite number")
+    splines = [i for i, kind in enumerate(kinds) if kind.symbol in ("{", "}") and kind.arity]
+    strange = np.flatnonzero(np.isin(code, splines) & (op != act.NOTHING))
+    if len(strange):
+        expected = "{ and }, or @Gs, @Gc and @Ge"
+        _fail("braces with parameters are not supported", int(strange[0]), code, kinds, expected)
     brackets = _deepest(op, act.PUSH, act.POP, code, kinds)
     braces = _deepest(op, act.POLYGON, act.END_POLYGON, code, kinds)
     nodes, events = _space(op, code, parameter, arity)
@@ -252,7 +257,7 @@ def _surfaces(walk: _Walk, parameter: Floats, unit_m: float, known: Collection[s
     strange = np.zeros(len(kind), np.bool_) if known is None else ~np.isin(names[kind], list(known))
     if known is not None and strange.any():
         expected = f"one of {', '.join(sorted(known))}" if known else "no surface"
-        walk.fail("an unknown surface", int(module[strange][0]) + 1, expected)
+        _fail("an unknown surface", int(module[strange][0]) + 1, walk.code, walk.kinds, expected)
     arity = np.array([one.arity for one in walk.kinds], dtype=np.int64)[kind]
     scale = np.full((len(kind), 3), unit_m)
     for k in range(3):
@@ -295,19 +300,3 @@ def _deepest(op: Ints, opens: int, closes: int, code: NDArray[np.uint16], kinds:
         last = int(np.flatnonzero(depth < depth[-1])[-1]) + 1 if (depth < depth[-1]).any() else 0
         _fail("this is never closed", int(where[last]), code, kinds, "balanced pairs")
     return int(depth.max())
-
-
-def _check_numbers(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], arity: Ints) -> None:
-    finite = np.isfinite(parameter)
-    if not finite.all():
-        at = int(np.argmax(~finite))
-        module = int(np.searchsorted(_starts(code, arity), at, side="right")) - 1
-        _fail("a parameter is not finite", module, code, kinds, "a finite number")
-
-
-def _check_splines(code: NDArray[np.uint16], kinds: Sequence[Kind], op: Ints) -> None:
-    strange = [i for i, kind in enumerate(kinds) if kind.symbol in ("{", "}") and kind.arity]
-    found = np.isin(code, strange) & (op != act.NOTHING)
-    if found.any():
-        module = int(np.argmax(found))
-        _fail("braces with parameters are not supported", module, code, kinds, "{ and }, or @Gs, @Gc and @Ge")
