@@ -102,10 +102,9 @@ from numpy.typing import NDArray
 from forestgen.community.arrivals import refuse_overflow
 from forestgen.community.branch_modules.capabilities import ModuleCapabilities, without_modules
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, numbers_in_time
-from forestgen.community.branch_modules.seeding import initial_state, new_seedlings
 from forestgen.community.branch_modules.snapshot import check_resumable, population_of, state_of
 from forestgen.community.branch_modules.state import State, refuse_more_modules, step_parameters
-from forestgen.community.branch_modules.step import step_forest
+from forestgen.community.branch_modules.step import initial_state, new_seedlings, step_forest
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import Site

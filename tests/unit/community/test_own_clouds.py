@@ -123,7 +123,11 @@ def test_it_is_the_air_that_the_next_month_sees(
     assert shown.cloud.tobytes() == hours.weather.cloud.tobytes()
     assert shown.rain.tobytes() == hours.weather.rain.tobytes()
     assert np.array_equal(given.vapour_mm_per_day, population.maps["vapour_mm_per_day"])
-    assert (month.temperature_c, given.wind_from_deg, given.seed) == (pytest.approx(13.0, abs=3), of.site.wind_from_deg, image_seed)
+    assert (month.temperature_c, given.wind_from_deg, given.seed) == (
+        pytest.approx(13.0, abs=3),
+        of.site.wind_from_deg,
+        image_seed,
+    )
 
 
 def test_a_forest_has_more_clouds_than_bare_ground(folder: Path, population: Population) -> None:
