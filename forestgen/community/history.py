@@ -104,16 +104,9 @@ def write_history(
 ) -> None:
     """Write snapshots as they come; only one is held in memory. The file appears when it is complete.
 
-    Parameters
-    ----------
-    origin : what the simulation was started with, plain as in JSON.
-    modules : whether the plants' modules are written too, into a table beside it.
-    size_m : of the site, for the places of maps; None: a cell is a metre.
-
-    Raises
-    ------
-    OutputError : the file cannot be written.
-    ValueError : no snapshot, or snapshots of different species or columns.
+    `origin` is what the simulation was started with, plain as in JSON. With `modules` the plants' modules go into a
+    table beside it. `size_m` is the site's, for the places of maps; None: a cell is a metre. Raises `OutputError` where the
+    file cannot be written, `ValueError` for no snapshot, or snapshots of different species or columns.
     """
     try:
         with ExitStack() as stack:

@@ -88,10 +88,8 @@ def write_community(
     history.parquet, a map for each of `map_steps` (by default the last), sizes.png of the last snapshot, and
     statistics.json; if there are steps, animation.gif, curves.png and thinning.png too; of a model that places plants
     by densities, densities.png; of one with water, maps.nc and water.png; on request, modules.parquet. No snapshot is
-    held but the current one. Fellings and plantings thin a stand as no crowding does: with them there is no
-    self-thinning line. Obstacles, which are in the history, are no plants in pictures and statistics.
-
-    `check_map_steps` checks whether the simulation reaches `map_steps`.
+    held but the current one. With fellings and plantings there is no self-thinning line: they thin a stand as no
+    crowding does. Obstacles are no plants in pictures and statistics. `check_map_steps` checks `map_steps`.
     """
     observer = _Observer(folder, plan, map_steps)
     skeletons = capability(plan.model, OwnSkeletons)
@@ -182,12 +180,7 @@ def check_graphs(plan: CommunityPlan, paths: Sequence[Path]) -> None:
 
 
 def write_graphs(plan: CommunityPlan, population: Population, paths: Sequence[Path]) -> None:
-    """Write the graphs of all plants of a snapshot, at their places in the world; z counts from the ground's height.
-
-    Raises
-    ------
-    OutputError : a file cannot be written.
-    """
+    """Write the graphs of a snapshot's plants, in the world; z counts from the ground. Raises `OutputError`."""
     skeletons, modules = capability(plan.model, OwnSkeletons), population.modules
     if not paths or modules is None or skeletons is None:
         return

@@ -108,16 +108,10 @@ def draw(
     options: TurtleOptions,
     surfaces: Collection[str] | None = None,
 ) -> Drawing:
-    """The picture of one word.
+    """The picture of one word: `code` (M,) indexes `kinds`, `parameter` (P,) has all modules' parameters in order.
 
-    Parameters
-    ----------
-    code : (M,) index into `kinds` of each module.
-    parameter : (P,) parameters of all modules, in order.
-    surfaces : names that may follow ~; None: all.
-
-    Raises `LsystemError` for brackets that do not match, an unknown surface, a negative width, or a number that is not
-    finite.
+    `surfaces` are names that may follow ~; None: all. Raises `LsystemError` for brackets that do not match, an unknown
+    surface, a negative width, or a number that is not finite.
     """
     walk = _walk(code, parameter, kinds, options)
     placed = _surfaces(walk, parameter, options.scale, surfaces)

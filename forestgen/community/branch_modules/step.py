@@ -87,16 +87,6 @@ def _is_open(place: Floats, parameters: BranchModulesParameters, site: Site) -> 
 
 
 @dataclass(frozen=True)
-class Standing:
-    """The plants of a step, those that die in it too: their last seeds fall."""
-
-    plants: Plants
-    adapted: Floats  # (P,) how well the climate suits them
-    trunk_m: Floats  # (P,) diameters of their stems at the foot, metres
-    alive: Mask  # (P,) which stay, and take room
-
-
-@dataclass(frozen=True)
 class Arriving:
     """Seeds from elsewhere."""
 
@@ -108,13 +98,18 @@ class Arriving:
 NO_SEEDS = Arriving(np.empty((0, 2)), np.empty(0, np.uint16), np.empty(0))
 
 
-def seedlings(
-    state: State, now: StepParameters, around: Surroundings, standing: Standing, arriving: Arriving
-) -> tuple[Plants, Modules]:
-    """The plants that germinate in a step: first of the seeds that fall, then of those that arrive."""
-    traits, parameters, plants = now.traits, now.parameters, standing.plants
+def _seedlings(
+    state: State, now: StepParameters, around: Surroundings, plants: Plants, adapted: Floats, trunk_m: Floats,
+    alive: Mask, arriving: Arriving,
+) -> tuple[Plants, Modules]:  # fmt: skip
+    """The plants that germinate in a step: first of the seeds that fall, then of those that arrive.
+
+    `plants` are all of the step, those that die in it too, whose last seeds fall; `adapted` (P,) is how well the
+    climate suits them, `trunk_m` (P,) the diameters of their stems at the foot, metres; those `alive` (P,) take room.
+    """
+    traits, parameters = now.traits, now.parameters
     sp, rng = plants.species, child_rng(state.seed, "community", state.step + 1)
-    mean = np.where(plants.flowering, traits.seeds_per_yr[sp] * standing.adapted * parameters.step_yr, 0.0)
+    mean = np.where(plants.flowering, traits.seeds_per_yr[sp] * adapted * parameters.step_yr, 0.0)
     refuse_more_seeds(float(mean.sum()) + len(arriving.species))
     count = rng.poisson(mean)
     mother = np.repeat(np.arange(len(plants)), count)
@@ -127,13 +122,12 @@ def seedlings(
     needed = np.concatenate([np.zeros(len(mother)), arriving.needed])
     fit = _germinates(place, species, needed, state, now, around)
     place, species = place[fit], species[fit]
-    alive = standing.alive
     own = int(fit[: len(mother)].sum())
     # By chance, not by mothers' rows, which go by species; and those of the stand as if no others arrived.
     order = np.concatenate([rng.permutation(own), own + rng.permutation(len(place) - own)])
     room = np.empty(len(place), dtype=np.bool_)
-    trunk_m = 0.5 * standing.trunk_m[alive]
-    room[order] = _with_room(place[order], plants.position_m[alive], trunk_m, parameters, state.site.size_m)
+    half_m = 0.5 * trunk_m[alive]
+    room[order] = _with_room(place[order], plants.position_m[alive], half_m, parameters, state.site.size_m)
     return new_seedlings(place[room], species[room], state, now, state.step + 1)
 
 
@@ -279,8 +273,7 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
     alive = ((np.diff(rows.first) > 0) | ~traits.grows[species]) & ~withered
     trunk_m = np.zeros(len(plants))
     trunk_m[counts > 0] = diameter_m[aged.first[:-1][counts > 0]]
-    standing = Standing(plants, adapted, trunk_m, alive)
-    new, seeded = seedlings(state, now, around, standing, arriving)
+    new, seeded = _seedlings(state, now, around, plants, adapted, trunk_m, alive, arriving)
     snags = growth.snags_after(state, now, plants, wood, alive)
     if not alive.all():
         modules, plants = modules.of_plants(alive), plants.where(alive)
