@@ -105,8 +105,8 @@ def write_history(
     """Write snapshots as they come; only one is held in memory. The file appears when it is complete.
 
     `origin` is what the simulation was started with, plain as in JSON. With `modules` the plants' modules go into a
-    table beside it. `size_m` is the site's, for the places of maps; None: a cell is a metre. Raises `OutputError` where the
-    file cannot be written, `ValueError` for no snapshot, or snapshots of different species or columns.
+    table beside it. `size_m` is the site's, for the places of maps; None: a cell is a metre. Raises `OutputError` where
+    the file cannot be written, `ValueError` for no snapshot, or snapshots of different species or columns.
     """
     try:
         with ExitStack() as stack:

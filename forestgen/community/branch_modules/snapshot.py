@@ -9,8 +9,7 @@ from forestgen.architecture.geometry import plant_sizes
 from forestgen.architecture.modules import Modules
 from forestgen.community.arrivals import on_the_ground
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.state import Plants, Snags, State, step_parameters
-from forestgen.community.branch_modules.surroundings import ground_at
+from forestgen.community.branch_modules.state import Plants, Snags, State, ground_at, step_parameters
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.population import Floats, Floats32, Population, Status

@@ -15,14 +15,19 @@ from forestgen.architecture.geometry import terminal_pose
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import choose_prototype, load_prototypes
 from forestgen.community.arrivals import new_ids
-from forestgen.community.branch_modules import growth, surroundings
+from forestgen.community.branch_modules import growth
 from forestgen.community.branch_modules.growth import NextRows
 from forestgen.community.branch_modules.orientation import Turning, orient
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
 from forestgen.community.branch_modules.state import (
+    LocalClimate,
     Plants,
     State,
     StepParameters,
+    Surroundings,
+    adaptation,
+    boxes_of,
+    ground_at,
     no_modules,
     no_snags,
     orientation_along,
@@ -30,9 +35,9 @@ from forestgen.community.branch_modules.state import (
     refuse_more_seeds,
     seedling_modules,
     step_parameters,
+    surroundings_of,
     uniform,
 )
-from forestgen.community.branch_modules.surroundings import LocalClimate, Surroundings
 from forestgen.community.branch_modules.vigour import Flow, distribute, net_gain, stature_of
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
@@ -82,7 +87,7 @@ def _is_open(place: Floats, parameters: BranchModulesParameters, site: Site) -> 
     """(N,) whether neither soil nor buildings bar places on the site."""
     is_open = ~is_blocked(parameters.blocked_soil(), place, site.size_m)
     if site.buildings:
-        is_open &= ~surroundings.boxes_of(site).cover(place, site.size_m if parameters.periodic else None)
+        is_open &= ~boxes_of(site).cover(place, site.size_m if parameters.periodic else None)
     return is_open
 
 
@@ -140,8 +145,8 @@ def _germinates(
     at = np.flatnonzero(fit)
     fit[at] = _is_open(place[at], parameters, state.site)
     at = np.flatnonzero(fit)
-    ground = surroundings.ground_at(state.site, place[at])
-    adapted, leaf_share = surroundings.adaptation(now, species[at], place[at], ground, around)
+    ground = ground_at(state.site, place[at])
+    adapted, leaf_share = adaptation(now, species[at], place[at], ground, around)
     suits = adapted >= np.maximum(needed[at], parameters.adaptation_min)
     tolerance = traits.shade_tolerance[species[at]]
     light = leaf_share * (tolerance + (1 - tolerance) * around.light_at(place[at]))
@@ -227,7 +232,7 @@ def _new_plants(first_id: int, species: SpeciesIndex, place: Floats, site: Site,
         plant_id=new_ids(first_id, n),
         species=species,
         position_m=np.ascontiguousarray(place),
-        ground_m=surroundings.ground_at(site, place),
+        ground_m=ground_at(site, place),
         born=np.full(n, step, dtype=np.int32),
         flowering=np.zeros(n, dtype=np.bool_),
         next_number=np.full(n, modules, dtype=np.uint32),
@@ -246,9 +251,9 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
     plants, modules, traits = state.plants, state.modules, now.traits
     species, counts = plants.species, np.diff(modules.first)
     stature = stature_of(modules, species, now)
-    around = surroundings.surroundings_of(state, now, stature.leaves, climate)
+    around = surroundings_of(state, now, stature.leaves, climate)
     feet = plants.position_m, plants.ground_m
-    adapted, leaf_share = surroundings.adaptation(now, species, *feet, around)
+    adapted, leaf_share = adaptation(now, species, *feet, around)
     light = np.repeat(traits.shade_tolerance[species].astype(np.float32), counts)
     light += (1 - light) * around.light
     most = traits.root_vigour_max[species] * adapted * _vitality(state, now)

@@ -33,9 +33,8 @@ from forestgen.atmosphere.fluid.parameters import UnstableError
 from forestgen.atmosphere.grid import Weather
 from forestgen.atmosphere.simulate import described, read_weather, weather_store
 from forestgen.community.branch_modules.parameters import parameters_at
-from forestgen.community.branch_modules.state import State, refuse_more_seeds, step_parameters
+from forestgen.community.branch_modules.state import LocalClimate, State, refuse_more_seeds, step_parameters
 from forestgen.community.branch_modules.step import NO_SEEDS, Arriving, step_forest
-from forestgen.community.branch_modules.surroundings import LocalClimate
 from forestgen.community.ecoclimate.air import BoundaryConditions, Case, case_of, hours_of, month_of_air
 from forestgen.community.ecoclimate.parameters import (
     DAYS_PER_MONTH,
