@@ -166,22 +166,13 @@ def _sum_overlaps(first, end, cells, parent, boxes, total):  # type: ignore[no-u
         total[own] = volume
 
 
-@compiled
-def _sort_by_level(radius, top, level, counts, order):  # type: ignore[no-untyped-def]
-    """Level of each sphere by its radius, the number of each level, and the rows in order of levels."""
-    for i in range(len(radius)):
-        k, least = 0, top / _RATIO
-        while radius[i] <= least and k < _LEVELS - 1:
-            k, least = k + 1, least / _RATIO
-        level[i] = k
-        counts[k] += 1
-    place = np.zeros(_LEVELS, dtype=np.int64)
-    for k in range(1, _LEVELS):
-        place[k] = place[k - 1] + counts[k - 1]
-    for i in range(len(radius)):
-        k = level[i]
-        order[place[k]] = i
-        place[k] += 1
+def _levels(radius: Floats) -> NDArray[np.int8]:
+    """Level of each sphere by its radius: 0 are the largest."""
+    level, least = np.zeros(len(radius), dtype=np.int8), radius.max(initial=LEAST_RADIUS_M)
+    for _ in range(_LEVELS - 1):
+        least /= _RATIO
+        level += radius <= least
+    return level
 
 
 @compiled
@@ -244,8 +235,8 @@ def cells_of(position_m: Floats, radius_m: Floats, period_m: tuple[float, float]
     """The cells of (M, 3) float64 centres and (M,) float64 radii, metres; see `SphereGrid`."""
     m = len(radius_m)
     width, height = period_m or (0.0, 0.0)
-    counts, order = np.zeros(_LEVELS, dtype=np.int64), np.empty(m, dtype=np.int32)
-    _sort_by_level(radius_m, radius_m.max(initial=LEAST_RADIUS_M), np.empty(m, dtype=np.int8), counts, order)
+    level = _levels(radius_m)
+    counts, order = np.bincount(level), np.argsort(level, kind="stable").astype(np.int32)
     edges = np.concatenate([[0], np.cumsum(counts[counts > 0])])
     levels = np.zeros((len(edges) - 1, 9))
     columns = 0
@@ -270,27 +261,11 @@ def cells_of(position_m: Floats, radius_m: Floats, period_m: tuple[float, float]
     return Cells(sphere, row, start[:-1], first, low, levels, float(width), float(height))
 
 
-@compiled
-def _kept(cells, leave_out, start, sphere, row):  # type: ignore[no-untyped-def]
-    """Copy the spheres whose rows do not leave out, and where each cell's begin; their number."""
-    count = 0
-    for cell in range(len(start) - 1):
-        start[cell] = count
-        for j in range(cells.start[cell], cells.start[cell + 1]):
-            if not leave_out[cells.row[j]]:
-                for d in range(4):
-                    sphere[count, d] = cells.sphere[j, d]
-                row[count] = cells.row[j]
-                count += 1
-    start[len(start) - 1] = count
-    return count
-
-
 def without(cells: Cells, leave_out: NDArray[np.bool_]) -> Cells:
     """The same cells without the spheres of some of the caller's rows, (M,)."""
-    start, sphere, row = np.empty_like(cells.start), np.empty_like(cells.sphere), np.empty_like(cells.row)
-    count = _kept(cells, leave_out, start, sphere, row)
-    return cells._replace(sphere=sphere[:count], row=row[:count], start=start)
+    keep = ~leave_out[cells.row]
+    start = np.concatenate([[0], np.cumsum(keep)])[cells.start].astype(np.int32)
+    return cells._replace(sphere=cells.sphere[keep], row=cells.row[keep], start=start)
 
 
 @dataclass(frozen=True)
