@@ -175,48 +175,8 @@ def _levels(radius: Floats) -> NDArray[np.int8]:
     return level
 
 
-@compiled
-def _columns(position, order, levels, first, end, k, width, height, column, low, high):  # type: ignore[no-untyped-def]
-    """Column of each sphere of level `k`, rows `order[first:end]`; lowest and highest z of each column."""
-    column0, nx, ny = int(levels[k, 0]), int(levels[k, 1]), int(levels[k, 2])
-    for at in range(first, end):
-        i = order[at]
-        x, y, z = position[i, 0], position[i, 1], position[i, 2]
-        if width > 0.0:
-            x, y = x % width, y % height
-        a = min(max(floor((x - levels[k, 5]) * levels[k, 3]), 0), nx - 1)
-        b = min(max(floor((y - levels[k, 6]) * levels[k, 4]), 0), ny - 1)
-        c = column0 + b * nx + a
-        column[at] = c
-        low[c], high[c] = min(low[c], z), max(high[c], z)
-
-
-@compiled
-def _fill(position, radius, order, column, levels, edges, first, low, width, height, start, sphere, row):  # type: ignore[no-untyped-def]
-    """Put spheres into their cells; `start` (cells + 2,) is zeros, and afterwards right but for its last place."""
-    for counting in (True, False):
-        for k in range(len(levels)):
-            for at in range(edges[k], edges[k + 1]):
-                i, c = order[at], column[at]
-                layer = floor((position[i, 2] - low[c]) * levels[k, 7])
-                cell = first[c] + min(max(layer, 0), first[c + 1] - first[c] - 1) + 1
-                if counting:
-                    start[cell + 1] += 1
-                    continue
-                place = start[cell]
-                start[cell] += 1
-                x, y = position[i, 0], position[i, 1]
-                if width > 0.0:
-                    x, y = x % width, y % height
-                sphere[place, 0], sphere[place, 1], sphere[place, 2] = x, y, position[i, 2]
-                sphere[place, 3], row[place] = radius[i], i
-        if counting:
-            for cell in range(2, len(start)):
-                start[cell] += start[cell - 1]
-
-
 def _shape(
-    position_m: Floats, radius_m: Floats, rows: NDArray[np.int32], period_m: tuple[float, float] | None
+    position_m: Floats, radius_m: Floats, rows: NDArray[np.int64], period_m: tuple[float, float] | None
 ) -> tuple[float, ...]:
     """A level's row of `Cells.level` without its first column and its layers."""
     most = float(radius_m[rows].max())
@@ -233,32 +193,38 @@ def _shape(
 
 def cells_of(position_m: Floats, radius_m: Floats, period_m: tuple[float, float] | None) -> Cells:
     """The cells of (M, 3) float64 centres and (M,) float64 radii, metres; see `SphereGrid`."""
-    m = len(radius_m)
-    width, height = period_m or (0.0, 0.0)
     level = _levels(radius_m)
-    counts, order = np.bincount(level), np.argsort(level, kind="stable").astype(np.int32)
+    order, counts = np.argsort(level, kind="stable"), np.bincount(level)
     edges = np.concatenate([[0], np.cumsum(counts[counts > 0])])
-    levels = np.zeros((len(edges) - 1, 9))
-    columns = 0
+    sphere = np.column_stack([position_m, radius_m])[order]
+    if period_m is not None:
+        sphere[:, :2] %= period_m
+    x, y, z = sphere[:, :3].T
+    levels, columns, column = np.zeros((len(edges) - 1, 9)), 0, np.empty(len(sphere), dtype=np.int64)
     for k, (begin, end) in enumerate(pairwise(edges.tolist())):
         nx, ny, per_x, per_y, x0, y0, most = _shape(position_m, radius_m, order[begin:end], period_m)
         levels[k] = columns, nx, ny, per_x, per_y, x0, y0, 0.0, most
+        along_x = np.clip(np.floor((x[begin:end] - x0) * per_x), 0, nx - 1)
+        along_y = np.clip(np.floor((y[begin:end] - y0) * per_y), 0, ny - 1)
+        column[begin:end] = columns + along_y * nx + along_x
         columns += int(nx * ny)
-    column, low, high = np.empty(m, dtype=np.int32), np.full(columns, np.inf), np.full(columns, -np.inf)
-    layers = np.zeros(columns, dtype=np.int32)
+    low, high = np.full(columns, np.inf), np.full(columns, -np.inf)
+    np.minimum.at(low, column, z)
+    np.maximum.at(high, column, z)
+    layers, per_z = np.zeros(columns, dtype=np.int64), np.empty(len(sphere))
     for k, (begin, end) in enumerate(pairwise(edges.tolist())):
-        _columns(position_m, order, levels, begin, end, k, width, height, column, low, high)
         own = slice(int(levels[k, 0]), int(levels[k, 0] + levels[k, 1] * levels[k, 2]))
         tall = np.where(high[own] >= low[own], high[own] - low[own], -1.0)
         thick = max(_CELL_PER_RADIUS * levels[k, 8], _SPHERES_PER_CELL * tall.clip(0).sum() / (end - begin))
-        levels[k, 7] = 1.0 / thick
+        levels[k, 7] = per_z[begin:end] = 1.0 / thick
         layers[own] = np.where(tall >= 0.0, np.floor(tall * levels[k, 7]) + 1, 0)
-    first = np.zeros(columns + 1, dtype=np.int32)
-    np.cumsum(layers, out=first[1:])
-    start = np.zeros(int(first[-1]) + 2, dtype=np.int32)
-    sphere, row = np.empty((m, 4)), np.empty(m, dtype=np.int32)
-    _fill(position_m, radius_m, order, column, levels, edges, first, low, width, height, start, sphere, row)
-    return Cells(sphere, row, start[:-1], first, low, levels, float(width), float(height))
+    first = np.concatenate([[0], np.cumsum(layers)])
+    cell = first[column] + np.clip(np.floor((z - low[column]) * per_z), 0, layers[column] - 1).astype(np.int64)
+    into, start = np.argsort(cell, kind="stable"), np.cumsum(np.bincount(cell, minlength=first[-1]))
+    starts = np.concatenate([[0], start]).astype(np.int32)
+    width, height = period_m or (0.0, 0.0)
+    rows = order[into].astype(np.int32)
+    return Cells(sphere[into], rows, starts, first.astype(np.int32), low, levels, float(width), float(height))
 
 
 def without(cells: Cells, leave_out: NDArray[np.bool_]) -> Cells:
