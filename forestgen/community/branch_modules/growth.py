@@ -26,7 +26,6 @@ Reference: Keen, F. P. (1955). The rate of natural falling of beetle-killed pond
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,48 +68,33 @@ class NextRows:
     next_number: NDArray[np.uint32]  # (P,) of the next module of each plant
 
 
-@compiled
-def _fill(start, end, modules, keep, sprouts, next_number, most_nodes, out):  # type: ignore[no-untyped-def]
-    first, parent, node, number = modules
-    out_first, source, new, out_parent, out_node, out_number = out
-    longest = 0
-    for p in range(start, end):
-        longest = max(longest, first[p + 1] - first[p])
-    moved = np.empty(longest, np.int32)
-    for p in range(start, end):
-        a, n, b = first[p], first[p + 1] - first[p], out_first[p]
-        row = 0
-        for i in range(n):
-            if keep[a + i]:
-                moved[i] = row
-                source[b + row], new[b + row] = a + i, False
-                out_parent[b + row] = moved[parent[a + i]] if parent[a + i] >= 0 else -1
-                out_node[b + row], out_number[b + row] = node[a + i], number[a + i]
-                row += 1
-        for i in range(n):
-            if keep[a + i] and sprouts[a + i]:
-                for k in range(most_nodes):
-                    if sprouts[a + i] >> np.uint32(k) & np.uint32(1):
-                        source[b + row], new[b + row] = a + i, True
-                        out_parent[b + row], out_node[b + row] = moved[i], k
-                        out_number[b + row] = next_number[p]
-                        next_number[p] += np.uint32(1)
-                        row += 1
-
-
 def rows_after(modules: Modules, keep: Mask, sprouts: NDArray[np.uint32], next_number: NDArray[np.uint32]) -> NextRows:
     """Rows of the modules that stay and of those that begin; plants that keep nothing have none.
 
     `keep` (M,) is of modules whose bearers stay too. Bit k of `sprouts` (M,): a module begins at terminal node k, if
     this module stays. `next_number` (P,) is the number of each plant's next module.
     """
-    ends = np.cumsum(np.where(keep, 1 + np.bitwise_count(sprouts), 0), dtype=np.int64)
-    first = np.concatenate([[0], ends])[modules.first]
-    n, following = int(first[-1]), next_number.copy()
-    out: Any = (first, *(np.empty(n, kind) for kind in (np.int64, np.bool_, np.int32, np.int16, np.uint32)))
-    columns = modules.first, modules.parent, modules.node, modules.number
-    over_plants(modules, lambda start, end: _fill(start, end, columns, keep, sprouts, following, MOST_NODES, out))
-    return NextRows(*(*out, following))
+    plant, old = modules.plant(), np.flatnonzero(keep)
+    sprouting = np.flatnonzero(keep & (sprouts > 0))
+    at, node = np.nonzero(sprouts[sprouting, None] >> np.arange(MOST_NODES, dtype=np.uint32) & np.uint32(1))
+    bearer = sprouting[at]
+    source, owner = np.concatenate([old, bearer]), np.concatenate([plant[old], plant[bearer]])
+    order = np.argsort(owner, kind="stable")  # of each plant those that stay come first
+    born = np.bincount(plant[bearer], minlength=modules.plants)
+    rank = np.arange(len(bearer)) - (np.cumsum(born) - born)[plant[bearer]]  # among the new ones of a plant
+    stay = np.concatenate([[0], np.cumsum(keep)])
+    row = stay[:-1] - stay[modules.first[:-1]][plant]  # of a module that stays, in its plant
+    parent = np.where(modules.parent[old] < 0, -1, row[modules.parent_row()[old]])
+    number = np.concatenate([modules.number[old], next_number[plant[bearer]] + rank])
+    return NextRows(
+        first=np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=modules.plants))]),
+        source=source[order],
+        new=order >= len(old),
+        parent=np.concatenate([parent, row[bearer]])[order].astype(np.int32),
+        node=np.concatenate([modules.node[old], node])[order].astype(np.int16),
+        number=number[order].astype(np.uint32),
+        next_number=(next_number + born).astype(np.uint32),
+    )
 
 
 @compiled
