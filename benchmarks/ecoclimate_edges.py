@@ -25,8 +25,8 @@ from scipy.ndimage import binary_fill_holes, distance_transform_edt
 from silviculture_stands import Report
 
 from forestgen.architecture.geometry import spheres
+from forestgen.community.branch_modules.growth import stature_of
 from forestgen.community.branch_modules.state import step_parameters, surroundings_of
-from forestgen.community.branch_modules.vigour import stature_of
 from forestgen.community.ecoclimate.months import Ecoclimate, local_climate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population

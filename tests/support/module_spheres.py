@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
-from forestgen.community.branch_modules.crowding import SphereGrid, overlap_volumes
+from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes, SphereGrid, overlap_volumes
 
 
 def overlap(grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES) -> NDArray[np.float32]:

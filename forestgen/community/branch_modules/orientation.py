@@ -30,14 +30,16 @@ from math import cos, floor, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes, volume_in_boxes
 from forestgen.community.branch_modules.crowding import (
     LEAST_RADIUS_M,
+    NO_BOXES,
+    Boxes,
     Cells,
     SphereGrid,
     cells_of,
     nearest_image,
     runs,
+    volume_in_boxes,
     without,
 )
 from forestgen.core.compiled import compiled, unchecked, unowned_view

@@ -28,7 +28,7 @@ from math import exp, floor, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
+from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes
 from forestgen.core.compiled import compiled
 from forestgen.core.errors import ResourceError
 

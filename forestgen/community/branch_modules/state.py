@@ -23,8 +23,7 @@ from forestgen.architecture.geometry import spheres
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables, load_prototypes, tables_of
 from forestgen.community.arrivals import Rows
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
-from forestgen.community.branch_modules.crowding import SphereGrid, overlap_volumes
+from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes, SphereGrid, overlap_volumes
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, cells_at, parameters_at
 from forestgen.community.branch_modules.shade import Shade, ShadowGrid, shade
 from forestgen.community.ecology import SpeciesEcology

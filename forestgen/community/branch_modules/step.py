@@ -16,7 +16,7 @@ from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import choose_prototype, load_prototypes
 from forestgen.community.arrivals import new_ids
 from forestgen.community.branch_modules import growth
-from forestgen.community.branch_modules.growth import NextRows
+from forestgen.community.branch_modules.growth import Flow, NextRows, distribute, net_gain, stature_of
 from forestgen.community.branch_modules.orientation import Turning, orient
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, is_blocked
 from forestgen.community.branch_modules.state import (
@@ -38,7 +38,6 @@ from forestgen.community.branch_modules.state import (
     surroundings_of,
     uniform,
 )
-from forestgen.community.branch_modules.vigour import Flow, distribute, net_gain, stature_of
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.population import Floats, Indices, Mask, SpeciesIndex

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from forestgen.community.branch_modules import crowding
-from forestgen.community.branch_modules.boxes import Boxes
 from forestgen.community.branch_modules.crowding import (
+    Boxes,
     SphereGrid,
     lens,
     overlap_volumes,

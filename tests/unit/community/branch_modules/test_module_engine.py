@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from forestgen.architecture.geometry import node_diameters, node_positions
+from forestgen.community.branch_modules.growth import axis_lengths_m, distribute, net_gain, stature_of
 from forestgen.community.branch_modules.state import step_parameters
-from forestgen.community.branch_modules.vigour import axis_lengths_m, distribute, net_gain, stature_of
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site, simulate

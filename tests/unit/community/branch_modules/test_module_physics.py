@@ -8,9 +8,8 @@ from test_module_engine import MODEL, ecology, last, mixed, plant_type, same, st
 
 from forestgen.architecture.geometry import diameters
 from forestgen.architecture.prototypes import load_prototypes
-from forestgen.community.branch_modules.growth import PATIENCE, STUNTED, on_axis
+from forestgen.community.branch_modules.growth import PATIENCE, STUNTED, on_axis, stature_of
 from forestgen.community.branch_modules.state import step_parameters
-from forestgen.community.branch_modules.vigour import stature_of
 from forestgen.community.model import Site
 from forestgen.core.errors import RecipeError
 

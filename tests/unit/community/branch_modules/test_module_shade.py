@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from forestgen.community.branch_modules.boxes import Boxes
+from forestgen.community.branch_modules.crowding import Boxes
 from forestgen.community.branch_modules.shade import ShadowGrid, _open_shares, shade
 from forestgen.core.errors import ResourceError
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from forestgen.community.branch_modules.growth import stature_of
 from forestgen.community.branch_modules.state import Surroundings, step_parameters, surroundings_of
-from forestgen.community.branch_modules.vigour import stature_of
 from forestgen.community.ecoclimate.months import Ecoclimate
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.ecology import SpeciesEcology
