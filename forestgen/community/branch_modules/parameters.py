@@ -150,19 +150,9 @@ def _number_or_by_species(value: Any) -> Any:
 
 _ALL = "*"  # no species has this name
 _Count = Annotated[Whole, Field(ge=0, le=MOST_PLANTS)]
-InitialPlants = Annotated[
-    dict[str, _Count],
-    BeforeValidator(_number_or_by_species),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "integer", "minimum": 0, "maximum": MOST_PLANTS},
-                {"type": "object", "additionalProperties": {"type": "integer", "minimum": 0, "maximum": MOST_PLANTS}},
-            ],
-            "default": 100,
-        }
-    ),
-]
+_NUMBER_SCHEMA = {"type": "integer", "minimum": 0, "maximum": MOST_PLANTS}
+_SCHEMA = {"anyOf": [_NUMBER_SCHEMA, {"type": "object", "additionalProperties": _NUMBER_SCHEMA}], "default": 100}
+InitialPlants = Annotated[dict[str, _Count], BeforeValidator(_number_or_by_species), WithJsonSchema(_SCHEMA)]
 
 
 class BranchModulesParameters(CommunityParameters):

@@ -107,11 +107,8 @@ def month_at(normals: MonthlyClimate, changes: Sequence[ClimateChange], month: i
 def places() -> dict[str, MonthlyClimate]:
     """The monthly climates that come with forestgen, by the place's name."""
     path = scenes_dir() / "climate" / "months.csv"
-    rows = [
-        line
-        for line in read_text(path, "climate normals", most_bytes=1_000_000, error=AssetError).splitlines()
-        if line and not line.startswith("#")
-    ]
+    text = read_text(path, "climate normals", most_bytes=1_000_000, error=AssetError)
+    rows = [line for line in text.splitlines() if line and not line.startswith("#")]
     found = {}
     for row in csv.DictReader(rows):
         values = {
@@ -316,11 +313,8 @@ class SoilWaterSection(Section):
 
     def water(self) -> SoilWaterParameters:
         """The numbers of the soil model."""
-        own = {
-            name: getattr(self, name)
-            for name in SoilWaterParameters.__dataclass_fields__
-            if getattr(self, name) is not None
-        }
+        values = {name: getattr(self, name) for name in SoilWaterParameters.__dataclass_fields__}
+        own = {name: value for name, value in values.items() if value is not None}
         return SoilWaterParameters(**{**KINDS[self.kind], **own})
 
 
