@@ -51,7 +51,6 @@ from forestgen.core.threads import cores, parallel_for
 
 Floats = NDArray[np.float64]
 Map = NDArray[np.floating] | float
-SUBSTEP_DAYS = 0.5
 _MANNING = 0.5  # power of the gradient
 _LITTLE = 0.25  # the share of a cell that leaves it: up to here one explicit step will do
 _SMALL = 100_000  # cells, below which a transform is done before other threads have begun
@@ -355,13 +354,7 @@ class SoilWater:
         self._level = 1.0 / (1.0 + ground.steepness() / p.half_infiltration_gradient)
 
     def advance(
-        self,
-        water: Water,
-        days: float,
-        *,
-        plants_g_per_m2: Map,
-        rain_mm_per_day: Map,
-        substep_days: float = SUBSTEP_DAYS,
+        self, water: Water, days: float, *, plants_g_per_m2: Map, rain_mm_per_day: Map, substep_days: float = 0.5
     ) -> Passed:
         """The water after a time in which plants and rain, maps or one number each, stay as they are."""
         shape = self.ground.shape
