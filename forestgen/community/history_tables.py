@@ -14,7 +14,7 @@ The history has the same numbers and checksums: so it refuses files of another s
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -23,6 +23,7 @@ from zlib import crc32
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from forestgen.architecture.modules import Modules
 from forestgen.community.population import Floats, Population
@@ -134,9 +135,14 @@ class ModuleWriter(Writer):
 
 def _checksum(table: Any) -> int:
     """Of the values of all columns, in their order."""
+    return _crc32(table.column(name).to_numpy() for name in _SCHEMA.names)
+
+
+def _crc32(arrays: Iterable[NDArray[Any]]) -> int:
+    """CRC-32 of the bytes of arrays, one after the other."""
     found = 0
-    for name in _SCHEMA.names:
-        found = crc32(np.ascontiguousarray(table.column(name).to_numpy()).tobytes(), found)
+    for values in arrays:
+        found = crc32(np.ascontiguousarray(values).tobytes(), found)
     return found
 
 
@@ -196,7 +202,7 @@ class MapWriter(Writer):
             self.file.variables["time_yr"][number] = population.time_yr
             for name, values in population.maps.items():
                 self.file.variables[name][number] = values
-        self.sums.append(_sum(population.maps))
+        self.sums.append(_crc32(np.asarray(values, np.float64) for values in population.maps.values()))
 
     def _begin(self, maps: Mapping[str, Floats]) -> None:
         import h5netcdf
@@ -221,14 +227,6 @@ class MapWriter(Writer):
             variable.attrs["units"] = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "1")
 
 
-def _sum(maps: Mapping[str, Floats]) -> int:
-    """CRC-32 of the bytes of maps, one after the other."""
-    total = 0
-    for values in maps.values():
-        total = crc32(np.asarray(values, dtype=np.float64).tobytes(), total)
-    return total
-
-
 def read_maps(path: Path, step: int, names: Sequence[str], expected_sum: int) -> dict[str, Floats]:
     """The maps of the snapshot of a step.
 
@@ -250,6 +248,6 @@ def read_maps(path: Path, step: int, names: Sequence[str], expected_sum: int) ->
             raise ValueError(f"it has no map of step {step}")
         refuse_large(sum(8 * file[name].size // max(1, len(file["step"])) for name in names), "maps")
         maps = {name: np.array(file[name][int(found[0])], dtype=np.float64) for name in names}
-        if _sum(maps) != expected_sum:
+        if _crc32(maps.values()) != expected_sum:
             raise ValueError("its maps are those of another history, or damaged")
         return maps

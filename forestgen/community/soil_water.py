@@ -373,20 +373,14 @@ class SoilWater:
 
         The arrays that are given hold anything afterwards, but for plants and rain.
         """
-        sinks = self._infiltration_per_day(fields.plants)
+        p, plants, half = self.parameters, fields.plants, self.parameters.half_infiltration_g_per_m2
+        sinks = p.infiltration_per_day * self._level * (plants + half * p.bare_infiltration) / (plants + half)
         self._exchange(fields, sinks, 0.5 * days)
         for number in range(count):
             soil, surface = self._soil.over(fields.soil, days), self._surface.over(fields.surface, days)
             fields = fields._replace(soil=soil, surface=surface)
             self._exchange(fields, sinks, days if number + 1 < count else 0.5 * days)
         return fields.soil, fields.surface
-
-    def _infiltration_per_day(self, plants: Floats) -> Floats:
-        p = self.parameters
-        half = p.half_infiltration_g_per_m2
-        return np.asarray(
-            p.infiltration_per_day * self._level * (plants + half * p.bare_infiltration) / (plants + half)
-        )
 
     def _exchange(self, fields: Fields, sinks: Floats, days: float) -> None:
         p = self.parameters

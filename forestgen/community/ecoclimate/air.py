@@ -251,16 +251,13 @@ def hours_of(section: WeatherSection, grid: AirGrid, day: Day, surface: Surface)
     condensed, warmth = np.zeros(grid.shape[1:]), np.zeros(grid.shape[1:])
     for look in range(1, looks + 1):
         weather = air.run(weather, end_s * look / looks)
-        condensed += _column_kg_per_m2(weather) / looks
+        water = (weather.cloud + weather.rain) * weather.density_kg_per_m3.astype(np.float32)[:, None, None]
+        column = water.sum(axis=0, dtype=np.float64) * grid.cell_m[2] + weather.fallen_kg_per_m2
+        condensed += column / looks
         warmth += (_of_lowest(weather)[0] - rest_k) / looks
     received_kg = area_m2 * float(surface.vapour_kg_per_m2_s.sum(dtype=np.float64)) * end_s
     error = abs(weather.total_water_kg - before_kg - received_kg) / before_kg
     return Hours(condensed, warmth, _of_lowest(weather)[1], error, weather)
-
-
-def _column_kg_per_m2(weather: Weather) -> Floats:
-    water = (weather.cloud + weather.rain) * weather.density_kg_per_m3.astype(np.float32)[:, None, None]
-    return np.asarray(water.sum(axis=0, dtype=np.float64) * weather.grid.cell_m[2] + weather.fallen_kg_per_m2)
 
 
 def _of_lowest(weather: Weather) -> tuple[Floats, Floats]:
