@@ -56,7 +56,10 @@ class CodeGenerator:
         for name, values in ast.arrays.items():
             first = self.append_reals(values)
             self.arrays[name] = self.append([first, first + len(values)])
-        self.functions = number_functions(list(ast.functions))
+        # A function's number is its name, or the next that is free, from 1 on.
+        numbers = {name: int(name) for name in ast.functions if name.isdigit()}
+        free = (number for number in count(1) if number not in numbers.values())
+        self.functions = {name: numbers[name] if name in numbers else next(free) for name in ast.functions}
         self._lay_out_functions(ast)
         names = _assigned_in(ast.start, ast.start_each, ast.end_each, ast.end)
         self.globals = {one: self.append_reals([0.0]) for one in (GROUP, *names)}  # name -> address
@@ -314,13 +317,6 @@ def formals(one: syntax.Production) -> list[tuple[str, Place]]:
     """Names of the parameters before a production's arrow, in their order, with their places."""
     modules = (*one.left, *one.predecessor, *one.right)
     return [(a.name, a.place) for module in modules for a in module.arguments if isinstance(a, syntax.Name)]
-
-
-def number_functions(names: Sequence[str]) -> dict[str, int]:
-    """Numbers of functions: a number that is its name, else the next that is free, from 1 on."""
-    numbers = {name: int(name) for name in names if name.isdigit()}
-    free = (number for number in count(1) if number not in numbers.values())
-    return {name: numbers[name] if name in numbers else next(free) for name in names}
 
 
 def _sampled(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:

@@ -44,12 +44,7 @@ from numpy.typing import NDArray
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem import turtle_kernel as act
 from forestgen.lsystem.multiset import Kind, Multiset
-from forestgen.lsystem.turtle_options import ACTIONS, TURTLE_STATEMENTS, TurtleOptions, options_from
-
-__all__ = [
-    "TURTLE_STATEMENTS", "Drawing", "Polygons", "Surfaces", "TurtleOptions", "draw", "draw_word", "options_from",
-    "query_values",
-]  # fmt: skip
+from forestgen.lsystem.turtle_options import ACTIONS, TurtleOptions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

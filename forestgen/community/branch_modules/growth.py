@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import diameters, over_plants, plant_sizes
 from forestgen.architecture.modules import Modules
-from forestgen.architecture.prototypes import MOST_NODES, Tables
+from forestgen.architecture.prototypes import MOST_NODES
 from forestgen.community.branch_modules.state import Plants, Snags, State, StepParameters, uniform
 from forestgen.community.population import Floats, Floats32, Indices, Mask, SpeciesIndex
 from forestgen.core.compiled import compiled
@@ -366,14 +366,6 @@ def overgrown(before: Modules, after: Modules, species: SpeciesIndex, now: StepP
     return replace(after, disused_m2=disused), np.sqrt(squared).astype(np.float32)
 
 
-def _lost_pipes(modules: Modules, diameter_m: Floats32, species: SpeciesIndex, tables: Tables) -> Floats32:
-    """(M,) squared diameter that a module adds to the one that bears it, m2: its own less that of the bare terminal."""
-    bearer = np.maximum(modules.parent_row(), 0)
-    kind = np.repeat(species, np.diff(modules.first))
-    bare_m = tables.thickening_m[kind] * tables.thickness[modules.prototype[bearer], np.maximum(modules.node, 0)]
-    return np.maximum(diameter_m.astype(np.float64) ** 2 - bare_m**2, 0.0).astype(np.float32)
-
-
 def shed(
     modules: Modules, vigour: Floats32, diameter_m: Floats32, species: SpeciesIndex, now: StepParameters
 ) -> tuple[Mask, Floats32]:
@@ -383,7 +375,10 @@ def shed(
     of each module over its size, `diameter_m` (M,) that of its root node.
     """
     keep, disused, traits = np.empty(len(modules), dtype=np.bool_), modules.disused_m2.copy(), now.traits
-    pipes = _lost_pipes(modules, diameter_m, species, now.tables)
+    tables, bearer, kind = now.tables, np.maximum(modules.parent_row(), 0), np.repeat(species, np.diff(modules.first))
+    bare_m = tables.thickening_m[kind] * tables.thickness[modules.prototype[bearer], np.maximum(modules.node, 0)]
+    # What a module adds to the one that bears it, m2: its own squared diameter less that of the bare terminal.
+    pipes = np.maximum(diameter_m.astype(np.float64) ** 2 - bare_m**2, 0.0).astype(np.float32)
     columns = modules.first, modules.parent, modules.age, modules.age_yr
     patience_yr = PATIENCE * traits.mature_age / traits.growth_rate_per_yr + now.parameters.step_yr
     numbers = traits.vigour_min, STUNTED * traits.mature_age, patience_yr
