@@ -51,7 +51,6 @@ class Program:
     longest_successor: tuple[int, int]  # modules and parameters
     longest_context: int
     axiom: tuple[int, ...]  # where each word's code begins
-    axiom_size: tuple[tuple[int, int], ...]  # modules and parameters of each word
     start: int  # where code begins that runs before the derivation; -1: none
     start_each: int  # before each step
     end_each: int  # after each step
@@ -148,7 +147,6 @@ class _Compiler:
             longest_successor=(most(layout.MOST_MODULES), max(most(layout.MOST_VALUES), *arity)),
             longest_context=most(layout.LEFTS, layout.RIGHTS),
             axiom=axiom,
-            axiom_size=tuple((len(word), sum(len(m.arguments) for m in word)) for word in one.axiom),
             start=start,
             start_each=start_each,
             end_each=end_each,

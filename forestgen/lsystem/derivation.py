@@ -65,8 +65,9 @@ def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> D
     key = _key(seed, "axiom", 0)
     glob = _run_block(program, program.start, np.zeros(len(program.globals)), None, key, 0)
     codes, parameters = [], []
-    for position, (begin, (modules, values)) in enumerate(zip(program.axiom, program.axiom_size, strict=True)):
-        out = layout.Modules(np.empty(modules, np.uint16), np.empty(values))
+    for position, (begin, word) in enumerate(zip(program.axiom, program.ast.axiom, strict=True)):
+        values = sum(len(module.arguments) for module in word)
+        out = layout.Modules(np.empty(len(word), np.uint16), np.empty(values))
         _run(program, begin, glob, key ^ np.uint64(position + 1), out, 0)
         codes.append(out.code)
         parameters.append(out.parameter)

@@ -73,19 +73,13 @@ def show_number(value: float) -> str:
 def words_as_text(multiset: Multiset) -> Iterator[str]:
     """Each word written as in a program: ``A(2)[B(0.5)]``."""
     symbols = np.array([kind.symbol for kind in multiset.kinds], dtype=object)
-    plain = not multiset.parameter.size
-    starts = multiset.parameter_start() if not plain else None
+    arity, starts = multiset.arity, multiset.parameter_start()
     for begin, end in zip(multiset.word_start[:-1], multiset.word_start[1:], strict=True):
         codes = multiset.code[begin:end]
-        if plain:
-            yield "".join(symbols[codes])
-            continue
-        assert starts is not None
-        pieces = []
-        for code, first, last in zip(codes, starts[begin:end], starts[begin + 1 : end + 1], strict=True):
-            pieces.append(multiset.kinds[code].symbol)
-            if last > first:
-                pieces.append("(" + ",".join(map(show_number, multiset.parameter[first:last].tolist())) + ")")
+        pieces = symbols[codes]
+        for i in np.flatnonzero(arity[codes]):
+            numbers = multiset.parameter[starts[begin + i] : starts[begin + i + 1]].tolist()
+            pieces[i] += f"({','.join(map(show_number, numbers))})"
         yield "".join(pieces)
 
 

@@ -60,8 +60,6 @@ class Snags:
     died: NDArray[np.int32]  # (P,) step of death
 
     def where(self, keep: Mask) -> Snags:
-        if keep.all():
-            return self
         return Snags(self.plants.where(keep), self.modules.of_plants(keep), self.died[keep])
 
 
