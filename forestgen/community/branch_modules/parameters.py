@@ -111,16 +111,10 @@ def _within(low: float, high: float, unit: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-Temperature = Annotated[
-    Number,
-    _within(COLDEST_C, WARMEST_C, "deg C"),
-    Field(json_schema_extra={"minimum": COLDEST_C, "maximum": WARMEST_C}),
-]
-Precipitation = Annotated[
-    Number,
-    _within(DRIEST_MM, WETTEST_MM, "mm a year"),
-    Field(json_schema_extra={"minimum": DRIEST_MM, "maximum": WETTEST_MM}),
-]
+_WARMTH = Field(json_schema_extra={"minimum": COLDEST_C, "maximum": WARMEST_C})
+_RAIN = Field(json_schema_extra={"minimum": DRIEST_MM, "maximum": WETTEST_MM})
+Temperature = Annotated[Number, _within(COLDEST_C, WARMEST_C, "deg C"), _WARMTH]
+Precipitation = Annotated[Number, _within(DRIEST_MM, WETTEST_MM, "mm a year"), _RAIN]
 _CLIMATE = {"temperature_c": TypeAdapter(Temperature), "precipitation_mm_per_yr": TypeAdapter(Precipitation)}
 
 
