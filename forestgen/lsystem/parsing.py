@@ -19,12 +19,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from forestgen.core.arguments import read_text
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem import syntax
-from forestgen.lsystem.statements import Statement, read_program, statements
+from forestgen.lsystem.statements import Statement, statements
 from forestgen.lsystem.syntax import FIRST, Place, fail, points_problem
 
 DIALECTS = ("cpfg", "abop")
+_LARGEST_PROGRAM_BYTES = 8_000_000
 _MOST_FUNCTIONS = 1000
 _MOST_GROUPS = 1_000_000
 _MOST_PARAMETERS = {"F": 3, "<": 1, ">": 1, "&": 1, "@": 1, "%": 1, "#": 1, "|": 0, "[": 0, "]": 0}
@@ -38,9 +40,8 @@ def parse_file(path: Path) -> syntax.ProgramAST:
 
     Raises `AssetError` where it cannot be read, and `LsystemError`, with line and column, where it is not understood.
     """
-    if path.suffix == ".sys":
-        return parse_sys_text(read_program(path), str(path))
-    return parse_text(read_program(path), str(path))
+    text = read_text(path, "an L-system program", most_bytes=_LARGEST_PROGRAM_BYTES, error=LsystemError)
+    return (parse_sys_text if path.suffix == ".sys" else parse_text)(text, str(path))
 
 
 def parse_text(text: str, name: str) -> syntax.ProgramAST:

@@ -12,19 +12,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
 from lark import Lark, Token, v_args
 from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 from lark.visitors import Transformer_NonRecursive
 
-from forestgen.core.arguments import read_text
-from forestgen.core.errors import LsystemError
 from forestgen.lsystem import syntax
 from forestgen.lsystem.syntax import Place, fail, place_in
 
-LARGEST_PROGRAM_BYTES = 8_000_000
 _STARTS = ["production", "words", "word", "string", "expression", "statements", "arrays", "points", "sys_string"]
 _PLAIN = {
     "LPAR": "(", "RPAR": ")", "LBRACE": "{", "RBRACE": "}", "LSQUARE": "[", "RSQUARE": "]", "COMMA": ",", "COLON": ":",
@@ -55,11 +51,6 @@ class Array(NamedTuple):
     size: syntax.Number | None  # as written
     values: tuple[float, ...]
     place: Place
-
-
-def read_program(path: Path) -> str:
-    """The text of a program's file; raises `AssetError` or `LsystemError` where it cannot be read or is no text."""
-    return read_text(path, "an L-system program", most_bytes=LARGEST_PROGRAM_BYTES, error=LsystemError)
 
 
 def statements(text: str, name: str) -> Iterator[Statement]:
