@@ -77,13 +77,9 @@ def without_modules(name: str, where: str, generator: object = None) -> RecipeEr
     if isinstance(generator, Lifeless):
         problem, expected = f"{name} is no living plant", "species of living plants"
         return RecipeError(problem, where=where, expected=expected, got=name, hint=generator.instead)
-    return RecipeError(
-        f"{name} does not grow by branch modules",
-        where=where,
-        expected="a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on",
-        got="none",
-        hint="write one (scenes/species/fireweed.yaml has one of a herb); or another community.model",
-    )
+    expected = "a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on"
+    hint = "write one (scenes/species/fireweed.yaml has one of a herb); or another community.model"
+    return RecipeError(f"{name} does not grow by branch modules", where=where, expected=expected, got="none", hint=hint)
 
 
 def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
