@@ -183,11 +183,12 @@ class Traits:
             values = [getattr(one, name) for one in plants]
             young = [getattr(one, name.removesuffix("_mature")) for one in plants]
             filled = [other if value is None else value for value, other in zip(values, young, strict=True)]
-            setattr(self, name, np.array(filled, dtype=np.float64))
-        angle_rad = self.tropism_angle_rad  # below 0: below the horizontal
-        self.tropism_angle_rad = np.where(angle_rad < 0.0, 0.5 * np.pi - angle_rad, angle_rad)
-        # As ages are kept: a limit that float32 cannot hold would never be reached.
-        self.mature_age = self.mature_age.astype(np.float32).astype(np.float64)
+            column = np.array(filled, dtype=np.float64)
+            if name == "tropism_angle_rad":  # below 0: below the horizontal
+                column = np.where(column < 0.0, 0.5 * np.pi - column, column)
+            elif name == "mature_age":  # as ages are kept: a limit that float32 cannot hold would never be reached
+                column = column.astype(np.float32).astype(np.float64)
+            setattr(self, name, column)
 
     if TYPE_CHECKING:
 
