@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from forestgen.architecture.modules import Modules
 from forestgen.core.frames import BREAST_HEIGHT_M
 
-Floats, Floats32 = NDArray[np.float64], NDArray[np.float32]
-Mask, Indices = NDArray[np.bool_], NDArray[np.int64]
+Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
 SpeciesIndex = NDArray[np.uint16]  # of plants: index in the recipe's species
 
 

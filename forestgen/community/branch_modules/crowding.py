@@ -170,8 +170,6 @@ _RATIO = 3.0  # of the largest radii of two levels
 _CELL_PER_RADIUS = 1.4  # width of a cell over the level's largest radius
 _SPHERES_PER_CELL = 1.0  # at least, in the mean; columns too
 
-Floats = NDArray[np.float64]
-
 
 class Cells(NamedTuple):  # a tuple: compiled loops take no dataclass
     """Spheres in the order of levels, in each of columns, in each of layers."""
