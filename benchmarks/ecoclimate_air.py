@@ -24,9 +24,8 @@ from silviculture_stands import Report
 
 from forestgen.atmosphere.fluid.parameters import Surface
 from forestgen.community.ecoclimate import months
-from forestgen.community.ecoclimate.air import Hours, day_of, grid_of, hours_of, regridder_for
-from forestgen.community.ecoclimate.climate import Month
-from forestgen.community.ecoclimate.parameters import WeatherSection
+from forestgen.community.ecoclimate.air import AreaRegridder, Hours, day_of, grid_of, hours_of
+from forestgen.community.ecoclimate.parameters import Month, WeatherSection
 from forestgen.community.model import simulate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
@@ -98,7 +97,7 @@ def afternoon(section: WeatherSection, vapour_mm_per_day: Floats, seed: int) -> 
     ground = Ground((SIDE_M, SIDE_M), (CELLS, CELLS), True)
     grid = grid_of(section, ground)
     day = day_of(section, SUMMER, 6, 0, 270.0, seed)
-    vapour = regridder_for(ground, grid).for_air(vapour_mm_per_day) / (3600.0 * section.daylight_h)
+    vapour = AreaRegridder(ground, grid).for_air(vapour_mm_per_day) / (3600.0 * section.daylight_h)
     heat = np.full(grid.shape[1:], day.heat_w_per_m2, np.float32)
     return hours_of(section, grid, day, Surface(heat, (day.vapour_kg_per_m2_s + vapour).astype(np.float32)))
 

@@ -25,9 +25,8 @@ from scipy.ndimage import binary_fill_holes, distance_transform_edt
 from silviculture_stands import Report
 
 from forestgen.architecture.geometry import spheres
-from forestgen.community.branch_modules.state import step_parameters
-from forestgen.community.branch_modules.surroundings import surroundings_of
-from forestgen.community.branch_modules.vigour import stature_of
+from forestgen.community.branch_modules.growth import stature_of
+from forestgen.community.branch_modules.state import step_parameters, surroundings_of
 from forestgen.community.ecoclimate.months import Ecoclimate, local_climate
 from forestgen.community.plots import new_figure
 from forestgen.community.population import Population
@@ -109,7 +108,7 @@ def microclimate_of(stand: Stand, population: Population) -> tuple[Floats, Float
     """(rows, cols) temperature at the ground, deg C, and soil water, mm a year, as plants feel them."""
     state = state_of(stand.plan, population)
     kinds = step_parameters(state.forest)
-    stature = stature_of(state.forest.modules, state.forest.plants.species, kinds.tables, kinds.traits)
+    stature = stature_of(state.forest.modules, state.forest.plants.species, kinds)
     around = surroundings_of(state.forest, kinds, stature.leaves)
     shape = population.maps["soil_mean_mm"].shape
     place = middles(stand.plan.community.site.size_m, shape).reshape(-1, 2)

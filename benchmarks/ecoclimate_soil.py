@@ -38,7 +38,9 @@ def soil(report: Report, quick: bool, seeds: range) -> Figure:
         passed = model.advance(water, MONTH_DAYS, plants_g_per_m2=plants, rain_mm_per_day=rain_mm_per_day)
         water, budget = passed.water, passed.budget
         uptake, loss, rain = uptake + budget.uptake_mm, loss + budget.loss_mm, rain + budget.rain_mm
-        error = max(error, abs(budget.error_mm(float(water.soil_mm.mean() + water.surface_mm.mean()))) / budget.rain_mm)
+        stored = float(water.soil_mm.mean() + water.surface_mm.mean())
+        left = stored + budget.uptake_mm + budget.loss_mm
+        error = max(error, abs(left - budget.rain_mm - budget.start_mm) / budget.rain_mm)
     wall, own = perf_counter() - wall, process_time() - own
     stored = float(water.soil_mm.mean() + water.surface_mm.mean())
     rows, cols = ground.shape

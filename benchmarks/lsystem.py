@@ -23,10 +23,9 @@ from time import perf_counter
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
 from forestgen.community.models.multiset_lsystem import MODEL, State
-from forestgen.lsystem.compiler import compile_program
+from forestgen.lsystem.compiler import Program, compile_program
 from forestgen.lsystem.derivation import derive
 from forestgen.lsystem.parsing import parse_text
-from forestgen.lsystem.program import Program
 
 STEPS = 14
 MODULES = (3 ** (STEPS + 1) - 1) // 2 - 1  # of steps 1 to 14

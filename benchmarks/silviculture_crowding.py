@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import spheres
 from forestgen.architecture.prototypes import load_prototypes, tables_of
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
-from forestgen.community.branch_modules.crowding import SphereGrid, overlap_volumes
+from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes, SphereGrid, overlap_volumes
 from forestgen.community.plots import save_figure
 from forestgen.community.population import Population
 from forestgen.community.simulation import snapshots

@@ -1,14 +1,12 @@
 """Disturbances of a simulation with any model: fellings, fires and plantings.
 
-A climax community lasts until something external or internal destroys a part of it; then succession begins anew
-(Lane 2002, section 2.1: clearcuts, forest fires, the death of one dominant tree). Planting a large tree and felling it
-later is the domination test of Randleff-Rasmussen 2004, section 5.2.2. In a recipe::
+A climax community lasts until something destroys a part of it; then succession begins anew (Lane 2002, section 2.1).
+Planting a large tree and felling it later is the domination test of Randleff-Rasmussen 2004, section 5.2.2. In a
+recipe::
 
-    community:
-      disturbances:
-        - {at_yr: 60, fell: {circle: {center_m: [60, 60], radius_m: 15}, species: [spruce], min_radius_m: 1}}
-        - {at_yr: 80, burn: {rectangle: {min_m: [0, 0], max_m: [60, 120]}, survival: 0.1}}
-        - {at_step: 0, plant: {species: oak, positions_m: [[50, 50]], radius_m: 8, vigour: 100}}
+    disturbances:
+      - {at_yr: 60, fell: {circle: {center_m: [60, 60], radius_m: 15}, species: [spruce], min_radius_m: 1}}
+      - {at_step: 0, plant: {species: oak, positions_m: [[50, 50]], radius_m: 8, vigour: 100}}
 
 A disturbance is applied at the end of the step that reaches its time, before that step's snapshot is taken; several of
 one step are applied in the order of the list. Random numbers of the k-th in the list (from 0) come from
@@ -195,12 +193,8 @@ class Selection(Region):
     @model_validator(mode="after")
     def _sizes_in_order(self) -> Self:
         if self.max_radius_m is not None and self.max_radius_m < self.min_radius_m:
-            raise violation(
-                f"at least min_radius_m = {self.min_radius_m:g}",
-                problem="no plant is that large and that small",
-                got=f"{self.max_radius_m:g}",
-                at=("max_radius_m",),
-            )
+            expected, got = f"at least min_radius_m = {self.min_radius_m:g}", f"{self.max_radius_m:g}"
+            raise violation(expected, problem="no plant is that large and that small", got=got, at=("max_radius_m",))
         return self
 
     def chosen(self, population: Population, ground: Ground) -> NDArray[np.uint32]:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from forestgen.recipe.species import PlantType, Species
 
 
 @dataclass(frozen=True)
 class SpeciesEcology:
-    """How a species lives, as far as a community model cares. All numbers are finite.
+    """How a species lives, as far as a community model cares; the recipe's section checks the numbers.
 
     References
     ----------
@@ -28,15 +27,6 @@ class SpeciesEcology:
     height_scale: float  # A_H of H = A_H r^c_H, metres of height at r = 1 m, > 0
     height_exponent: float  # c_H of H = A_H r^c_H, >= 0
     modules: PlantType | None = None  # how it grows as a graph of branch modules; None: not at all
-
-    def __post_init__(self) -> None:
-        for name in (f.name for f in fields(self) if f.name not in ("name", "modules")):
-            value = getattr(self, name)
-            least_is_zero = name not in ("max_radius_m", "seedling_radius_m", "height_scale")
-            most = 1.0 if name in ("shade_tolerance", "old_age_survival") else math.inf
-            if not (math.isfinite(value) and value <= most and (value > 0 or (value == 0 and least_is_zero))):
-                allowed = f"{'[' if least_is_zero else '('}0, {most:g}{']' if most == 1 else ')'}"
-                raise ValueError(f"{self.name}: {name} must lie in {allowed}, got {value!r}")
 
 
 Ecologies = Sequence[SpeciesEcology]  # the recipe's species, in its order: a species index counts them

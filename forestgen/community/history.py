@@ -18,7 +18,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -37,19 +37,11 @@ _OWN = "model."
 _KEY = b"forestgen.community"
 _VERSION = 2
 _COLUMNS = {
-    "time_yr": pa.float64(),
-    "step": pa.uint32(),
-    "plant_id": pa.uint32(),
-    "species": pa.uint16(),
+    "time_yr": pa.float64(), "step": pa.uint32(), "plant_id": pa.uint32(), "species": pa.uint16(),
     "species_name": pa.dictionary(pa.uint16(), pa.string()),
-    "x_m": pa.float64(),
-    "y_m": pa.float64(),
-    "z_m": pa.float64(),
-    "radius_m": pa.float64(),
-    "height_m": pa.float64(),
-    "age_yr": pa.float64(),
-    "status": pa.uint8(),
-}
+    "x_m": pa.float64(), "y_m": pa.float64(), "z_m": pa.float64(), "radius_m": pa.float64(), "height_m": pa.float64(),
+    "age_yr": pa.float64(), "status": pa.uint8(),
+}  # fmt: skip
 _FOR_PEOPLE = ("step", "species_name")  # a snapshot has them from elsewhere; older files lack them
 _SAME = ("plant_id", "species", "radius_m", "height_m", "age_yr", "status")  # arrays of a population by these names
 
@@ -64,52 +56,42 @@ def _table(population: Population) -> Any:
     for axis, name in enumerate(("x_m", "y_m", "z_m")):
         columns[name] = population.position_m[:, axis].copy()
     own = {_OWN + name: pa.array(values) for name, values in population.columns.items()}
-    return pa.table({name: _array(columns[name], kind) for name, kind in _COLUMNS.items()} | own)
+    shared = {
+        name: one if isinstance(one := columns[name], pa.Array) else pa.array(one, type=kind)
+        for name, kind in _COLUMNS.items()
+    }
+    return pa.table(shared | own)
 
 
-def _array(values: Any, kind: Any) -> Any:
-    return values if isinstance(values, pa.Array) else pa.array(values, type=kind)
+class _PlantWriter(tables.Writer):
+    """Writes the plants of snapshots; the metadata says what `modules` and `maps` wrote beside them."""
 
+    def __init__(
+        self, path: Path, origin: Mapping[str, Any], modules: tables.ModuleWriter | None, maps: tables.MapWriter
+    ) -> None:
+        super().__init__(path)
+        self.about: dict[str, Any] = {"version": _VERSION, "species_names": (), "snapshots": [], "origin": dict(origin)}
+        self.modules, self.maps, self.has_modules = modules, maps, False
 
-def _write(
-    path: Path,
-    populations: Iterable[Population],
-    origin: Mapping[str, Any],
-    modules: tables.ModuleWriter | None,
-    maps: tables.MapWriter,
-) -> None:
-    writer, names, snapshots, has_modules = None, None, [], False
-    try:
-        for population in populations:
-            table = _table(population)
-            if writer is None:
-                names = population.species_names
-                writer = pq.ParquetWriter(path, table.schema, compression="zstd")
-            if population.species_names != names or table.schema != writer.schema:
-                raise ValueError("all snapshots of a history must have the same species and columns")
-            if len(population):
-                writer.write_table(table, row_group_size=len(population))
-            snapshots.append([population.time_yr, len(population), population.step, dict(population.state)])
-            has_modules = has_modules or population.modules is not None
-            if modules is not None:
-                modules.add(population)
-            maps.add(population)
-        if writer is None:
-            raise ValueError("a history needs at least one snapshot")
-        about: dict[str, Any] = {
-            "version": _VERSION,
-            "species_names": names,
-            "snapshots": snapshots,
-            "origin": dict(origin),
-        }
-        if has_modules:
-            about["modules"] = None if modules is None else modules.marks
-        if maps.names:
-            about["maps"], about["map_sums"] = maps.names, maps.sums
-        writer.add_key_value_metadata({_KEY: json.dumps(about).encode()})
-    finally:
-        if writer is not None:
-            writer.close()
+    def add(self, population: Population) -> None:
+        table = _table(population)
+        if self.file is None:
+            self.about["species_names"] = population.species_names
+            self.file = pq.ParquetWriter(self.partial, table.schema, compression="zstd")
+        if population.species_names != self.about["species_names"] or table.schema != self.file.schema:
+            raise ValueError("all snapshots of a history must have the same species and columns")
+        if len(population):
+            self.file.write_table(table, row_group_size=len(population))
+        one = [population.time_yr, len(population), population.step, dict(population.state)]
+        self.about["snapshots"].append(one)
+        self.has_modules = self.has_modules or population.modules is not None
+
+    def finish(self) -> None:
+        if self.has_modules:
+            self.about["modules"] = None if self.modules is None else self.modules.marks
+        if self.maps.names:
+            self.about["maps"], self.about["map_sums"] = self.maps.names, self.maps.sums
+        self.file.add_key_value_metadata({_KEY: json.dumps(self.about).encode()})
 
 
 def write_history(
@@ -122,31 +104,25 @@ def write_history(
 ) -> None:
     """Write snapshots as they come; only one is held in memory. The file appears when it is complete.
 
-    Parameters
-    ----------
-    origin : what the simulation was started with, plain as in JSON.
-    modules : whether the plants' modules are written too, into a table beside it.
-    size_m : of the site, for the places of maps; None: a cell is a metre.
-
-    Raises
-    ------
-    OutputError : the file cannot be written.
-    ValueError : no snapshot, or snapshots of different species or columns.
+    `origin` is what the simulation was started with, plain as in JSON. With `modules` the plants' modules go into a
+    table beside it. `size_m` is the site's, for the places of maps; None: a cell is a metre. Raises `OutputError` where
+    the file cannot be written, `ValueError` for no snapshot, or snapshots of different species or columns.
     """
-    partial = path.with_name(path.name + ".partial")
     try:
-        with (
-            tables.ModuleWriter(path.with_name(tables.MODULES_NAME)) if modules else nullcontext() as writer,
-            tables.MapWriter(path.with_name(tables.MAPS_NAME), size_m) as maps,
-        ):
-            _write(partial, populations, origin or {}, writer, maps)
-        partial.replace(path)
+        with ExitStack() as stack:
+            map_writer = tables.MapWriter(path.with_name(tables.MAPS_NAME), size_m)
+            module_writer = tables.ModuleWriter(path.with_name(tables.MODULES_NAME)) if modules else None
+            writer = _PlantWriter(path, origin or {}, module_writer, map_writer)
+            # The history itself appears last.
+            writers = [stack.enter_context(one) for one in (writer, map_writer, module_writer) if one is not None]
+            for population in populations:
+                for one in writers:
+                    one.add(population)
+            if writer.file is None:
+                raise ValueError("a history needs at least one snapshot")
     except OSError as error:
-        raise OutputError(
-            "the community's history cannot be written", where=str(path), got=str(error), hint="another folder or disk"
-        ) from error
-    finally:
-        partial.unlink(missing_ok=True)
+        problem, hint = "the community's history cannot be written", "another folder or disk"
+        raise OutputError(problem, where=str(path), got=str(error), hint=hint) from error
 
 
 @dataclass(frozen=True)

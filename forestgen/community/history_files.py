@@ -88,10 +88,8 @@ def write_community(
     history.parquet, a map for each of `map_steps` (by default the last), sizes.png of the last snapshot, and
     statistics.json; if there are steps, animation.gif, curves.png and thinning.png too; of a model that places plants
     by densities, densities.png; of one with water, maps.nc and water.png; on request, modules.parquet. No snapshot is
-    held but the current one. Fellings and plantings thin a stand as no crowding does: with them there is no
-    self-thinning line. Obstacles, which are in the history, are no plants in pictures and statistics.
-
-    `check_map_steps` checks whether the simulation reaches `map_steps`.
+    held but the current one. With fellings and plantings there is no self-thinning line: they thin a stand as no
+    crowding does. Obstacles are no plants in pictures and statistics. `check_map_steps` checks `map_steps`.
     """
     observer = _Observer(folder, plan, map_steps)
     skeletons = capability(plan.model, OwnSkeletons)
@@ -167,37 +165,22 @@ def map_colours(plan: CommunityPlan) -> dict[str, str]:
 def check_graphs(plan: CommunityPlan, paths: Sequence[Path]) -> None:
     """Refuse, before anything is simulated, graphs of plants without branches and files that cannot be written."""
     if paths and capability(plan.model, OwnSkeletons) is None:
-        raise RecipeError(
-            "plants of this community have no branches of their own",
-            parameter="graphs",
-            expected=f"community.model: {models_with(OwnSkeletons)}",
-            got=plan.drawn.recipe.community.model,
-            hint="forestgen plant NAME --out exports a single plant",
-        )
+        problem = "plants of this community have no branches of their own"
+        expected, got = f"community.model: {models_with(OwnSkeletons)}", plan.drawn.recipe.community.model
+        hint = "forestgen plant NAME --out exports a single plant"
+        raise RecipeError(problem, parameter="graphs", expected=expected, got=got, hint=hint)
     for path in paths:
         if path.suffix.lower() not in GRAPH_FORMATS:
-            raise RecipeError(
-                "no format for skeletal graphs",
-                parameter="graphs",
-                expected=f"a name that ends with {', '.join(GRAPH_FORMATS)}",
-                got=str(path),
-            )
+            expected = f"a name that ends with {', '.join(GRAPH_FORMATS)}"
+            raise RecipeError("no format for skeletal graphs", parameter="graphs", expected=expected, got=str(path))
         if path.is_dir() or not os.access(path.parent, os.W_OK):
-            raise OutputError(
-                "the graph cannot be written",
-                where=str(path),
-                expected="a file in a folder that there is, and that may be written to",
-                got="a folder" if path.is_dir() else "no such folder" if not path.parent.is_dir() else "no permission",
-            )
+            expected = "a file in a folder that there is, and that may be written to"
+            got = "a folder" if path.is_dir() else "no such folder" if not path.parent.is_dir() else "no permission"
+            raise OutputError("the graph cannot be written", where=str(path), expected=expected, got=got)
 
 
 def write_graphs(plan: CommunityPlan, population: Population, paths: Sequence[Path]) -> None:
-    """Write the graphs of all plants of a snapshot, at their places in the world; z counts from the ground's height.
-
-    Raises
-    ------
-    OutputError : a file cannot be written.
-    """
+    """Write the graphs of a snapshot's plants, in the world; z counts from the ground. Raises `OutputError`."""
     skeletons, modules = capability(plan.model, OwnSkeletons), population.modules
     if not paths or modules is None or skeletons is None:
         return

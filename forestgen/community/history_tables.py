@@ -1,9 +1,8 @@
 """Files beside a community's history: the modules of its plants, and the maps of its ground.
 
-``modules.parquet`` has one row a module a snapshot. Columns: ``step``, ``plant_id`` and those of `Modules`; ``base_m``
-as ``base_x_m``, ``base_y_m``, ``base_z_m``, and ``rotation`` as ``rotation_w`` to ``rotation_z``. `parent` is the row
-of the module that bears it, counted from its plant's first row. A snapshot is one row group. The metadata, JSON under
-``forestgen.modules``, has the number of modules of every snapshot and the checksum of their columns.
+``modules.parquet`` has one row a module a snapshot, and a row group a snapshot; its columns are in
+docs/branch_modules.md. The metadata, JSON under ``forestgen.modules``, has the number of modules of every snapshot and
+their checksum.
 
 ``maps.nc`` is NetCDF-4. Dimensions ``snapshot``, ``y`` and ``x``; coordinates ``y`` and ``x`` are the cells' middles in
 the world, metres, row 0 at the least y; ``step`` and ``time_yr`` identify the snapshots. Values are as they were, in
@@ -15,7 +14,7 @@ The history has the same numbers and checksums: so it refuses files of another s
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -24,6 +23,7 @@ from zlib import crc32
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from forestgen.architecture.modules import Modules
 from forestgen.community.population import Floats, Population
@@ -33,16 +33,9 @@ from forestgen.core.processes import free_bytes
 MODULES_NAME, MAPS_NAME = "modules.parquet", "maps.nc"
 _KEY = b"forestgen.modules"
 _PLAIN = {
-    "number": pa.uint32(),
-    "parent": pa.int32(),
-    "node": pa.int16(),
-    "prototype": pa.uint8(),
-    "age": pa.float32(),
-    "age_yr": pa.float32(),
-    "vigour": pa.float32(),
-    "light": pa.float32(),
-    "disused_m2": pa.float32(),
-}
+    "number": pa.uint32(), "parent": pa.int32(), "node": pa.int16(), "prototype": pa.uint8(),
+    **dict.fromkeys(("age", "age_yr", "vigour", "light", "disused_m2"), pa.float32()),
+}  # fmt: skip
 _SPLIT = {
     "base_m": ("base_x_m", "base_y_m", "base_z_m"),
     "rotation": ("rotation_w", "rotation_x", "rotation_y", "rotation_z"),
@@ -78,19 +71,19 @@ def refuse_large(need_bytes: float, what: str) -> None:
     """Raise `ResourceError` for what does not fit into memory: a small file may announce a large table."""
     free = free_bytes()
     if need_bytes > free / 2:
-        raise ResourceError(
-            f"the history's {what} do not fit into memory",
-            expected=f"at most half of the {free / 1e9:.1f} GB that are free",
-            got=f"{need_bytes / 1e9:,.1f} GB",
-        )
+        expected, got = f"at most half of the {free / 1e9:.1f} GB that are free", f"{need_bytes / 1e9:,.1f} GB"
+        raise ResourceError(f"the history's {what} do not fit into memory", expected=expected, got=got)
 
 
-class _Writer:
+class Writer:
     """Writes something of snapshots as they come; the file appears when it is complete."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.partial = path, path.with_name(path.name + ".partial")
         self.file: Any = None  # None: there is nothing to write
+
+    def add(self, population: Population) -> None:
+        """Write a snapshot."""
 
     def finish(self) -> None:
         """What is left to write before the file is closed."""
@@ -111,7 +104,7 @@ class _Writer:
             self.partial.unlink(missing_ok=True)
 
 
-class ModuleWriter(_Writer):
+class ModuleWriter(Writer):
     """Writes the modules of snapshots."""
 
     def __init__(self, path: Path) -> None:
@@ -120,7 +113,6 @@ class ModuleWriter(_Writer):
         self.file = pq.ParquetWriter(self.partial, _SCHEMA, compression="zstd")
 
     def add(self, population: Population) -> None:
-        """Write a snapshot's modules."""
         modules = population.modules
         if modules is None or not len(modules):
             self.marks.append((0, 0))
@@ -138,15 +130,19 @@ class ModuleWriter(_Writer):
         self.marks.append((len(modules), _checksum(table)))
 
     def finish(self) -> None:
-        """Add the metadata."""
         self.file.add_key_value_metadata({_KEY: json.dumps(self.marks).encode()})
 
 
 def _checksum(table: Any) -> int:
     """Of the values of all columns, in their order."""
+    return _crc32(table.column(name).to_numpy() for name in _SCHEMA.names)
+
+
+def _crc32(arrays: Iterable[NDArray[Any]]) -> int:
+    """CRC-32 of the bytes of arrays, one after the other."""
     found = 0
-    for name in _SCHEMA.names:
-        found = crc32(np.ascontiguousarray(table.column(name).to_numpy()).tobytes(), found)
+    for values in arrays:
+        found = crc32(np.ascontiguousarray(values).tobytes(), found)
     return found
 
 
@@ -185,7 +181,7 @@ def read_modules(path: Path, population: Population, marks: Sequence[Sequence[in
         return Modules(first=first, **{name: columns[name] for name in _PLAIN}, **split)
 
 
-class MapWriter(_Writer):
+class MapWriter(Writer):
     """Writes the maps of snapshots, if they have any; cells are a metre where `size_m` is None."""
 
     def __init__(self, path: Path, size_m: tuple[float, float] | None) -> None:
@@ -195,7 +191,6 @@ class MapWriter(_Writer):
         self.sums: list[int] = []  # of each snapshot's maps
 
     def add(self, population: Population) -> None:
-        """Write a snapshot's maps."""
         if self.sums and list(population.maps) != self.names:
             raise ValueError("all snapshots of a history must have the same maps")
         if population.maps and self.file is None:
@@ -207,7 +202,7 @@ class MapWriter(_Writer):
             self.file.variables["time_yr"][number] = population.time_yr
             for name, values in population.maps.items():
                 self.file.variables[name][number] = values
-        self.sums.append(_sum(population.maps))
+        self.sums.append(_crc32(np.asarray(values, np.float64) for values in population.maps.values()))
 
     def _begin(self, maps: Mapping[str, Floats]) -> None:
         import h5netcdf
@@ -232,14 +227,6 @@ class MapWriter(_Writer):
             variable.attrs["units"] = next((unit for end, unit in _UNITS.items() if name.endswith(end)), "1")
 
 
-def _sum(maps: Mapping[str, Floats]) -> int:
-    """CRC-32 of the bytes of maps, one after the other."""
-    total = 0
-    for values in maps.values():
-        total = crc32(np.asarray(values, dtype=np.float64).tobytes(), total)
-    return total
-
-
 def read_maps(path: Path, step: int, names: Sequence[str], expected_sum: int) -> dict[str, Floats]:
     """The maps of the snapshot of a step.
 
@@ -261,6 +248,6 @@ def read_maps(path: Path, step: int, names: Sequence[str], expected_sum: int) ->
             raise ValueError(f"it has no map of step {step}")
         refuse_large(sum(8 * file[name].size // max(1, len(file["step"])) for name in names), "maps")
         maps = {name: np.array(file[name][int(found[0])], dtype=np.float64) for name in names}
-        if _sum(maps) != expected_sum:
+        if _crc32(maps.values()) != expected_sum:
             raise ValueError("its maps are those of another history, or damaged")
         return maps

@@ -21,10 +21,9 @@ from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.population import Floats
 from forestgen.community.registry import COMPETITION_MODELS, DEFAULT_COMPETITION_MODEL
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.compiler import Value, compile_program, settable, with_values
+from forestgen.lsystem.compiler import Program, Value, compile_program, settable, with_values
 from forestgen.lsystem.multiset import Kind, Multiset, words_as_text
 from forestgen.lsystem.parsing import parse_text
-from forestgen.lsystem.program import Program
 from forestgen.lsystem.syntax import ProgramAST
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.fields import Section, Text, part_name, violation

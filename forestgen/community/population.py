@@ -15,6 +15,10 @@ from forestgen.architecture.modules import Modules
 from forestgen.core.frames import BREAST_HEIGHT_M
 
 Floats = NDArray[np.float64]
+Floats32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.int64]
+SpeciesIndex = NDArray[np.uint16]  # of plants: index in the recipe's species
 
 
 class Status(IntEnum):

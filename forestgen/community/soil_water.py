@@ -11,28 +11,24 @@ unit does not fit; and what runs downhill leaves one cell and enters the next (a
 section 4.7.2.1's "infiltration is diminishing with the steepness of slopes". The source leaves both v open: soil water
 follows Darcy's law, surface water Manning's, in which speed goes with the root of the slope.
 
-A time is cut into equal sub-steps of at most `substep_days`. In each, half an `exchange` within the cells, then
-`Transport` between them, then the other half (Strang: second order where the ground is a plane). Sub-steps serve
-accuracy alone: any length is stable, keeps all water and makes nothing negative. At the default of half a day the two
-waters of a pattern of 40 m are right to 1%, and those of longer waves better.
+A time is cut into equal sub-steps of at most `substep_days`: half an `exchange` within the cells, `Transport` between
+them, the other half (Strang: second order where the ground is a plane). Any length is stable, keeps all water and makes
+nothing negative. At half a day, the default, the two waters of a pattern of 40 m are right to 1%.
 
-The parameters' defaults are those of Rietkerk et al. 2002 but for three that are not given there: both speeds downhill
-and `half_infiltration_gradient`.
+Defaults are those of Rietkerk et al. 2002, but for both speeds downhill and `half_infiltration_gradient`.
 
-Water spreads and runs downhill on a grid, exact for any time and never below 0. Finite volumes: a cell gives each
-neighbour a rate of what it holds, D / dx^2 by diffusion, and the speed downhill / dx where that neighbour lies lower
-(upwind). All else follows from these rates:
+Transport is by finite volumes: a cell gives each neighbour a rate of what it holds, D / dx^2 by diffusion, and the
+speed downhill / dx where that neighbour lies lower (upwind).
 
 - On a plane the rates are the same everywhere, so the system is diagonal in Fourier's basis, or in that of cosines
-  between closed edges: its exponential moves any field over any time, exactly as the rates say. What moves little in
-  the time takes one step of Euler's instead, at a tenth of the cost.
+  between closed edges: its exponential moves any field over any time exactly. What moves little takes one step of
+  Euler's instead, at a tenth of the cost.
 - Over heights the downhill part takes one implicit step of Euler's. Water only ever runs to a lower cell, so the cells
-  are solved one after another from the highest: each is a linear reservoir that the ones above fill. No step is too
-  long for it; long ones smear the way downhill, as a chain of reservoirs does.
+  are solved one after another from the highest. Any step is stable; long ones smear the way downhill.
 
-Both have a matrix without negative elements whose columns sum to 1. So nothing is lost or made but by rounding, nothing
-turns negative, and results do not depend on the number of threads. Diffusion's error is of second order in the cells'
-width, that of running downhill of first order.
+Both have a matrix without negative elements whose columns sum to 1: nothing is lost or made but by rounding, and
+results do not depend on the number of threads. Diffusion's error is of second order in the cells' width, that of
+running downhill of first order.
 
 References
 ----------
@@ -55,7 +51,6 @@ from forestgen.core.threads import cores, parallel_for
 
 Floats = NDArray[np.float64]
 Map = NDArray[np.floating] | float
-SUBSTEP_DAYS = 0.5
 _MANNING = 0.5  # power of the gradient
 _LITTLE = 0.25  # the share of a cell that leaves it: up to here one explicit step will do
 _SMALL = 100_000  # cells, below which a transform is done before other threads have begun
@@ -337,10 +332,6 @@ class WaterBudget:
         rain, uptake, loss = later.rain_mm, later.uptake_mm, later.loss_mm
         return WaterBudget(self.start_mm, self.rain_mm + rain, self.uptake_mm + uptake, self.loss_mm + loss)
 
-    def error_mm(self, stored_mm: float) -> float:
-        """What was made of nothing, with so much on the surface and in the soil at the end: rounding."""
-        return stored_mm + self.uptake_mm + self.loss_mm - self.rain_mm - self.start_mm
-
 
 @dataclass(frozen=True)
 class Passed:
@@ -363,13 +354,7 @@ class SoilWater:
         self._level = 1.0 / (1.0 + ground.steepness() / p.half_infiltration_gradient)
 
     def advance(
-        self,
-        water: Water,
-        days: float,
-        *,
-        plants_g_per_m2: Map,
-        rain_mm_per_day: Map,
-        substep_days: float = SUBSTEP_DAYS,
+        self, water: Water, days: float, *, plants_g_per_m2: Map, rain_mm_per_day: Map, substep_days: float = 0.5
     ) -> Passed:
         """The water after a time in which plants and rain, maps or one number each, stay as they are."""
         shape = self.ground.shape
@@ -388,20 +373,14 @@ class SoilWater:
 
         The arrays that are given hold anything afterwards, but for plants and rain.
         """
-        sinks = self._infiltration_per_day(fields.plants)
+        p, plants, half = self.parameters, fields.plants, self.parameters.half_infiltration_g_per_m2
+        sinks = p.infiltration_per_day * self._level * (plants + half * p.bare_infiltration) / (plants + half)
         self._exchange(fields, sinks, 0.5 * days)
         for number in range(count):
             soil, surface = self._soil.over(fields.soil, days), self._surface.over(fields.surface, days)
             fields = fields._replace(soil=soil, surface=surface)
             self._exchange(fields, sinks, days if number + 1 < count else 0.5 * days)
         return fields.soil, fields.surface
-
-    def _infiltration_per_day(self, plants: Floats) -> Floats:
-        p = self.parameters
-        half = p.half_infiltration_g_per_m2
-        return np.asarray(
-            p.infiltration_per_day * self._level * (plants + half * p.bare_infiltration) / (plants + half)
-        )
 
     def _exchange(self, fields: Fields, sinks: Floats, days: float) -> None:
         p = self.parameters

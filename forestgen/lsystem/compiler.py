@@ -1,88 +1,107 @@
-"""From a `ProgramAST` to a `Program`: checked, made into code, and laid out in the VM's two tables.
-
-User-defined functions are curves by control points, as cpfg's function editor makes them: those of a clamped cubic
-B-spline (of lower degree where there are fewer than four). The curve begins at the first, ends at the last, and its
-value at x is where it crosses x. Outside, the end values hold.
-"""
+"""From a `ProgramAST` to a `Program`: checked, made into code, and laid out in the VM's two tables."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
+from forestgen.lsystem import syntax
 from forestgen.lsystem import vm_layout as layout
-from forestgen.lsystem.checks import check_arities, check_brackets, check_heads, check_probabilities
-from forestgen.lsystem.codegen import CodeGenerator, Region, Scope, assigned, fold
-from forestgen.lsystem.multiset import CLOSE, OPEN, RESERVED
-from forestgen.lsystem.program import Program, RuleSet
-from forestgen.lsystem.syntax import (
-    Expression,
-    Macro,
-    Module,
-    Name,
-    Number,
-    Place,
-    Production,
-    ProgramAST,
-    Statement,
-    points_problem,
-)
+from forestgen.lsystem.codegen import CodeGenerator, Scope, fold, formals
+from forestgen.lsystem.multiset import CLOSE, OPEN, QUERIES, RESERVED, Kind
+from forestgen.lsystem.syntax import FIRST, Place, fail, points_problem
 
+#: The turtle gives these defaults: they may come with and without parameters.
+TURTLE_SYMBOLS = frozenset([*"FfGg+-&^\\/|$!#';,_{}.~<>@%", "@v", "@Gs", "@Gc", "@Ge"])
 DEEPEST = 100_000  # decomposition, where the program states no maximum depth
-_SAMPLES_A_SPAN = 64
 
 #: What a caller may set: a #define's or an array's value, or a function's control points.
 Value = float | Sequence[float] | Sequence[tuple[float, float]]
 
 
-def with_values(ast: ProgramAST, values: Mapping[str, Value]) -> ProgramAST:
+@dataclass(frozen=True)
+class RuleSet:
+    """A set of productions: where the VM finds it, and how much it writes."""
+
+    address: int  # in the table of whole numbers: for each kind, where its productions begin; -1: there are none
+    most_modules: NDArray[np.int64]  # (number of kinds,) written for a module of a kind, at most
+    most_values: NDArray[np.int64]  # (number of kinds,) parameters of these
+
+
+@dataclass(frozen=True)
+class Program:
+    """An L-system, ready to run."""
+
+    ast: syntax.ProgramAST
+    kinds: tuple[Kind, ...]
+    whole: NDArray[np.int64]  # code, productions, arities: see vm.py
+    real: NDArray[np.float64]  # constants, global and local variables, arrays, functions, stack
+    productions: RuleSet
+    decomposition: RuleSet
+    interpretation: RuleSet
+    none: RuleSet  # without productions
+    decomposition_depth: int
+    interpretation_depth: int
+    has_contexts: bool
+    longest_successor: tuple[int, int]  # modules and parameters
+    longest_context: int
+    axiom: tuple[int, ...]  # where each word's code begins
+    start: int  # where code begins that runs before the derivation; -1: none
+    start_each: int  # before each step
+    end_each: int  # after each step
+    globals_at: NDArray[np.int64]  # (number of globals,) addresses in `real`
+    globals: tuple[str, ...]  # names; the first is the current group
+    groups: frozenset[int]
+    counted: tuple[tuple[int, str], ...]  # globals that hold the number of modules of a symbol
+    places: dict[int, Place]  # in the text, of each instruction by its address in `whole`
+    derivation_length: int | None
+
+    @property
+    def name(self) -> str:
+        return self.ast.name
+
+
+def with_values(ast: syntax.ProgramAST, values: Mapping[str, Value]) -> syntax.ProgramAST:
     """The program with other values of its #defines, arrays and functions.
 
     Raises `LsystemError` for a name that it does not define, or a value of the wrong sort.
     """
     macros, arrays, functions = dict(ast.macros), dict(ast.arrays), dict(ast.functions)
+    value: Any  # checked here
     for name, value in values.items():
-        if name in macros and macros[name].parameters is None and isinstance(value, int | float):
-            macros[name] = Macro(None, Number(float(value), macros[name].place), macros[name].place)
-        elif name in arrays and _is_flat(value):
-            arrays[name] = tuple(float(one) for one in value)  # type: ignore[union-attr,arg-type]
-        elif name in functions and _is_points(value):
-            points = tuple((float(x), float(y)) for x, y in value)  # type: ignore[union-attr,misc]
+        is_number = isinstance(value, int | float)
+        numbers = 0 if is_number else sum(isinstance(one, int | float) for one in value)
+        if name in macros and macros[name].parameters is None and is_number:
+            macros[name] = syntax.Macro(None, syntax.Number(float(value), macros[name].place), macros[name].place)
+        elif name in arrays and not is_number and numbers == len(value):
+            arrays[name] = tuple(float(one) for one in value)
+        elif name in functions and not is_number and not numbers:
+            points = tuple((float(x), float(y)) for x, y in value)
             problem = points_problem(points)
             if problem:
                 raise LsystemError(f"function {name} is wrong", where=ast.name, expected=problem, got=repr(points))
             functions[name] = points
-        else:
+        elif name in macros or name in arrays or name in functions:
             sort = "a list of numbers" if name in arrays else "[x, y] points" if name in functions else "a number"
-            known = name in macros or name in arrays or name in functions
-            raise LsystemError(
-                f"{name} cannot be set so" if known else f"the program defines no {name}",
-                where=ast.name,
-                expected=sort if known else ", ".join(settable(ast)) or "it defines nothing that can be set",
-                got=repr(value) if known else name,
-            )
+            raise LsystemError(f"{name} cannot be set so", where=ast.name, expected=sort, got=repr(value))
+        else:
+            known = ", ".join(settable(ast)) or "it defines nothing that can be set"
+            raise LsystemError(f"the program defines no {name}", where=ast.name, expected=known, got=name)
     return replace(ast, macros=macros, arrays=arrays, functions=functions)
 
 
-def _is_flat(value: Value) -> bool:
-    return not isinstance(value, int | float) and all(isinstance(one, int | float) for one in value)
-
-
-def _is_points(value: Value) -> bool:
-    return not isinstance(value, int | float) and not any(isinstance(one, int | float) for one in value)
-
-
-def settable(ast: ProgramAST) -> list[str]:
+def settable(ast: syntax.ProgramAST) -> list[str]:
     """Names of the values that `with_values` can change."""
     plain = [name for name, macro in ast.macros.items() if macro.parameters is None]
     return [*plain, *ast.arrays, *ast.functions]
 
 
-def compile_program(ast: ProgramAST) -> Program:
+def compile_program(ast: syntax.ProgramAST) -> Program:
     """Check a program and compile it; raises `LsystemError`, with line and column, where it is wrong."""
     try:
         return _Compiler(ast).program()
@@ -90,116 +109,93 @@ def compile_program(ast: ProgramAST) -> Program:
         raise LsystemError("an expression is too long or too deep", where=ast.name) from error
 
 
-@dataclass(frozen=True)
-class Rule:
-    """A production: kinds, and where its code begins in the generated code (-1: it has none)."""
-
-    group: int
-    left: tuple[int, ...]
-    predecessor: tuple[int, ...]
-    right: tuple[int, ...]  # with the brackets of its branches
-    condition: int
-    probability: int
-    successor: int
-    most_modules: int
-    most_values: int
-    plain: tuple[int, ...] | None  # the successor's kinds where it always applies and has no parameters
-
-
 class _Compiler:
-    def __init__(self, ast: ProgramAST) -> None:
-        self.ast = ast
-        blocks = (ast.start, ast.start_each, ast.end_each, ast.end)
-        names = dict.fromkeys(name for block in blocks for statement in block for name in assigned(statement))
-        self.e = CodeGenerator(ast.name, ast.macros, list(ast.arrays), list(ast.functions), ["", *names])
-        self.e.groups |= {production.group for production in ast.productions}
+    def __init__(self, ast: syntax.ProgramAST) -> None:
+        self.ast, self.e = ast, CodeGenerator(ast)
         for kind in RESERVED:
             self.e.kind(*kind)
 
     def program(self) -> Program:
+        one, code = self.ast, self.e
+        self.check()
+        axiom = tuple(self.code(word) for word in one.axiom)
+        sets = (one.productions, one.decomposition.productions, one.interpretation.productions)
+        records = [[self.production(production) for production in rules] for rules in sets]
+        blocks = (one.start, one.start_each, one.end_each, one.end)  # the last has nothing to change, but must be right
+        start, start_each, end_each, _ = (self.code(block=block) if block else -1 for block in blocks)
+        arity = [kind.arity for kind in code.kinds]
+        code.whole[layout.ARITY], code.whole[layout.IGNORED] = code.append(arity), code.append(self.ignored())
+        code.whole[layout.STACK] = code.append_reals([0.0] * (code.stack_size + 1))
+        productions, decomposition, interpretation = (_rule_set(code, rules, arity) for rules in records)
+        every_record, length = [record for rules in records for record in rules], one.derivation_length
+
+        def most(*columns: int) -> int:
+            return max([1, *(record[column] for record in every_record for column in columns)])
+
+        return Program(
+            ast=one,
+            kinds=tuple(code.kinds),
+            whole=np.array(code.whole, dtype=np.int64),
+            real=np.array(code.real, dtype=np.float64),
+            productions=productions,
+            decomposition=decomposition,
+            interpretation=interpretation,
+            none=_rule_set(code, (), arity),
+            decomposition_depth=self.number(one.decomposition.maximum_depth, DEEPEST, "maximum depth"),
+            interpretation_depth=self.number(one.interpretation.maximum_depth, 1, "maximum depth"),
+            has_contexts=any(record[layout.LEFTS] or record[layout.RIGHTS] for record in records[0]),
+            longest_successor=(most(layout.MOST_MODULES), max(most(layout.MOST_VALUES), *arity)),
+            longest_context=most(layout.LEFTS, layout.RIGHTS),
+            axiom=axiom,
+            start=start,
+            start_each=start_each,
+            end_each=end_each,
+            globals_at=np.array(list(code.globals.values()), dtype=np.int64),
+            globals=tuple(code.globals),
+            groups=frozenset(code.groups),
+            counted=tuple(code.counted),
+            places=code.places,
+            derivation_length=None if length is None else self.number(length, 0, "derivation length"),
+        )
+
+    def check(self) -> None:
+        """What is wrong with productions and words as a whole."""
         one = self.ast
         for production in one.all_productions:
-            check_heads(production, one)
-            check_brackets(production.successor, one)
+            _check_heads(production, one)
+            _check_brackets(production.successor, one)
         for production in (*one.decomposition.productions, *one.interpretation.productions):
             if production.left or production.right or len(production.predecessor) > 1:
                 problem = "a production of a block must be context-free"
                 self.e.fail(problem, production.place, expected="one module before the arrow")
         for word in one.axiom:
-            check_brackets(word, one)
-        check_arities(one)
-        groups = (one.productions, one.decomposition.productions, one.interpretation.productions)
-        for rules in groups:
-            check_probabilities(rules, one)
-        axiom = [self.word(word) for word in one.axiom]
-        sets = [[self.production(production) for production in rules] for rules in groups]
-        blocks = [self.block(block) for block in (one.start, one.start_each, one.end_each)]
-        self.block(one.end)  # nothing is left for it to change, but it must be right
-        whole, real, packed, bases = _tables(self.e, one, sets, self.ignored())
-        code_at = bases[Region.CODE]
-        addresses = [begin if begin < 0 else code_at + 2 * begin for begin in (*axiom, *blocks)]
-        every_rule = [rule for group in sets for rule in group]
-        length = one.derivation_length
-        return Program(
-            ast=one,
-            kinds=tuple(self.e.kinds),
-            whole=whole,
-            real=real,
-            productions=packed[0],
-            decomposition=packed[1],
-            interpretation=packed[2],
-            decomposition_depth=self.whole(one.decomposition.maximum_depth, DEEPEST, "maximum depth"),
-            interpretation_depth=self.whole(one.interpretation.maximum_depth, 1, "maximum depth"),
-            has_contexts=any(rule.left or rule.right for rule in sets[0]),
-            longest_successor=(
-                max([1, *(rule.most_modules for rule in every_rule)]),
-                max([1, *(rule.most_values for rule in every_rule), *(kind.arity for kind in self.e.kinds)]),
-            ),
-            longest_context=max([1, *(max(len(rule.left), len(rule.right)) for rule in every_rule)]),
-            axiom=tuple(addresses[: len(axiom)]),
-            axiom_size=tuple((len(word), sum(len(m.arguments) for m in word)) for word in one.axiom),
-            start=addresses[-3],
-            start_each=addresses[-2],
-            end_each=addresses[-1],
-            globals_at=bases[Region.GLOBAL],
-            globals=tuple(self.e.globals),
-            groups=frozenset(self.e.groups),
-            counted=tuple((slot, symbol) for symbol, slot in self.e.counted.items()),
-            code_at=code_at,
-            places=tuple(instruction.place for instruction in self.e.code),
-            derivation_length=None if length is None else self.whole(length, 0, "derivation length"),
-        )
+            _check_brackets(word, one)
+        _check_arities(one)
+        for rules in (one.productions, one.decomposition.productions, one.interpretation.productions):
+            _check_probabilities(rules, one)
 
-    def word(self, modules: tuple[Module, ...]) -> int:
-        scope = Scope(self.e)
+    def code(self, word: Sequence[syntax.Module] = (), block: Sequence[syntax.Statement] = ()) -> int:
+        """The address of code that emits a word's modules, or runs a block's statements."""
+        scope = Scope(self.e, is_global=bool(block))
         begin = scope.begin()
-        scope.modules(modules)
-        scope.returns(modules[-1].place if modules else Place(1, 1))
+        scope.statements(block)
+        scope.modules(word)
+        scope.returns([FIRST, *(one.place for one in (*word, *block))][-1])
         return begin
 
-    def block(self, statements: tuple[Statement, ...]) -> int:
-        if not statements:
-            return -1
-        scope = Scope(self.e, is_global=True)
-        begin = scope.begin()
-        scope.statements(statements)
-        scope.returns(statements[-1].place)
-        return begin
-
-    def production(self, one: Production) -> Rule:
-        heads = (one.left, one.predecessor, one.right)
-        left, predecessor, right = (
-            tuple(self.e.kind(module.symbol, len(module.arguments)) for module in part) for part in heads
+    def production(self, one: syntax.Production) -> list[int]:
+        """Its record, as vm_layout.py says; its code and its lists of kinds are laid out."""
+        left, head, right = (
+            [self.e.kind(module.symbol, len(module.arguments)) for module in part]
+            for part in (one.left, one.predecessor, one.right)
         )
-        formals = [(a.name, a.place) for part in heads for m in part for a in m.arguments if isinstance(a, Name)]
-        scope = Scope(self.e, formals)
-        condition = -1
+        scope = Scope(self.e, formals(one))
+        condition = probability = -1
         if one.condition is not None or one.before:
             condition = scope.begin()
             scope.statements(one.before)
-            scope.expression(one.condition or Number(1.0, one.place))
+            scope.expression(one.condition or syntax.Number(1.0, one.place))
             scope.returns(one.place)
-        probability = -1
         if one.probability is not None:
             probability = scope.begin()
             scope.expression(one.probability)
@@ -208,31 +204,24 @@ class _Compiler:
         scope.statements(one.after)
         scope.modules(one.successor)
         scope.returns(one.place)
-        is_plain = (
-            condition < 0 and probability < 0 and not left and not right and len(predecessor) == 1
-            and one.group == 0 and not one.after and not any(module.arguments for module in one.successor)
-        )  # fmt: skip
-        return Rule(
-            group=one.group,
-            left=left,
-            predecessor=predecessor,
-            right=right,
-            condition=condition,
-            probability=probability,
-            successor=successor,
-            most_modules=len(one.successor),
-            most_values=sum(len(module.arguments) for module in one.successor),
-            plain=tuple(self.e.kind(module.symbol, 0) for module in one.successor) if is_plain else None,
-        )
+        arguments = sum(len(module.arguments) for module in one.successor)
+        is_plain = condition < 0 and probability < 0 and not (left or right or one.group or one.after or arguments)
+        plain = [self.e.kind(one.symbol, 0) for one in one.successor] if is_plain and len(head) == 1 else None
+        add = self.e.append
+        return [
+            one.group, condition, probability, successor, add(left), len(left), add(head), len(head),
+            add(_with_branches(right)), len(right), len(one.successor), arguments,
+            -1 if plain is None else add(plain), len(plain or ()),
+        ]  # fmt: skip
 
-    def ignored(self) -> list[bool]:
+    def ignored(self) -> list[int]:
         """For each kind, whether contexts see through it."""
         considered = self.ast.considered
         hidden = {module.symbol for module in self.ast.ignored}
         seen = None if considered is None else {module.symbol for module in considered}
         return [kind.symbol in hidden or (seen is not None and kind.symbol not in seen) for kind in self.e.kinds]
 
-    def whole(self, expression: Expression | None, default: int, what: str) -> int:
+    def number(self, expression: syntax.Expression | None, default: int, what: str) -> int:
         if expression is None:
             return default
         value = fold(expression, self.ast.macros, self.ast.name)
@@ -241,87 +230,22 @@ class _Compiler:
         return int(value)
 
 
-def _tables(
-    code: CodeGenerator, ast: ProgramAST, sets: Sequence[Sequence[Rule]], ignored: Sequence[bool]
-) -> tuple[NDArray[np.int64], NDArray[np.float64], tuple[RuleSet, ...], dict[Region, int]]:
-    """Code, productions and values as vm_layout.py says, and where each region begins."""
-    real, bases, stack, array_at, function_at = _reals(code, ast)
-    whole = [0] * layout.HEADER
-    arity = [kind.arity for kind in code.kinds]
-    whole[layout.ARITY] = _append(whole, arity)
-    whole[layout.IGNORED] = _append(whole, [int(one) for one in ignored])
-    numbers = list(code.functions.values())
-    by_number = dict(zip(numbers, function_at, strict=True))
-    most = max(numbers, default=0)
-    pairs = [by_number.get(number, (0, 0)) for number in range(1, most + 1)]  # no samples: there is no such function
-    whole[layout.FUNCTION_AT] = _append(whole, [one for pair in pairs for one in pair])
-    whole[layout.FUNCTIONS] = most
-    whole[layout.STACK], whole[layout.LOCALS] = stack, bases[Region.LOCAL]
-    whole[layout.SPARE], whole[layout.LOCAL_SIZE] = bases[Region.LOCAL] + code.local_size, code.local_size
-    bases[Region.ARRAY] = _append(whole, [one for pair in array_at for one in pair])
-    bases[Region.CODE] = code_at = len(whole)
-    for one in code.code:
-        size = 2 if one.region in (Region.CODE, Region.ARRAY) else 1
-        whole += [one.operation, bases[one.region] + size * one.operand]
-    packed = tuple(_pack_rules(whole, rules, code_at, arity) for rules in sets)
-    return np.array(whole, dtype=np.int64), real, packed, bases
-
-
-def _append(whole: list[int], values: Sequence[int]) -> int:
-    """The address where the values begin."""
-    whole += values
-    return len(whole) - len(values)
-
-
-def _reals(
-    code: CodeGenerator, ast: ProgramAST
-) -> tuple[NDArray[np.float64], dict[Region, int], int, list[tuple[int, int]], list[tuple[int, int]]]:
-    """The table of real numbers; its regions, the stack, arrays (first, last) and functions (first, samples)."""
-    constants, global_size = len(code.constants), len(code.globals)
-    bases = {Region.NOTHING: 0, Region.CONSTANT: 0, Region.GLOBAL: constants, Region.LOCAL: constants + global_size}
-    parts = [np.array(list(code.constants), dtype=np.float64), np.zeros(global_size + 2 * code.local_size)]
-    at = constants + len(parts[-1])
-    array_at, function_at = [], []
-    for values in ast.arrays.values():
-        parts.append(np.array(values, dtype=np.float64))
-        array_at.append((at, at + len(values)))
-        at += len(values)
-    for points in ast.functions.values():
-        x, y = _sampled(points)
-        parts += [x, y]
-        function_at.append((at, len(x)))
-        at += 2 * len(x)
-    parts.append(np.zeros(code.stack_size + 1))
-    return np.concatenate(parts), bases, at, array_at, function_at
-
-
-def _pack_rules(whole: list[int], rules: Sequence[Rule], code_at: int, arity: Sequence[int]) -> RuleSet:
-    """Records of the productions, sorted by the first kind of their predecessors and else in their own order."""
+def _rule_set(code: CodeGenerator, records: Sequence[list[int]], arity: Sequence[int]) -> RuleSet:
+    """Lay out records of productions, sorted by the first kind of their predecessors and else in their own order."""
     modules, values = np.ones(len(arity), np.int64), np.array(arity, dtype=np.int64)
-    for rule in rules:
-        kind = rule.predecessor[0]
-        # The other modules of the predecessor have their own share.
-        rest = rule.predecessor[1:]
-        modules[kind] = max(modules[kind], rule.most_modules - len(rest))
-        values[kind] = max(values[kind], rule.most_values - sum(arity[one] for one in rest))
-    if not rules:
+    heads = [code.whole[one[layout.HEAD] : one[layout.HEAD] + one[layout.HEADS]] for one in records]
+    for record, (kind, *rest) in zip(records, heads, strict=True):  # the rest have their own share
+        modules[kind] = max(modules[kind], record[layout.MOST_MODULES] - len(rest))
+        values[kind] = max(values[kind], record[layout.MOST_VALUES] - sum(arity[one] for one in rest))
+    if not records:
         return RuleSet(-1, modules, values)
-    ordered = sorted(rules, key=lambda rule: rule.predecessor[0])  # stable
-    lists = [
-        [_append(whole, kinds) for kinds in (rule.left, rule.predecessor, _with_branches(rule.right), rule.plain or ())]
-        for rule in ordered
-    ]
-    records = len(whole)
-    for rule, (left, head, right, plain) in zip(ordered, lists, strict=True):
-        begins = (rule.condition, rule.probability, rule.successor)
-        code = [-1 if begin < 0 else code_at + 2 * begin for begin in begins]
-        whole += [
-            rule.group, *code, left, len(rule.left), head, len(rule.predecessor), right, len(rule.right),
-            rule.most_modules, rule.most_values, -1 if rule.plain is None else plain, len(rule.plain or ()),
-        ]  # fmt: skip
-    counts = np.bincount([rule.predecessor[0] for rule in ordered], minlength=len(arity))
-    first = records + layout.RECORD * np.concatenate([[0], np.cumsum(counts)])
-    return RuleSet(_append(whole, first.tolist()), modules, values)
+    kinds = np.array([kind for kind, *_ in heads])
+    begin = len(code.whole)
+    for index in np.argsort(kinds, kind="stable"):
+        code.append(records[index])
+    counts = np.bincount(kinds, minlength=len(arity))
+    first = begin + layout.RECORD * np.concatenate([[0], np.cumsum(counts)])
+    return RuleSet(code.append(first.tolist()), modules, values)
 
 
 def _with_branches(right: Sequence[int]) -> list[int]:
@@ -340,15 +264,90 @@ def _with_branches(right: Sequence[int]) -> list[int]:
     return [*right, *enclosing]
 
 
-def _sampled(points: Sequence[tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The curve as a fine polyline: x ascending, and y."""
-    control = np.array(points, dtype=np.float64)
-    degree = min(3, len(control) - 1)
-    if degree == 1:
-        return control[:, 0].copy(), control[:, 1].copy()
-    from scipy.interpolate import BSpline  # late: most programs have no functions
+def _check_heads(production: syntax.Production, ast: syntax.ProgramAST) -> None:
+    """Predecessor and contexts: brackets, balanced, in the right context only; as parameters only names."""
+    _check_brackets(production.right, ast, percent_turns=False)
+    for part, word in (("left context", production.left), ("predecessor", production.predecessor)):
+        bracket = next((module for module in word if module.symbol in "[]"), None)
+        if bracket is not None:
+            problem, expected = f"a bracket stands in a {part}", "modules only: branches may stand in the right context"
+            fail(problem, ast.name, bracket.place, expected=expected, got=bracket.symbol)
+    for module in (*production.left, *production.right, *production.predecessor):
+        if module.symbol == "%" and ast.dialect != "rhover":
+            fail("% cuts or fragments, and cannot be rewritten", ast.name, module.place)
+        for argument in module.arguments:
+            if not isinstance(argument, syntax.Name):
+                expected = f"{module.symbol}(x), with a condition on x where one is needed"
+                fail("a parameter before the arrow must be a name", ast.name, argument.place, expected=expected)
 
-    spans = len(control) - degree
-    knots = np.concatenate([np.zeros(degree), np.linspace(0, 1, spans + 1), np.ones(degree)])
-    curve = BSpline(knots, control, degree)(np.linspace(0, 1, spans * _SAMPLES_A_SPAN + 1))
-    return np.maximum.accumulate(curve[:, 0]), np.ascontiguousarray(curve[:, 1])
+
+def _check_brackets(
+    modules: Sequence[syntax.Module], ast: syntax.ProgramAST, *, percent_turns: bool | None = None
+) -> None:
+    """Brackets of a successor, a right context or an axiom's word are balanced, and take no parameters.
+
+    In a successor or an axiom % may turn the turtle: in rhover's dialect.
+    """
+    turns = ast.dialect == "rhover" if percent_turns is None else percent_turns
+    opened: list[Place] = []
+    for module in modules:
+        if module.symbol in "[]" and module.arguments:
+            fail("a bracket has no parameters", ast.name, module.place)
+        if module.symbol == "%" and module.arguments and not turns:
+            fail("% has no parameters", ast.name, module.place)
+        if module.symbol == "[":
+            opened.append(module.place)
+        elif module.symbol == "]":
+            if not opened:
+                fail("unbalanced brackets: this ] has no [", ast.name, module.place)
+            opened.pop()
+    if opened:
+        fail("unbalanced brackets: this [ has no ]", ast.name, opened[-1])
+
+
+def _check_arities(ast: syntax.ProgramAST) -> None:
+    """A symbol that productions know has a number of parameters that they know; any other has always the same."""
+    productions = ast.all_productions
+    known: dict[str, set[int]] = {}
+    for production in productions:
+        for module in production.predecessor:
+            known.setdefault(module.symbol, set()).add(len(module.arguments))
+    seen: dict[str, syntax.Module] = {}
+    successors = [production.successor for production in productions]
+    contexts = [part for production in productions for part in (production.left, production.right)]
+    for module in (module for word in (*ast.axiom, *successors, *contexts) for module in word):
+        symbol, arity = module.symbol, len(module.arguments)
+        if symbol in QUERIES and arity not in (2, 3):
+            fail(f"{symbol} takes 2 or 3 parameters", ast.name, module.place, got=str(arity))
+        if symbol in TURTLE_SYMBOLS or symbol in QUERIES:
+            continue
+        first = seen.setdefault(symbol, module)
+        wanted = known.get(symbol, {len(first.arguments)})
+        if arity not in wanted:
+            source = "productions" if symbol in known else f"line {first.place.line}"
+            expected = f"{' or '.join(map(str, sorted(wanted)))}, as in {source}"
+            problem = f"{symbol} stands here with {arity or 'no'} parameter{'s' * (arity != 1)}"
+            fail(problem, ast.name, module.place, expected=expected, got=str(arity))
+
+
+def _check_probabilities(productions: Sequence[syntax.Production], ast: syntax.ProgramAST) -> None:
+    """Known probabilities lie in [0, 1], and those of productions with one head and condition sum to at most 1."""
+    sums: dict[tuple[object, ...], float] = {}
+    for one in productions:
+        if one.probability is None:
+            continue
+        parts = (one.left, one.predecessor, one.right)
+        hidden = {name for name, _ in formals(one)}
+        visible = {name: macro for name, macro in ast.macros.items() if name not in hidden}
+        value, place = fold(one.probability, visible, ast.name), one.probability.place
+        if value is None:
+            continue
+        if not 0 <= value <= 1:
+            fail("a probability must lie between 0 and 1", ast.name, place, got=f"{value:g}")
+        heads = tuple(tuple((m.symbol, len(m.arguments)) for m in part) for part in parts)
+        key = (heads, one.condition, one.group)
+        sums[key] = sums.get(key, 0.0) + value
+        if sums[key] > 1 + 1e-9:
+            problem = f"the probabilities of {one.predecessor[0].symbol} sum to more than 1"
+            expected = "at most 1; what is missing leaves the module as it is"
+            fail(problem, ast.name, place, expected=expected, got=f"{sums[key]:g}")

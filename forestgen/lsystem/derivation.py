@@ -1,8 +1,14 @@
-"""Derivation: axiom, steps, interpretation."""
+"""Derivation: axiom, steps, interpretation, and answers to queries.
+
+Queries ?P, ?H, ?U, ?L: after each step the turtle gives the module its place or direction. A query of three parameters
+gets x, y, z in the plant's frame (positions in metres), one of two x and y. The turtle reads the interpreted words.
+
+Reference: P. Prusinkiewicz, M. James, R. Mech, Synthetic topiary, SIGGRAPH 1994.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
 
@@ -13,8 +19,9 @@ from forestgen.core.errors import LsystemError, ResourceError
 from forestgen.core.randomness import child_root
 from forestgen.core.threads import map_ranges
 from forestgen.lsystem import vm_layout as layout
-from forestgen.lsystem.multiset import PERCENT, Multiset
-from forestgen.lsystem.program import Program, RuleSet, answer_queries, has_queries
+from forestgen.lsystem.compiler import Program, RuleSet
+from forestgen.lsystem.multiset import PERCENT, QUERIES, Multiset
+from forestgen.lsystem.syntax import fail
 
 MOST_MODULES = 50_000_000
 _LARGEST_ID = 2**32 - 1
@@ -50,10 +57,6 @@ class Derivation:
     globals: NDArray[np.float64]  # global variables; the first is the current group
 
 
-#: Answers ?E: gets the words with their queries, returns them with other parameters of ?E.
-CompetitionModel = Callable[[Multiset], Multiset]
-
-
 def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> Derivation:
     """The words before the first step; decomposed, and Start run.
 
@@ -62,11 +65,12 @@ def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> D
     key = _key(seed, "axiom", 0)
     glob = _run_block(program, program.start, np.zeros(len(program.globals)), None, key, 0)
     codes, parameters = [], []
-    for position, (begin, (modules, values)) in enumerate(zip(program.axiom, program.axiom_size, strict=True)):
-        out_code, out_parameter = np.empty(modules, np.uint16), np.empty(values)
-        _run(program, begin, glob, key ^ np.uint64(position + 1), out_code, out_parameter, 0)
-        codes.append(out_code)
-        parameters.append(out_parameter)
+    for position, (begin, word) in enumerate(zip(program.axiom, program.ast.axiom, strict=True)):
+        values = sum(len(module.arguments) for module in word)
+        out = layout.Modules(np.empty(len(word), np.uint16), np.empty(values))
+        _run(program, begin, glob, key ^ np.uint64(position + 1), out, 0)
+        codes.append(out.code)
+        parameters.append(out.parameter)
     sizes = [len(one) for one in codes]
     words = Multiset(
         kinds=program.kinds,
@@ -78,7 +82,7 @@ def axiom(program: Program, seed: int, *, most_modules: int = MOST_MODULES) -> D
     )
     start = Derivation(words, 0, len(sizes) + 1, glob)
     if program.decomposition.address >= 0 or np.any(words.code == PERCENT):
-        start = _rewritten(program, start, None, program.decomposition, seed, "axiom", 0, most_modules)
+        start = _rewritten(program, start, program.none, program.decomposition, key, 0, most_modules)
     return start
 
 
@@ -92,57 +96,61 @@ def derive_step(program: Program, state: Derivation, seed: int, *, most_modules:
     key = _key(seed, "start each", step)
     glob = _run_block(program, program.start_each, state.globals, state.multiset, key, step)
     if glob[0] not in program.groups:
-        raise LsystemError(
-            "there is no such group",
-            where=program.name,
-            expected=", ".join(map(str, sorted(program.groups))),
-            got=f"useGroup({glob[0]:g}) in derivation step {step}",
-        )
+        expected, got = ", ".join(map(str, sorted(program.groups))), f"useGroup({glob[0]:g}) in derivation step {step}"
+        raise LsystemError("there is no such group", where=program.name, expected=expected, got=got)
     state = replace(state, globals=glob)
-    after = _rewritten(program, state, program.productions, program.decomposition, seed, "step", step, most_modules)
+    key = _key(seed, "step", step)
+    after = _rewritten(program, state, program.productions, program.decomposition, key, step, most_modules)
     key = _key(seed, "end each", step)
     glob = _run_block(program, program.end_each, after.globals, after.multiset, key, step)
     return replace(after, step=step, globals=glob)
 
 
-def derive(
-    program: Program,
-    steps: int,
-    seed: int,
-    *,
-    competition_model: CompetitionModel | None = None,
-    most_modules: int = MOST_MODULES,
-) -> Iterator[Derivation]:
+def derive(program: Program, steps: int, seed: int, *, most_modules: int = MOST_MODULES) -> Iterator[Derivation]:
     """The words after step 0, 1, ..., `steps`, each made when it is asked for; see `derive_step`."""
-    asks = has_queries(program)
-
-    def answered(state: Derivation) -> Derivation:
-        if asks:
+    state = axiom(program, seed, most_modules=most_modules)
+    for step in range(steps + 1):
+        if step:
+            state = derive_step(program, state, seed, most_modules=most_modules)
+        if any(kind.symbol in QUERIES for kind in program.kinds):
             drawn = interpret(program, state, seed, most_modules=most_modules)
-            state = replace(state, multiset=answer_queries(program, state.multiset, drawn))
-        return state if competition_model is None else replace(state, multiset=competition_model(state.multiset))
-
-    state = answered(axiom(program, seed, most_modules=most_modules))
-    yield state
-    for _ in range(steps):
-        state = answered(derive_step(program, state, seed, most_modules=most_modules))
+            state = replace(state, multiset=_answer_queries(program, state.multiset, drawn))
         yield state
+
+
+def _answer_queries(program: Program, words: Multiset, drawn: Multiset) -> Multiset:
+    """The words with the parameters of their queries set; `drawn` is the same words, interpreted.
+
+    Raises `LsystemError` where the turtle cannot read a word, or the interpretation makes or removes queries.
+    """
+    from forestgen.lsystem.turtle import query_values  # late: compiled kernels
+    from forestgen.lsystem.turtle_options import options_from
+
+    options = options_from(program.ast.turtle, program.ast.dialect, program.name)
+    asks = np.array([kind.symbol in QUERIES for kind in program.kinds])
+    arity, starts, drawn_starts = words.arity, words.parameter_start(), drawn.parameter_start()
+    asked = np.flatnonzero(asks[words.code])
+    parameter = words.parameter.copy()
+    answers = []
+    for begin, end in zip(drawn.word_start[:-1], drawn.word_start[1:], strict=True):
+        own = drawn.parameter[drawn_starts[begin] : drawn_starts[end]]
+        answers.append(query_values(drawn.code[begin:end], own, drawn.kinds, options)[0])
+    values = np.concatenate([np.zeros((0, 3)), *answers])
+    if len(values) != len(asked):
+        problem, expected = "the interpretation makes or removes queries", f"{len(asked)} queries, as in the words"
+        raise LsystemError(problem, where=program.name, expected=expected, got=str(len(values)))
+    for axis in range(3):
+        wide = arity[words.code[asked]] > axis
+        parameter[starts[:-1][asked[wide]] + axis] = values[wide, axis]
+    return replace(words, parameter=parameter)
 
 
 def interpret(program: Program, state: Derivation, seed: int, *, most_modules: int = MOST_MODULES) -> Multiset:
     """The words as the turtle reads them: rewritten by the interpretation, down to its maximum depth."""
     if program.interpretation.address < 0:
         return state.multiset
-    inner = program.interpretation
-    drawn = _rewritten(program, state, None, inner, seed, "interpretation", state.step, most_modules, is_drawing=True)
-    return drawn.multiset
-
-
-def percent_meaning(program: Program) -> int:
-    """What % does: fragments a multiset's words, cuts a plain string's branches, nothing in rhover's dialect."""
-    if program.ast.dialect == "rhover":
-        return 0
-    return layout.FRAGMENT if program.ast.is_multiset else layout.CUT
+    key, rules = _key(seed, "interpretation", state.step), (program.none, program.interpretation)
+    return _rewritten(program, state, *rules, key, state.step, most_modules).multiset
 
 
 def _key(seed: int, stage: str, step: int) -> np.uint64:
@@ -155,7 +163,7 @@ def _state(program: Program) -> NDArray[np.int64]:
 
 def _reals(program: Program, glob: NDArray[np.float64]) -> NDArray[np.float64]:
     real = program.real.copy()
-    real[program.globals_at : program.globals_at + len(glob)] = glob
+    real[program.globals_at] = glob
     return real
 
 
@@ -168,70 +176,53 @@ def _run_block(
     glob = glob.copy()
     for slot, symbol in program.counted:
         glob[slot] = words.count(symbol) if words is not None else 0
-    real = _run(program, begin, glob, key, np.empty(0, np.uint16), np.empty(0), step)
-    return real[program.globals_at : program.globals_at + len(glob)].copy()
+    real = _run(program, begin, glob, key, layout.Modules(np.empty(0, np.uint16), np.empty(0)), step)
+    return real[program.globals_at]
 
 
 def _run(
-    program: Program,
-    begin: int,
-    glob: NDArray[np.float64],
-    key: np.uint64,
-    out_code: NDArray[np.uint16],
-    out_parameter: NDArray[np.float64],
-    step: int,
+    program: Program, begin: int, glob: NDArray[np.float64], key: np.uint64, out: layout.Modules, step: int
 ) -> NDArray[np.float64]:
+    """The table of real numbers after code has run, which writes modules to `out`."""
     from forestgen.lsystem.vm_expressions import run  # late: compiled kernels
 
     real, state = _reals(program, glob), _state(program)
-    wrong = run(program.whole, real, state, key, begin, out_code, out_parameter)
+    wrong = run(program.whole, real, state, key, begin, *out)
     if wrong != layout.OK:
         _fail(program, wrong, int(state[layout.FAULT]), step, None)
     return real
 
 
 def _fail(program: Program, wrong: int, address: int, step: int, module: str | None) -> NoReturn:
-    place = program.place_of(address)
     problem, expected = _FAULTS[wrong]
     if wrong == layout.TOO_DEEP:
         most = f"{layout.MOST_EXPANSIONS:,} productions"
         expected = f"an end within maximum depth: {program.decomposition_depth}, and within {most}"
     at = f"rewriting {module} in" if module else "at"
-    where = f"{program.name}:{place.line}:{place.column}"
-    raise LsystemError(problem, where=where, expected=expected, got=f"this {at} derivation step {step}")
+    got = f"this {at} derivation step {step}"
+    fail(problem, program.name, program.places[address], expected=expected, got=got)
 
 
 def _rewritten(
-    program: Program,
-    state: Derivation,
-    rules: RuleSet | None,
-    inner: RuleSet,
-    seed: int,
-    stage: str,
-    step: int,
-    most_modules: int,
-    *,
-    is_drawing: bool = False,
+    program: Program, state: Derivation, rules: RuleSet, inner: RuleSet, key: np.uint64, step: int, most_modules: int
 ) -> Derivation:
     """All words rewritten by `rules`, and what comes out by `inner`; ranges of many words on several threads."""
     from forestgen.lsystem import vm, vm_words  # late: compiled kernels
 
-    words, outer = state.multiset, rules or _nothing(program)
-    starts = mate = np.zeros(0, np.int64)
-    if program.has_contexts and rules is not None:
+    words, starts, mate = state.multiset, np.zeros(0, np.int64), np.zeros(0, np.int64)
+    if program.has_contexts and rules is program.productions:
         starts, mate = words.parameter_start(), np.zeros(len(words.code), np.int64)
         vm_words.pair_brackets(words.code, mate)
     text = layout.Text(words.code, words.parameter, starts, mate)
-    has_outer = outer.address >= 0
-    whole = program.whole if has_outer else _with_nothing(program)
-    key = _key(seed, stage, step)
+    is_drawing = inner is program.interpretation
+    percent = layout.FRAGMENT if program.ast.is_multiset else layout.CUT  # what % does
     how = layout.Rewriting(
-        rules=outer.address if has_outer else len(program.whole),
+        rules=rules.address,
         inner=inner.address,
         group=int(state.globals[0]),
         depth=program.interpretation_depth if is_drawing else program.decomposition_depth,
         is_strict=not is_drawing,
-        percent=0 if is_drawing else percent_meaning(program),
+        percent=0 if is_drawing or program.ast.dialect == "rhover" else percent,
         step=step,
     )
 
@@ -241,8 +232,8 @@ def _rewritten(
         begin = words.word_start[first]
         m[layout.NEXT_VALUE] = np.bincount(words.code[:begin], minlength=len(program.kinds)) @ words.arity
         m[layout.NEXT_ID] = state.next_id
-        space = _Space(program, words.code[begin : words.word_start[end]], end - first, outer, most_modules)
-        memory = layout.Memory(whole, real, m)
+        space = _Space(program, words.code[begin : words.word_start[end]], end - first, rules, most_modules)
+        memory = layout.Memory(program.whole, real, m)
         chosen = layout.Words(words.word_start[first : end + 1], words.word_id[first:end], words.born_step[first:end])
         while True:
             wrong = vm.rewrite(memory, key, how, text, chosen, space.made, space.pile, space.out, space.words)
@@ -272,24 +263,9 @@ def _check(
 
 
 def _too_many(program: Program, most_modules: int, step: int) -> TooManyModulesError:
-    return TooManyModulesError(
-        "the words grow too long",
-        where=program.name,
-        expected=f"at most {most_modules:,} modules",
-        got=f"more of them in derivation step {step}",
-        hint="fewer steps, or a higher limit (`max_modules`)",
-    )
-
-
-def _nothing(program: Program) -> RuleSet:
-    kinds = len(program.kinds)
-    arity = np.array([kind.arity for kind in program.kinds], np.int64)
-    return RuleSet(-1, np.ones(kinds, np.int64), arity)
-
-
-def _with_nothing(program: Program) -> NDArray[np.int64]:
-    """The program's table with an empty set of productions at its end."""
-    return np.concatenate([program.whole, np.zeros(len(program.kinds) + 1, np.int64)])
+    expected, got = f"at most {most_modules:,} modules", f"more of them in derivation step {step}"
+    hint = "fewer steps, or a higher limit (`max_modules`)"
+    return TooManyModulesError("the words grow too long", where=program.name, expected=expected, got=got, hint=hint)
 
 
 class _Space:

@@ -20,6 +20,8 @@ class Kind(NamedTuple):
 #: These kinds have the same codes in every program.
 OPEN, CLOSE, PERCENT = 0, 1, 2
 RESERVED = (Kind("[", 0), Kind("]", 0), Kind("%", 0))
+#: Symbols that ask the turtle.
+QUERIES = ("?P", "?H", "?U", "?L")
 
 
 @dataclass(frozen=True)
@@ -51,8 +53,7 @@ class Multiset:
 
     def count(self, symbol: str) -> int:
         """Number of modules of a symbol, whatever their parameters."""
-        per_kind = np.bincount(self.code, minlength=len(self.kinds))
-        return int(sum(per_kind[i] for i, kind in enumerate(self.kinds) if kind.symbol == symbol))
+        return self.counts().get(symbol, 0)
 
     def counts(self) -> dict[str, int]:
         """Number of modules of each symbol that occurs, most frequent first."""
@@ -66,27 +67,19 @@ class Multiset:
 
 def show_number(value: float) -> str:
     """The shortest form that reads back as the same number: 2, 0.5, 1e+30."""
-    if value == int(value) if np.isfinite(value) and abs(value) < 1e15 else False:
-        return str(int(value)) if value or not np.signbit(value) else "0"
-    return repr(float(value))
+    return repr(float(value)).removesuffix(".0") if value else "0"
 
 
 def words_as_text(multiset: Multiset) -> Iterator[str]:
     """Each word written as in a program: ``A(2)[B(0.5)]``."""
     symbols = np.array([kind.symbol for kind in multiset.kinds], dtype=object)
-    plain = not multiset.parameter.size
-    starts = multiset.parameter_start() if not plain else None
+    arity, starts = multiset.arity, multiset.parameter_start()
     for begin, end in zip(multiset.word_start[:-1], multiset.word_start[1:], strict=True):
         codes = multiset.code[begin:end]
-        if plain:
-            yield "".join(symbols[codes])
-            continue
-        assert starts is not None
-        pieces = []
-        for code, first, last in zip(codes, starts[begin:end], starts[begin + 1 : end + 1], strict=True):
-            pieces.append(multiset.kinds[code].symbol)
-            if last > first:
-                pieces.append("(" + ",".join(map(show_number, multiset.parameter[first:last].tolist())) + ")")
+        pieces = symbols[codes]
+        for i in np.flatnonzero(arity[codes]):
+            numbers = multiset.parameter[starts[begin + i] : starts[begin + i + 1]].tolist()
+            pieces[i] += f"({','.join(map(show_number, numbers))})"
         yield "".join(pieces)
 
 

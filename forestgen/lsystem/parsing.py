@@ -1,38 +1,50 @@
-"""From a program's text to a `ProgramAST`."""
+"""From a program's text to a `ProgramAST`: in cpfg's conventions, or in RhoVeR's.
+
+A `.sys` file of RhoVeR's forest has a header, the number r of rules, the axiom, and r rules "A R p", where R, which may
+contain spaces or be empty, replaces the symbol A with probability p; with what its rules leave of 1, a symbol stays.
+Modules may have numbers as parameters; a rule for A replaces A with any. See docs/lsystem.md.
+
+References
+----------
+Forest growth simulation using L-systems (Rhodes University), section 4.2 and Fig. 5.2.
+"""
 
 from __future__ import annotations
 
 import difflib
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lark import Token, Tree
-
+from forestgen.core.arguments import read_text
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.statements import Reader, Statement, is_tree, read_program, statements
-from forestgen.lsystem.syntax import Block, Expression, Macro, Place, Production, ProgramAST, points_problem
-from forestgen.lsystem.sys_format import parse_sys_text
+from forestgen.lsystem import syntax
+from forestgen.lsystem.statements import Statement, statements
+from forestgen.lsystem.syntax import FIRST, Place, fail, points_problem
 
 DIALECTS = ("cpfg", "abop")
+_LARGEST_PROGRAM_BYTES = 8_000_000
 _MOST_FUNCTIONS = 1000
 _MOST_GROUPS = 1_000_000
+_MOST_PARAMETERS = {"F": 3, "<": 1, ">": 1, "&": 1, "@": 1, "%": 1, "#": 1, "|": 0, "[": 0, "]": 0}
+_RULE = re.compile(
+    r"\s*(?P<symbol>\S)\s+(?P<successor>|.*\s)(?P<probability>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*"
+)
 
 
-def parse_file(path: Path) -> ProgramAST:
+def parse_file(path: Path) -> syntax.ProgramAST:
     """The program in a file: .sys as in Randleff-Rasmussen 2004, else in cpfg's conventions.
 
     Raises `AssetError` where it cannot be read, and `LsystemError`, with line and column, where it is not understood.
     """
-    if path.suffix == ".sys":
-        return parse_sys_text(read_program(path), str(path))
-    return parse_text(read_program(path), str(path))
+    text = read_text(path, "an L-system program", most_bytes=_LARGEST_PROGRAM_BYTES, error=LsystemError)
+    return (parse_sys_text if path.suffix == ".sys" else parse_text)(text, str(path))
 
 
-def parse_text(text: str, name: str) -> ProgramAST:
+def parse_text(text: str, name: str) -> syntax.ProgramAST:
     """The program in a text, which messages call `name`; raises `LsystemError`, with line and column."""
     builder = _Builder(name)
     try:
@@ -48,217 +60,192 @@ class _Builder:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.ast = ProgramAST(name)
+        self.ast = syntax.ProgramAST(name)
         self.group = 0
         self.block = "productions"
-        self.productions: dict[str, list[Production]] = {"productions": [], "decomposition": [], "interpretation": []}
-        self.depths: dict[str, Expression] = {}
+        kinds = ("productions", "decomposition", "interpretation")
+        self.productions = {one: list[syntax.Production]() for one in kinds}
+        self.depths: dict[str, syntax.Expression] = {}
         self.places: dict[str, Place] = {}
         self.seen: dict[str, Place] = {}
-
-    def take(self, statement: Statement) -> None:
-        reader = Reader(self.name, statement.place)
-        keyword = statement.keyword
-        if not keyword:
-            self.take_production(reader, statement.text)
-            return
-        if keyword in _ONCE:
-            if keyword in self.seen:
-                earlier = self.seen[keyword]
-                reader.fail(f"a second {keyword!r}", statement.start, expected=f"only the one in line {earlier.line}")
-            self.seen[keyword] = statement.start
-        first = keyword.split()[0]
-        handler: Callable[[Reader, Statement], None] | None = _HANDLERS.get(first)
-        if handler is None:
-            hint = "the seed is `seed`, or the recipe's" if first == "seed" else "of a preprocessor, only #define is"
-            reader.fail(f"{keyword} is not supported", statement.start, hint=hint)
-        handler(self, reader, statement)  # type: ignore[call-arg,arg-type]
-
-    def take_production(self, reader: Reader, text: str) -> None:
-        if "-->" not in text:
-            if re.search(r"->|→", text):
-                reader.unexpected(reader.origin, (), "a statement without an arrow", text)
-            problem, got = "this is neither a production nor a known statement", text.strip().split("\n")[0][:60]
-            expected = "predecessor --> successor, or axiom:, derivation length:, ignore:, ..."
-            reader.fail(problem, reader.origin, expected=expected, got=got)
-        self.refuse_slips(reader, text)
-        self.productions[self.block].append(reader.production(text, self.group if self.block == "productions" else 0))
-
-    def refuse_slips(self, reader: Reader, text: str) -> None:
-        """Slips that would be read as something else, far from what was meant."""
-        head = re.match(r"([A-Za-z][A-Za-z ]{2,30}?)\s*:", text)
-        near = difflib.get_close_matches(head[1].lower(), _STATEMENTS, n=1, cutoff=0.7) if head else []
-        if head and near:
-            reader.fail(f"there is no statement {head[1]}:", reader.origin, hint=f"did you mean {near[0]}: ?")
-        number = re.search(r"\s(\d*\.\d+)\s*$", text)
-        if number and ":" not in text.partition("-->")[2]:
-            line = text.count("\n", 0, number.start(1)) + 1
-            place = reader.place(line, number.start(1) - text.rfind("\n", 0, number.start(1)))
-            hint = f"a probability is written : {number[1]}"
-            reader.fail("a number among the modules", place, got=number[1], hint=hint)
 
     def update(self, **changes: Any) -> None:
         self.ast = replace(self.ast, **changes)
 
-    def header(self, reader: Reader, statement: Statement) -> None:
-        """`lsystem: name` has no effect."""
+    def take(self, one: Statement) -> None:
+        keyword, kind = one.keyword, one.keyword.partition(" ")[0]
+        if keyword in _ONCE:
+            if keyword in self.seen:
+                one.fail(f"a second {keyword!r}", expected=f"only the one in line {self.seen[keyword].line}")
+            self.seen[keyword] = one.start
+        match kind:
+            case "lsystem":  # a name, which has no effect
+                pass
+            case "dialect":
+                word = one.text.strip().lower()
+                if word not in DIALECTS:
+                    one.fail("an unknown dialect", expected=" or ".join(DIALECTS), got=word or "nothing")
+                self.update(dialect=word)
+            case "derivation":
+                self.update(derivation_length=one.parse("expression"))
+            case "axiom":
+                self.axiom(one)
+            case "consider":
+                self.update(considered=one.parse("word"))
+            case "ignore":
+                self.update(ignored=one.parse("word"))
+            case "" | "production" | "productions" | "group" | "endgroup":
+                self.rules(one, kind)
+            case "decomposition" | "interpretation" | "homomorphism":
+                self.block, self.group = "interpretation" if kind == "homomorphism" else kind, 0
+                self.places[self.block] = one.start
+            case "maximum":
+                if self.block == "productions":
+                    expected = "decomposition or interpretation above it"
+                    one.fail("maximum depth belongs to a block", expected=expected)
+                self.depths[self.block] = one.parse("expression")
+            case "define" | "start" | "starteach" | "endeach" | "end":
+                self.instructions(one)
+            case "function":
+                self.function(one)
+            case "#define":
+                self.define(one)
+            case _ if kind in _TURTLE:
+                self.turtle(one)
+            case _:
+                hint = "the seed is `seed`, or the recipe's" if kind == "seed" else "of a preprocessor, only #define is"
+                one.fail(f"{keyword} is not supported", hint=hint)
 
-    def productions_begin(self, reader: Reader, statement: Statement) -> None:
-        """`production:`, which may also end a block."""
-        self.block = "productions"
-        if statement.text.strip():
-            self.take_production(reader, statement.text)
-
-    def dialect(self, reader: Reader, statement: Statement) -> None:
-        word = statement.text.strip().lower()
-        if word not in DIALECTS:
-            reader.fail("an unknown dialect", statement.start, expected=" or ".join(DIALECTS), got=word or "nothing")
-        self.update(dialect=word)
-
-    def length(self, reader: Reader, statement: Statement) -> None:
-        self.update(derivation_length=reader.expression(reader.parse(statement.text, "expression")))
-
-    def axiom(self, reader: Reader, statement: Statement) -> None:
-        text = statement.text
-        bare = text.strip()
-        if bare.startswith("{"):
-            if not bare.endswith("}"):
-                before = text[: text.index("{")]
-                place = reader.place(before.count("\n") + 1, len(before) - before.rfind("\n"))
-                reader.fail("the set of words has no end", place, expected="}", got=bare.split("\n")[-1][-20:])
-            opened, closed = text.index("{"), text.rindex("}")
-            text = text[:opened] + " " + text[opened + 1 : closed]
-            tree = reader.parse(text, "words")
-            words = tuple(reader.modules(one.children[0]) for one in tree.children if _is_word(one))
-            self.update(axiom=tuple(one for one in words if one), is_multiset=True)
+    def rules(self, one: Statement, kind: str) -> None:
+        """A production, or a keyword that may stand before one; ``production:`` may also end a block."""
+        if kind.startswith("production"):
+            self.block = "productions"
+        elif kind == "endgroup":
+            if self.group == 0:
+                one.fail("endgroup without a group", expected="group 1: before it")
+            self.group = 0
             return
-        modules = reader.modules(reader.parse(text, "string"))
-        self.update(axiom=(modules,) if modules else ())
+        elif kind == "group":
+            self.group = int(one.keyword.split()[1])
+            if self.group == 0:
+                one.fail("a group 0", expected="a number from 1 on; what is in no group is in all")
+            if self.group > _MOST_GROUPS:
+                one.fail("no number for a group", expected=f"at most {_MOST_GROUPS:,}")
+            if self.block != "productions":
+                one.fail(f"a group within the block {self.block}", expected="groups before all blocks")
+        if one.text.strip():
+            _refuse_slips(one)
+            group = self.group if self.block == "productions" else 0
+            self.productions[self.block].append(replace(one.parse("production"), group=group))
 
-    def consider(self, reader: Reader, statement: Statement) -> None:
-        tree = reader.parse(statement.text, "word")
-        found = reader.modules(tree.children[0]) if is_tree(tree) else ()
-        self.update(**({"considered": found} if statement.keyword == "consider" else {"ignored": found}))
+    def axiom(self, one: Statement) -> None:
+        bare = one.text.strip()
+        if not bare.startswith("{"):
+            word = one.parse("string")
+            self.update(axiom=(word,) if word else ())
+            return
+        if not bare.endswith("}"):
+            place, got = one.at(one.text.index("{")), bare.split("\n")[-1][-20:]
+            one.fail("the set of words has no end", place, expected="}", got=got)
+        words = _within_braces(one).parse("words")
+        self.update(axiom=tuple(word for word in words if word), is_multiset=True)
 
-    def group_begins(self, reader: Reader, statement: Statement) -> None:
-        self.group = int(statement.keyword.split()[1])
-        if self.group == 0:
-            reader.fail("a group 0", statement.start, expected="a number from 1 on; what is in no group is in all")
-        if self.group > _MOST_GROUPS:
-            reader.fail("no number for a group", statement.start, expected=f"at most {_MOST_GROUPS:,}")
-        if self.block != "productions":
-            reader.fail(f"a group within the block {self.block}", statement.start, expected="groups before all blocks")
-        if statement.text.strip():
-            self.take_production(reader, statement.text)
-
-    def group_ends(self, reader: Reader, statement: Statement) -> None:
-        if self.group == 0:
-            reader.fail("endgroup without a group", statement.start, expected="group 1: before it")
-        self.group = 0
-
-    def block_begins(self, reader: Reader, statement: Statement) -> None:
-        self.block = "interpretation" if statement.keyword == "homomorphism" else statement.keyword
-        self.places[self.block] = statement.start
-        self.group = 0
-
-    def depth(self, reader: Reader, statement: Statement) -> None:
-        if self.block == "productions":
-            expected = "decomposition or interpretation above it"
-            reader.fail("maximum depth belongs to a block", statement.start, expected=expected)
-        self.depths[self.block] = reader.expression(reader.parse(statement.text, "expression"))
-
-    def instructions(self, reader: Reader, statement: Statement) -> None:
-        text, bare = statement.text, statement.text.strip()
+    def instructions(self, one: Statement) -> None:
+        bare = one.text.strip()
         if not (bare.startswith("{") and bare.endswith("}")):
-            got = bare[:40] or "nothing"
-            reader.fail(f"{statement.keyword} needs a block", reader.origin, expected="{ ... }", got=got)
-        opened, closed = text.index("{"), text.rindex("}")
-        inner = text[:opened] + " " + text[opened + 1 : closed]
-        if statement.keyword == "define":
-            self.arrays(reader, inner)
+            one.fail(f"{one.keyword} needs a block", one.place, expected="{ ... }", got=bare[:40] or "nothing")
+        inner = _within_braces(one)
+        if one.keyword == "define":
+            self.arrays(inner)
             return
-        found = reader.instructions(reader.parse(inner, "statements").children)
-        key = {"starteach": "start_each", "endeach": "end_each"}.get(statement.keyword, statement.keyword)
-        self.update(**{key: found})
+        key = {"starteach": "start_each", "endeach": "end_each"}.get(one.keyword, one.keyword)
+        self.update(**{key: inner.parse("statements")})
 
-    def arrays(self, reader: Reader, text: str) -> None:
+    def arrays(self, one: Statement) -> None:
         known = dict(self.ast.arrays)
-        for tree in reader.parse(text, "arrays").children:
-            _, name, _, size, _, _, _, numbers, *_ = tree.children
-            values = tuple(_signed(one) for one in numbers.children if isinstance(one, Tree)) if numbers else ()
-            if size is not None and float(size) != len(values):
-                problem = f"array {name} is declared with another size"
-                reader.fail(problem, reader.at(size), expected=str(len(values)), got=str(size))
-            self.declare(reader, str(name), reader.at(name))
-            known[str(name)] = values
+        for array in one.parse("arrays"):
+            if array.size is not None and array.size.value != len(array.values):
+                problem, expected = f"array {array.name} is declared with another size", str(len(array.values))
+                one.fail(problem, array.size.place, expected=expected, got=f"{array.size.value:g}")
+            self.declare(one, array.name, array.place)
+            known[array.name] = array.values
         self.update(arrays=known)
 
-    def declare(self, reader: Reader, name: str, place: Place) -> None:
+    def declare(self, one: Statement, name: str, place: Place) -> None:
         if name in self.seen:
-            reader.fail(f"{name} is defined twice", place, got=f"the first in line {self.seen[name].line}")
+            one.fail(f"{name} is defined twice", place, got=f"the first in line {self.seen[name].line}")
         self.seen[name] = place
 
-    def function(self, reader: Reader, statement: Statement) -> None:
-        name = statement.keyword.split()[1]
+    def function(self, one: Statement) -> None:
+        name = one.keyword.split()[1]
         if name.isdigit() and not 1 <= int(name) <= _MOST_FUNCTIONS:
-            expected = f"1 to {_MOST_FUNCTIONS}, or a name"
-            reader.fail("no number for a function", statement.start, expected=expected, got=name)
-        self.declare(reader, f"function {name}", statement.start)
-        tree = reader.parse(statement.text, "points")
-        pairs = ([_signed(one) for one in p.children if isinstance(one, Tree)] for p in tree.children)
-        points = tuple((x, y) for x, y in pairs)
+            one.fail("no number for a function", expected=f"1 to {_MOST_FUNCTIONS}, or a name", got=name)
+        self.declare(one, f"function {name}", one.start)
+        points = one.parse("points")
         problem = points_problem(points)
         if problem:
-            reader.fail(f"function {name} is wrong", statement.place, expected=problem)
+            one.fail(f"function {name} is wrong", one.place, expected=problem)
         self.update(functions={**self.ast.functions, name: points})
 
-    def turtle(self, reader: Reader, statement: Statement) -> None:
-        name = statement.keyword.replace("color", "colour")
+    def turtle(self, one: Statement) -> None:
+        name = one.keyword.replace("color", "colour")
         try:
-            numbers = tuple(float(one) for one in statement.text.split())
-            if not all(map(math.isfinite, numbers)):
-                raise ValueError
+            numbers = tuple(float(number) for number in one.text.split())
         except ValueError:
-            reader.fail(f"{name} needs numbers", statement.place, got=statement.text.strip())
+            numbers = (math.nan,)
+        if not all(map(math.isfinite, numbers)):
+            one.fail(f"{name} needs numbers", one.place, got=one.text.strip())
         if name in self.ast.turtle:
-            reader.fail(f"a second {name!r}", statement.start)
+            one.fail(f"a second {name!r}")
         self.update(turtle={**self.ast.turtle, name: numbers})
 
-    def define(self, reader: Reader, statement: Statement) -> None:
-        head = re.match(r"\s*([A-Za-z_]\w*)(\(([^()]*)\))?", statement.text)
+    def define(self, one: Statement) -> None:
+        head = re.match(r"\s*([A-Za-z_]\w*)(\(([^()]*)\))?", one.text)
         if head is None:
-            got = statement.text.strip()
-            reader.fail("#define needs a name", statement.place, expected="#define NAME value", got=got)
+            one.fail("#define needs a name", one.place, expected="#define NAME value", got=one.text.strip())
         name, _, given = head.groups()
-        rest = statement.text[head.end() :]
+        rest = one.text[head.end() :]
         if not rest.strip():
-            reader.fail(f"#define {name} has no value", statement.place, expected=f"#define {name} 1.5")
-        self.declare(reader, name, Place(statement.place.line, statement.place.column + head.start(1)))
-        padded = " " * head.end() + rest
-        body = reader.expression(reader.parse(padded, "expression"))
-        parameters = None if given is None else tuple(one.strip() for one in given.split(",") if one.strip())
+            one.fail(f"#define {name} has no value", one.place, expected=f"#define {name} 1.5")
+        self.declare(one, name, one.at(head.start(1)))
+        body = replace(one, text=" " * head.end() + rest).parse("expression")
+        parameters = None if given is None else tuple(each.strip() for each in given.split(",") if each.strip())
         if parameters and not (all(map(str.isidentifier, parameters)) and len(set(parameters)) == len(parameters)):
-            reader.fail(f"#define {name} has bad parameters", statement.place, expected="different names", got=given)
-        self.update(macros={**self.ast.macros, name: Macro(parameters, body, self.seen[name])})
+            one.fail(f"#define {name} has bad parameters", one.place, expected="different names", got=given)
+        self.update(macros={**self.ast.macros, name: syntax.Macro(parameters, body, self.seen[name])})
 
-    def finish(self) -> ProgramAST:
+    def finish(self) -> syntax.ProgramAST:
         if "axiom" not in self.seen:
-            expected = "axiom: and a string of modules"
-            raise LsystemError("the program has no axiom", where=f"{self.name}:1:1", expected=expected)
+            fail("the program has no axiom", self.name, FIRST, expected="axiom: and a string of modules")
         blocks = {
-            name: Block(tuple(self.productions[name]), self.depths.get(name), self.places.get(name, Place(1, 1)))
+            name: syntax.Block(tuple(self.productions[name]), self.depths.get(name), self.places.get(name, FIRST))
             for name in ("decomposition", "interpretation")
         }
         return replace(self.ast, productions=tuple(self.productions["productions"]), **blocks)  # type: ignore[arg-type]
 
 
-def _is_word(tree: Any) -> bool:
-    return isinstance(tree, Tree) and is_tree(tree)
+def _refuse_slips(one: Statement) -> None:
+    """What is no production, and slips that would be read as something else, far from what was meant."""
+    if "-->" not in one.text:
+        if re.search(r"->|→", one.text):
+            one.unexpected(one.place, (), "a statement without an arrow")
+        problem, got = "this is neither a production nor a known statement", one.text.strip().split("\n")[0][:60]
+        expected = "predecessor --> successor, or axiom:, derivation length:, ignore:, ..."
+        one.fail(problem, one.place, expected=expected, got=got)
+    head = re.match(r"([A-Za-z][A-Za-z ]{2,30}?)\s*:", one.text)
+    near = difflib.get_close_matches(head[1].lower(), _STATEMENTS, n=1, cutoff=0.7) if head else []
+    if head and near:
+        one.fail(f"there is no statement {head[1]}:", one.place, hint=f"did you mean {near[0]}: ?")
+    number = re.search(r"\s(\d*\.\d+)\s*$", one.text)
+    if number and ":" not in one.text.partition("-->")[2]:
+        hint = f"a probability is written : {number[1]}"
+        one.fail("a number among the modules", one.at(number.start(1)), got=number[1], hint=hint)
 
 
-def _signed(tree: Tree[Token]) -> float:
-    sign, number = tree.children
-    return -float(str(number)) if sign == "-" else float(str(number))
+def _within_braces(one: Statement) -> Statement:
+    """The statement with blanks for its text's outer braces: places stay as they are."""
+    opened, closed = one.text.index("{"), one.text.rindex("}")
+    return replace(one, text=one.text[:opened] + " " + one.text[opened + 1 : closed])
 
 
 _ONCE = {
@@ -269,19 +256,65 @@ _STATEMENTS = [
     "starteach", "endeach", "define", "production", "function", "angle", "step", "width", "tropism", "heading",
 ]  # fmt: skip
 _TURTLE = ("angle", "step", "scale", "width", "tip", "tropism", "elasticity", "heading", "colour", "color")
-_HANDLERS: dict[str, Any] = {  # by a statement's first word
-    "lsystem": _Builder.header,
-    "dialect": _Builder.dialect,
-    "derivation": _Builder.length,
-    "axiom": _Builder.axiom,
-    "group": _Builder.group_begins,
-    "endgroup": _Builder.group_ends,
-    "maximum": _Builder.depth,
-    "function": _Builder.function,
-    "#define": _Builder.define,
-    **dict.fromkeys(("production", "productions"), _Builder.productions_begin),
-    **dict.fromkeys(("consider", "ignore"), _Builder.consider),
-    **dict.fromkeys(("decomposition", "interpretation", "homomorphism"), _Builder.block_begins),
-    **dict.fromkeys(("start", "starteach", "endeach", "end", "define"), _Builder.instructions),
-    **dict.fromkeys(_TURTLE, _Builder.turtle),
-}
+
+
+def parse_sys_text(text: str, name: str) -> syntax.ProgramAST:
+    """The program in a `.sys` file's text, dialect `rhover`; raises `LsystemError`, with line and column."""
+    lines = [
+        (Place(number, len(raw) - len(raw.lstrip()) + 1), raw.strip())
+        for number, raw in enumerate(text.splitlines(), 1)
+        if raw.strip()
+    ]
+    place, first = lines[0] if lines else (Place(1, 1), "")
+    if first != "LSYSTEM":
+        fail("no .sys file", name, place, expected="LSYSTEM in its first line", got=first[:60] or None)
+    end = Place(text.count("\n") + 1, 1)
+    if len(lines) < 3:
+        what = "the number of rules" if len(lines) == 1 else "the axiom"
+        fail(f"the file ends before {what}", name, end, expected=what)
+    (place, announced), (start, axiom_text), *rules = lines[1:]
+    if not re.fullmatch(r"[0-9]{1,6}", announced):
+        fail("the number of rules is not understood", name, place, expected="a whole number", got=announced)
+    count, expected = int(announced), f"{announced}, as line {place.line} says"
+    if len(rules) < count:
+        fail("too few rules", name, end, expected=expected, got=str(len(rules)))
+    if len(rules) > count:
+        fail("more rules than announced", name, rules[count][0], expected=expected, got=rules[count][1][:60])
+    axiom, parsed = _modules(axiom_text, name, start), [_rule(line, name, begin) for begin, line in rules]
+    arities: dict[str, set[int]] = {}
+    for module in [*axiom, *(module for rule in parsed for module in rule.successor)]:
+        arities.setdefault(module.symbol, set()).add(len(module.arguments))
+    productions = tuple(one for rule in parsed for one in _for_each_arity(rule, arities))
+    return syntax.ProgramAST(name, dialect="rhover", axiom=(axiom,), productions=productions)
+
+
+def _rule(line: str, name: str, start: Place) -> syntax.Production:
+    """A rule that begins at a place; its probability and brackets are checked where the program is compiled."""
+    found = _RULE.fullmatch(line)
+    if found is None or found["symbol"] in "[](),":
+        expected = "one symbol, its replacement and a probability, such as: F F[>F]F 1"
+        fail("this is no rule", name, start, expected=expected, got=line[:60])
+    successor, probability = (start._replace(column=start.column + found.start(k)) for k in (2, 3))
+    head = syntax.Module(found["symbol"], (), start)
+    value = syntax.Number(float(found["probability"]), probability)
+    return syntax.Production((head,), _modules(found["successor"], name, successor), value, start)
+
+
+def _modules(text: str, name: str, start: Place) -> tuple[syntax.Module, ...]:
+    """The modules of a text that begins at a place."""
+    modules: tuple[syntax.Module, ...] = Statement(name, "", text, start, start).parse("sys_string")
+    for one in modules:
+        given = len(one.arguments)
+        most = _MOST_PARAMETERS.get(one.symbol, given)
+        if given > most:
+            expected = f"at most {most}" if most else "none"
+            fail(f"too many parameters of {one.symbol}", name, one.place, expected=expected, got=str(given))
+    return modules
+
+
+def _for_each_arity(rule: syntax.Production, arities: dict[str, set[int]]) -> Iterable[syntax.Production]:
+    """The rule for its symbol with no, one, two, ... parameters, as far as the program has them."""
+    (head,) = rule.predecessor
+    for count in sorted(arities.get(head.symbol, {0})):
+        formal = tuple(syntax.Name(f"p{k}", head.place) for k in range(1, count + 1))
+        yield replace(rule, predecessor=(syntax.Module(head.symbol, formal, head.place),))

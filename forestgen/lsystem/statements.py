@@ -8,37 +8,20 @@ braces, and after a backslash at a line's end. Comments are ``/* ... */`` and li
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.resources import files
-from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
-from lark import Lark, Token, Tree
-from lark.exceptions import UnexpectedCharacters, UnexpectedEOF, UnexpectedToken
+from lark import Lark, Token, v_args
+from lark.exceptions import UnexpectedCharacters, UnexpectedToken
+from lark.visitors import Transformer_NonRecursive
 
-from forestgen.core.arguments import read_text
-from forestgen.core.errors import LsystemError
-from forestgen.lsystem.syntax import (
-    Assign,
-    Binary,
-    Call,
-    Expression,
-    If,
-    Index,
-    Module,
-    Name,
-    Number,
-    Place,
-    Production,
-    Unary,
-    UseGroup,
-)
-from forestgen.lsystem.syntax import Statement as Instruction
+from forestgen.lsystem import syntax
+from forestgen.lsystem.syntax import Place, fail, place_in
 
-LARGEST_PROGRAM_BYTES = 8_000_000
-_STARTS = ["production", "words", "word", "string", "expression", "statements", "arrays", "points"]
+_STARTS = ["production", "words", "word", "string", "expression", "statements", "arrays", "points", "sys_string"]
 _PLAIN = {
     "LPAR": "(", "RPAR": ")", "LBRACE": "{", "RBRACE": "}", "LSQUARE": "[", "RSQUARE": "]", "COMMA": ",", "COLON": ":",
     "ARROW": "-->", "BECOMES": "=", "SEMICOLON": ";", "NAME": "a name", "NUMBER": "a number", "SYMBOL": "a module",
@@ -61,19 +44,13 @@ _KEYWORDS = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class Statement:
-    """A keyword, its text and the place where that begins; a production has the keyword ''."""
+class Array(NamedTuple):
+    """``array name[size] = {values}``"""
 
-    keyword: str  # lower case, one space between words, no colon
-    text: str
-    place: Place  # of the text
-    start: Place  # of the statement
-
-
-def read_program(path: Path) -> str:
-    """The text of a program's file; raises `AssetError` or `LsystemError` where it cannot be read or is no text."""
-    return read_text(path, "an L-system program", most_bytes=LARGEST_PROGRAM_BYTES, error=LsystemError)
+    name: str
+    size: syntax.Number | None  # as written
+    values: tuple[float, ...]
+    place: Place
 
 
 def statements(text: str, name: str) -> Iterator[Statement]:
@@ -81,14 +58,14 @@ def statements(text: str, name: str) -> Iterator[Statement]:
     for start, raw in _logical_lines(_without_comments(text, name)):
         match = _KEYWORDS.match(raw)
         if match is None:
-            yield Statement("", raw, start, start)
+            yield Statement(name, "", raw, start, start)
             continue
         keyword = " ".join(match.group().rstrip(": \t").lower().replace("#", "# ").split()).replace("# ", "#")
         if keyword == "endlsystem":
             return
         if keyword.startswith("function "):  # its name keeps its capitals
             keyword = "function " + match.group().rstrip(": \t").split()[1]
-        yield Statement(keyword, raw[match.end() :], Place(start.line, start.column + match.end()), start)
+        yield Statement(name, keyword, raw[match.end() :], Place(start.line, start.column + match.end()), start)
 
 
 def _without_comments(text: str, name: str) -> str:
@@ -101,10 +78,8 @@ def _without_comments(text: str, name: str) -> str:
     text = re.sub(r"(?m)^[ \t]*//.*$", blank, text)
     text = re.sub(r"/\*.*?\*/", blank, text, flags=re.DOTALL)
     opened = text.find("/*")
-    if opened >= 0 and "*/" not in text[opened:]:
-        line = text.count("\n", 0, opened) + 1
-        column = opened - text.rfind("\n", 0, opened)
-        raise LsystemError("a comment has no end", where=f"{name}:{line}:{column}", expected="*/", got="the file's end")
+    if opened >= 0:  # comments that end are blank by now
+        fail("a comment has no end", name, place_in(text, opened), expected="*/", got="the file's end")
     return text
 
 
@@ -174,153 +149,118 @@ def _lark() -> Lark:
     return Lark(grammar, parser="lalr", start=_STARTS, maybe_placeholders=True)
 
 
-class Reader:
-    """Turns Lark's trees of one statement into syntax; knows where the statement lies in the file."""
+#: What the rules of tokens with places make, of their parts (a missing one is empty) and the first token's place.
+_MAKERS: dict[str, Callable[..., Any]] = {
+    "name": syntax.Name,
+    "call": syntax.Call,
+    "index": syntax.Index,
+    "binary": syntax.Binary,
+    "module": syntax.Module,
+    "comma": lambda comma, place: syntax.Module(comma, (), place),
+    "assignment": syntax.Assign,
+    "use_group": lambda keyword, group, place: syntax.UseGroup(group, place),
+    "conditional": lambda keyword, condition, then, otherwise, place: syntax.If(condition, then, otherwise, place),
+}
 
-    def __init__(self, name: str, origin: Place) -> None:
-        self.name, self.origin = name, origin
 
-    def place(self, line: int, column: int) -> Place:
-        """Place in the file of a place in the statement."""
-        return Place(self.origin.line + line - 1, column + (self.origin.column - 1 if line == 1 else 0))
+@v_args(inline=True)
+class _Syntax(Transformer_NonRecursive[Token, Any]):
+    """Makes syntax of Lark's trees; `at` is a token's place in the file. Rules that are not named make tuples."""
 
-    def at(self, token: Token) -> Place:
-        return self.place(token.line or 1, token.column or 1)
+    def __init__(self, at: Callable[[Token], Place]) -> None:
+        super().__init__()
+        self.at = at
 
-    def fail(self, problem: str, place: Place, **about: str | None) -> NoReturn:
-        raise LsystemError(problem, where=f"{self.name}:{place.line}:{place.column}", **about)
+    def __default__(self, data: Any, children: list[Any], meta: Any) -> Any:
+        if data not in _MAKERS:
+            return tuple(one for one in children if one is not None)
+        first = next(one for one in children if isinstance(one, Token))
+        parts = (() if one is None else str(one) if isinstance(one, Token) else one for one in children)
+        return _MAKERS[data](*parts, self.at(first))
 
-    def parse(self, text: str, start: str) -> Any:
-        _refuse_deep(self, text)
+    def number(self, token: Token) -> syntax.Number:
+        return syntax.Number(float(token), self.at(token))
+
+    def signed(self, sign: Token | None, token: Token) -> syntax.Number:
+        return syntax.Number(-float(token) if sign == "-" else float(token), self.at(token))
+
+    def unary(self, operator: Token, operand: syntax.Expression) -> syntax.Expression:
+        return operand if operator == "+" else syntax.Unary(str(operator), operand, self.at(operator))
+
+    def nothing(self) -> None:
+        return None
+
+    def array(self, name: Token, size: syntax.Number | None, values: tuple[syntax.Number, ...] | None) -> Array:
+        return Array(str(name), size, tuple(one.value for one in values or ()), self.at(name))
+
+    def point(self, x: syntax.Number, y: syntax.Number) -> tuple[float, float]:
+        return x.value, y.value
+
+    def tested(self, test: syntax.Expression | None, after: Any) -> tuple[Any, ...]:
+        return (), test, after or ()
+
+    def prepared(self, before: Any, test: syntax.Expression | None, after: Any) -> tuple[Any, ...]:
+        return before, test, after or ()
+
+    def production(
+        self, left: Any, predecessor: Any, right: Any, condition: Any, successor: Any, probability: Any
+    ) -> syntax.Production:
+        heads, place = (left or (), right or ()), predecessor[0].place
+        return syntax.Production(predecessor, successor, probability, place, *heads, *(condition or ()))
+
+
+@dataclass(frozen=True)
+class Statement:
+    """A keyword, its text and the place where that begins; a production has the keyword ''."""
+
+    name: str  # of the file
+    keyword: str  # lower case, one space between words, no colon
+    text: str
+    place: Place  # of the text
+    start: Place  # of the statement
+
+    def at(self, position: int) -> Place:
+        """Place in the file of an index into the text."""
+        return self._in_file(*place_in(self.text, position))
+
+    def _in_file(self, line: int, column: int) -> Place:
+        return Place(self.place.line + line - 1, column + (self.place.column - 1 if line == 1 else 0))
+
+    def fail(self, problem: str, place: Place | None = None, **about: str | None) -> NoReturn:
+        """Raise `LsystemError` for a place in the file; None: where the statement begins."""
+        fail(problem, self.name, place or self.start, **about)
+
+    def parse(self, rule: str) -> Any:
+        """The syntax of the text, by a rule of the grammar."""
+        self._refuse_deep()
         try:
-            return _lark().parse(text, start=start)
+            tree = _lark().parse(self.text, start=rule)
         except UnexpectedCharacters as error:
-            got = repr(text[error.pos_in_stream or 0])
-            self.unexpected(self.place(error.line, error.column), error.allowed, got, text)
-        except UnexpectedEOF as error:
-            lines = text.split("\n")
-            self.unexpected(self.place(len(lines), len(lines[-1]) + 1), error.expected, "the end", text)
+            got = repr(self.text[error.pos_in_stream or 0])
+            self.unexpected(self._in_file(error.line, error.column), error.allowed, got)
         except UnexpectedToken as error:
             at_end = error.token.type == "$END"
-            lines = text.rstrip().split("\n")
-            place = self.place(len(lines), len(lines[-1]) + 1) if at_end else self.at(error.token)
+            place = self.at(len(self.text.rstrip())) if at_end else self._in_file(error.line, error.column)
             got = "the end of the statement" if at_end else repr(str(error.token))
-            self.unexpected(place, error.accepts or error.expected, got, text)
+            self.unexpected(place, error.accepts or error.expected, got)
+        return _Syntax(lambda token: self._in_file(token.line or 1, token.column or 1)).transform(tree)
 
-    def unexpected(self, place: Place, expected: Any, got: str, text: str) -> NoReturn:
+    def unexpected(self, place: Place, expected: Any, got: str) -> NoReturn:
         names = set(expected or ())
         shown = [_PLAIN[one] for one in _PLAIN if one in names]
         if names & _OPERATORS:
             shown.append("an operator")
         hint = None
-        if "-->" not in text and re.search(r"->|→", text):
+        if "-->" not in self.text and re.search(r"->|→", self.text):
             hint = "the arrow of a production is -->"
         elif got.strip("'\"") == "=":
             hint = "equality is =="
         self.fail("this is not understood", place, expected=", ".join(shown) or None, got=got, hint=hint)
 
-    def modules(self, tree: Tree[Token] | None) -> tuple[Module, ...]:
-        return () if tree is None else tuple(self.module(one) for one in tree.children if isinstance(one, Tree))
-
-    def module(self, tree: Tree[Token]) -> Module:
-        symbol = tree.children[0]
-        assert isinstance(symbol, Token)
-        if tree.data == "comma":
-            return Module(",", (), self.at(symbol))
-        arguments = tree.children[2]
-        given = arguments.children if isinstance(arguments, Tree) else ()
-        return Module(str(symbol), self.expressions(given), self.at(symbol))
-
-    def expressions(self, children: Any) -> tuple[Expression, ...]:
-        return tuple(self.expression(one) for one in children if isinstance(one, Tree))
-
-    def expression(self, tree: Any) -> Expression:
-        kind, children = tree.data, tree.children
-        if kind == "group":
-            return self.expression(children[1])
-        if kind == "binary":
-            left, operator, right = children
-            return Binary(str(operator), self.expression(left), self.expression(right), self.at(operator))
-        if kind == "unary":
-            operand = self.expression(children[1])
-            return operand if children[0] == "+" else Unary(str(children[0]), operand, self.at(children[0]))
-        first = children[0]
-        place = self.at(first)
-        if kind == "number":
-            return Number(float(first), place)
-        if kind == "call":
-            given = children[2].children if children[2] is not None else ()
-            return Call(str(first), self.expressions(given), place)
-        if kind == "index":
-            return Index(str(first), self.expression(children[2]), place)
-        return Name(str(first), place)
-
-    def instructions(self, trees: Any) -> tuple[Instruction, ...]:
-        found = (self.instruction(tree) for tree in trees if isinstance(tree, Tree) and tree.data != "nothing")
-        return tuple(found)
-
-    def instruction(self, tree: Tree[Token]) -> Instruction:
-        children: Any = tree.children
-        place = self.at(children[0])
-        if tree.data == "assignment":
-            return Assign(str(children[0]), self.expression(children[2]), place)
-        if tree.data == "use_group":
-            return UseGroup(self.expression(children[2]), place)
-        otherwise = children[6] if len(children) > 6 else None
-        return If(self.expression(children[2]), self.branch(children[4]), self.branch(otherwise), place)
-
-    def branch(self, tree: Any) -> tuple[Instruction, ...]:
-        if tree is None:
-            return ()
-        inner = tree.children[0]
-        return self.instructions(inner.children if inner.data == "block" else [inner])
-
-    def production(self, text: str, group: int) -> Production:
-        tree = self.parse(text, "production")
-        left, _, pred, _, right, condition, _, successor, _, probability = tree.children
-        before, test, after = self.condition(condition)
-        return Production(
-            left=self.modules(left.children[0]) if left and isinstance(left.children[0], Tree) else (),
-            predecessor=self.modules(pred),
-            right=self.modules(right.children[0]) if right and isinstance(right.children[0], Tree) else (),
-            before=before,
-            condition=test,
-            after=after,
-            successor=self.modules(successor),
-            probability=None if probability is None else self.expression(probability),
-            place=self.module(pred.children[0]).place,
-            group=group,
-        )
-
-    def condition(self, tree: Any) -> tuple[tuple[Instruction, ...], Expression | None, tuple[Instruction, ...]]:
-        if tree is None:
-            return (), None, ()
-        before: tuple[Instruction, ...] = ()
-        after: tuple[Instruction, ...] = ()
-        test = None
-        seen_test = False
-        for child in tree.children:
-            if not isinstance(child, Tree):
-                continue
-            if child.data == "test":
-                seen_test = True
-                test = self.expression(child.children[0]) if isinstance(child.children[0], Tree) else None
-            elif seen_test:
-                after = self.instructions(child.children)
-            else:
-                before = self.instructions(child.children)
-        return before, test, after
-
-
-def is_tree(tree: Any) -> bool:
-    return bool(tree.children) and isinstance(tree.children[0], Tree)
-
-
-def _refuse_deep(reader: Reader, text: str) -> None:
-    depth = 0
-    for position, character in enumerate(text):
-        depth += (character == "(") - (character == ")")
-        if depth > _DEEPEST:
-            line = text.count("\n", 0, position) + 1
-            place = reader.place(line, position - text.rfind("\n", 0, position))
-            reader.fail("parentheses lie too deep within one another", place, expected=f"at most {_DEEPEST}")
+    def _refuse_deep(self) -> None:
+        depth = 0
+        for position, character in enumerate(self.text):
+            depth += (character == "(") - (character == ")")
+            if depth > _DEEPEST:
+                expected = f"at most {_DEEPEST}"
+                self.fail("parentheses lie too deep within one another", self.at(position), expected=expected)

@@ -9,7 +9,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
+
+from forestgen.core.errors import LsystemError
 
 
 class Place(NamedTuple):
@@ -20,6 +22,16 @@ class Place(NamedTuple):
 
 
 FIRST = Place(1, 1)
+
+
+def place_in(text: str, position: int) -> Place:
+    """The place of an index into a text."""
+    return Place(text.count("\n", 0, position) + 1, position - text.rfind("\n", 0, position))
+
+
+def fail(problem: str, name: str, place: Place, **about: str | None) -> NoReturn:
+    """Raise `LsystemError` for a place in the program of file `name`."""
+    raise LsystemError(problem, where=f"{name}:{place.line}:{place.column}", **about)
 
 
 @dataclass(frozen=True)
@@ -61,8 +73,8 @@ class Unary:
 
 @dataclass(frozen=True)
 class Binary:
-    operator: str  # || && == != < <= > >= + - * / % ^
     left: Expression
+    operator: str  # || && == != < <= > >= + - * / % ^
     right: Expression
     place: Place = field(compare=False)
 
@@ -103,19 +115,19 @@ class Module:
     place: Place
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Production:
     """``left < predecessor > right : {before} condition {after} --> successor : probability``"""
 
-    left: tuple[Module, ...] = ()
     predecessor: tuple[Module, ...]
+    successor: tuple[Module, ...]
+    probability: Expression | None
+    place: Place
+    left: tuple[Module, ...] = ()
     right: tuple[Module, ...] = ()
     before: tuple[Statement, ...] = ()
     condition: Expression | None = None
     after: tuple[Statement, ...] = ()
-    successor: tuple[Module, ...]
-    probability: Expression | None
-    place: Place
     group: int = 0  # 0: in every group
 
 

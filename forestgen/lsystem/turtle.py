@@ -5,36 +5,9 @@ L = U x H. It starts at the origin with H up (z), L = -x and U = -y: cpfg's pict
 the ground. A turn by a positive angle about an axis is right-handed: about U, H goes towards L; about L, U goes
 towards H; about H, L goes towards U.
 
-==============  =========================  =========================  =================================
-module          cpfg                       abop                       rhover
-==============  =========================  =========================  =================================
-F(l)            draw a segment             draw a segment             F(l, w, t): a cone of widths w, t
-f(l)            move                       move                       --
-G(l)            as F, records no vertex    as F, records no vertex    --
-g(l)            as f, records no vertex    --                         --
-``+(a) -(a)``   about U by a, -a           about U by a, -a           --
-``&(a) ^(a)``   about L by a, -a           about L by a, -a           & is about H by -a
-``\(a) /(a)``   about H by a, -a           about H by -a, a           --
-``<(a) >(a)``   (contexts)                 (contexts)                 about U by -a, a
-``@(a)``        --                         --                         about H by a
-``%(a)``        (cuts or fragments)        (cuts or fragments)        about L by a: pitch down
-``#(a)``        width, see below           --                         about L by -a: pitch up
-``|``           about U by 180             about U by 180             about U by 180
-``$``           L level, U upwards (@v)    L level, U upwards         --
-!(w)            width; ! less by the       width; ! times the         --
-                increment                  factor
-#(w)            width; # more by the       --                         pitch up
-                increment
-_(e)            elasticity; _ more         elasticity; _ more         --
-colour          ``;(n)`` next, ``,`` back  ``'(n)`` next              --
-``~K(s, ...)``  surface K                  surface K                  --
-``{ . }``       polygon                    polygon                    --
-@Gs @Gc @Ge     generalized cylinder       --                         --
-?P ?H ?L ?U     query                      query                      query
-==============  =========================  =========================  =================================
-
-Modules that a column leaves out are read over, as are all other symbols. A parameter replaces the default: the
-angle, the step, or the increment. Angles are in degrees.
+docs/lsystem.md has the modules of each dialect and the options in a program's header (`ACTIONS` and
+`TURTLE_STATEMENTS` of `turtle_options`). All other symbols are read over. A parameter replaces the default: the angle,
+the step, or the increment. What was decided:
 
 - Roll: cpfg's program keeps the opposite of U, so that its ``\`` takes L towards U as H x L has it; ABOP's words
   ("roll left using R_H") and its matrices, read so that + turns left and & pitches down, take L away from U. Each
@@ -53,11 +26,6 @@ angle, the step, or the increment. Angles are in degrees.
 - ``rhover``: the turtle's x, y, z axes are -L, H, U; "right" is the negative sense of a rotation. F's defaults are
   10, 2, 1; that of an angle is 45 degrees.
 
-Options in a program's header (name: numbers; see `TURTLE_STATEMENTS`): ``angle: 22.5``, ``step: 1``, ``scale: 0.1``
-(metres a unit), ``width: 0.1``, ``width increment: 0.01`` or ``width factor: 0.7``, ``tip width: 1`` (rhover's t),
-``tropism: 0 0 -1 0.2`` (T and e), ``elasticity: 0.2``, ``elasticity increment: 0.1``, ``heading: 0 0 1``,
-``colour: 0``.
-
 References
 ----------
 Prusinkiewicz, P., Lindenmayer, A. (1990). The Algorithmic Beauty of Plants (ABOP). Sections 1.5, 1.10, 2.3, 5.
@@ -67,7 +35,7 @@ Mech, R., Prusinkiewicz, P. (1998). CPFG version 4.0 user's manual, appendix on 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
@@ -76,12 +44,7 @@ from numpy.typing import NDArray
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem import turtle_kernel as act
 from forestgen.lsystem.multiset import Kind, Multiset
-from forestgen.lsystem.turtle_options import ACTIONS, TURTLE_STATEMENTS, TurtleOptions, options_from
-
-__all__ = [
-    "TURTLE_STATEMENTS", "Drawing", "Polygons", "Surfaces", "TurtleOptions", "draw", "draw_word", "options_from",
-    "query_values",
-]  # fmt: skip
+from forestgen.lsystem.turtle_options import ACTIONS, TurtleOptions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -140,23 +103,18 @@ def draw(
     options: TurtleOptions,
     surfaces: Collection[str] | None = None,
 ) -> Drawing:
-    """The picture of one word.
+    """The picture of one word: `code` (M,) indexes `kinds`, `parameter` (P,) has all modules' parameters in order.
 
-    Parameters
-    ----------
-    code : (M,) index into `kinds` of each module.
-    parameter : (P,) parameters of all modules, in order.
-    surfaces : names that may follow ~; None: all.
-
-    Raises `LsystemError` for brackets that do not match, an unknown surface, a negative width, or a number that is not
-    finite.
+    `surfaces` are names that may follow ~; None: all. Raises `LsystemError` for brackets that do not match, an unknown
+    surface, a negative width, or a number that is not finite.
     """
     walk = _walk(code, parameter, kinds, options)
     placed = _surfaces(walk, parameter, options.scale, surfaces)
     nodes, marks = walk.nodes, walk.node_marks
     near = np.all(np.abs(nodes[:, :3]) < FARTHEST_M, axis=1)
     if not near.all():
-        walk.fail("the turtle went too far", int(marks[np.argmin(near), act.MODULE]), f"less than {FARTHEST_M:g} m")
+        module = int(marks[np.argmin(near), act.MODULE])
+        _fail("the turtle went too far", module, code, kinds, f"less than {FARTHEST_M:g} m")
     by_axis = np.argsort(marks[:, act.AXIS], kind="stable")  # a branch's axis has a larger number than its bearer's
     place = np.empty(len(nodes), dtype=np.int32)
     place[by_axis] = np.arange(len(nodes), dtype=np.int32)
@@ -213,9 +171,6 @@ class _Walk:
     events: Floats  # (E, EVENT_NUMBERS)
     event_marks: Ints  # (E, EVENT_MARKS)
 
-    def fail(self, problem: str, module: int, expected: str) -> NoReturn:
-        _fail(problem, module, self.code, self.kinds, expected)
-
 
 def _walk(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], options: TurtleOptions) -> _Walk:
     code = np.require(code, np.uint16, ["C", "W"])  # one type for the kernel, which is compiled for each
@@ -225,39 +180,33 @@ def _walk(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], op
     ops, sign = np.array([op for op, _ in found]), np.array([sense for _, sense in found])
     arity = np.array([kind.arity for kind in kinds], dtype=np.int64)
     op = ops[code]
-    _check_numbers(code, parameter, kinds, arity)
-    _check_splines(code, kinds, op)
+    infinite = np.flatnonzero(~np.isfinite(parameter))
+    if len(infinite):
+        module = int(np.searchsorted(_starts(code, arity), infinite[0], side="right")) - 1
+        _fail("a parameter is not finite", module, code, kinds, "a finite number")
+    splines = [i for i, kind in enumerate(kinds) if kind.symbol in ("{", "}") and kind.arity]
+    strange = np.flatnonzero(np.isin(code, splines) & (op != act.NOTHING))
+    if len(strange):
+        expected = "{ and }, or @Gs, @Gc and @Ge"
+        _fail("braces with parameters are not supported", int(strange[0]), code, kinds, expected)
     brackets = _deepest(op, act.PUSH, act.POP, code, kinds)
     braces = _deepest(op, act.POLYGON, act.END_POLYGON, code, kinds)
     nodes, events = _space(op, code, parameter, arity)
-    walk = _Walk(
-        code,
-        kinds,
-        np.zeros((nodes, act.NODE_NUMBERS)),
-        np.zeros((nodes, act.NODE_MARKS), np.int64),
-        np.zeros((events, act.EVENT_NUMBERS)),
-        np.zeros((events, act.EVENT_MARKS), np.int64),
-    )
-    walk.node_marks[0, act.MODULE] = -1
-    walk.node_marks[0, act.NODE_COLOUR] = options.colour
-    walk.nodes[0, act.START_RADIUS :] = 0.5 * options.scale * options.width
+    node, marks_of_node = np.zeros((nodes, act.NODE_NUMBERS)), np.zeros((nodes, act.NODE_MARKS), np.int64)
+    event, marks_of_event = np.zeros((events, act.EVENT_NUMBERS)), np.zeros((events, act.EVENT_MARKS), np.int64)
+    marks_of_node[0, act.MODULE], marks_of_node[0, act.NODE_COLOUR] = -1, options.colour
+    node[0, act.START_RADIUS :] = 0.5 * options.scale * options.width
     state, marks = options.start()
     states = np.empty((brackets, act.STATE_SIZE)), np.empty((brackets, act.MARKS_SIZE), np.int64)
     status, module = act.walk(
         code, parameter, ops, sign, arity, options.numbers(), state, marks,
-        walk.nodes, walk.node_marks, walk.events, walk.event_marks, *states, np.zeros(braces, np.int64), np.empty(3),
+        node, marks_of_node, event, marks_of_event, *states, np.zeros(braces, np.int64), np.empty(3),
     )  # fmt: skip
     if status != act.OK:
         problem, expected = _PROBLEMS[status]
-        walk.fail(problem, int(module), expected)
+        _fail(problem, int(module), code, kinds, expected)
     n, e = marks[act.NODES], marks[act.EVENTS]
-    return replace(
-        walk,
-        nodes=walk.nodes[:n],
-        node_marks=walk.node_marks[:n],
-        events=walk.events[:e],
-        event_marks=walk.event_marks[:e],
-    )
+    return _Walk(code, kinds, node[:n], marks_of_node[:n], event[:e], marks_of_event[:e])
 
 
 _PROBLEMS = {
@@ -297,7 +246,7 @@ def _surfaces(walk: _Walk, parameter: Floats, unit_m: float, known: Collection[s
     strange = np.zeros(len(kind), np.bool_) if known is None else ~np.isin(names[kind], list(known))
     if known is not None and strange.any():
         expected = f"one of {', '.join(sorted(known))}" if known else "no surface"
-        walk.fail("an unknown surface", int(module[strange][0]) + 1, expected)
+        _fail("an unknown surface", int(module[strange][0]) + 1, walk.code, walk.kinds, expected)
     arity = np.array([one.arity for one in walk.kinds], dtype=np.int64)[kind]
     scale = np.full((len(kind), 3), unit_m)
     for k in range(3):
@@ -340,19 +289,3 @@ def _deepest(op: Ints, opens: int, closes: int, code: NDArray[np.uint16], kinds:
         last = int(np.flatnonzero(depth < depth[-1])[-1]) + 1 if (depth < depth[-1]).any() else 0
         _fail("this is never closed", int(where[last]), code, kinds, "balanced pairs")
     return int(depth.max())
-
-
-def _check_numbers(code: NDArray[np.uint16], parameter: Floats, kinds: Sequence[Kind], arity: Ints) -> None:
-    finite = np.isfinite(parameter)
-    if not finite.all():
-        at = int(np.argmax(~finite))
-        module = int(np.searchsorted(_starts(code, arity), at, side="right")) - 1
-        _fail("a parameter is not finite", module, code, kinds, "a finite number")
-
-
-def _check_splines(code: NDArray[np.uint16], kinds: Sequence[Kind], op: Ints) -> None:
-    strange = [i for i, kind in enumerate(kinds) if kind.symbol in ("{", "}") and kind.arity]
-    found = np.isin(code, strange) & (op != act.NOTHING)
-    if found.any():
-        module = int(np.argmax(found))
-        _fail("braces with parameters are not supported", module, code, kinds, "{ and }, or @Gs, @Gc and @Ge")

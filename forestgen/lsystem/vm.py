@@ -48,7 +48,7 @@ def _select(t, v, m, key, rules, group, i, p, begin, end, text):  # type: ignore
                 break
         if not matches:
             continue
-        slot = t[layout.LOCALS]
+        slot = 0
         if t[rule + layout.LEFTS] > 0:
             if not left_context(t, m, rule, i, begin, text):
                 continue
@@ -90,10 +90,10 @@ def _select(t, v, m, key, rules, group, i, p, begin, end, text):  # type: ignore
             # The other productions are still looked at: the probabilities must not exceed 1.
             chosen = rule
             for k in range(t[layout.LOCAL_SIZE]):
-                v[t[layout.SPARE] + k] = v[t[layout.LOCALS] + k]
+                v[t[layout.LOCAL_SIZE] + k] = v[k]
     if chosen >= 0:
         for k in range(t[layout.LOCAL_SIZE]):
-            v[t[layout.LOCALS] + k] = v[t[layout.SPARE] + k]
+            v[k] = v[t[layout.LOCAL_SIZE] + k]
     return chosen
 
 
@@ -183,8 +183,8 @@ def rewrite(memory, key, how, text, words, made, pile, out, out_words):  # type:
         i = begin
         while i < end:
             kind = codes[i]
-            rule = t[rules + kind]
-            has_rules = rule < t[rules + kind + 1]
+            rule = t[rules + kind] if rules >= 0 else -1
+            has_rules = rules >= 0 and rule < t[rules + kind + 1]
             decomposes = inner >= 0 and t[inner + kind] < t[inner + kind + 1]
             if inner < 0 and has_rules and t[rule + layout.PLAIN] >= 0:
                 # One symbol into symbols without parameters, whatever stands around it.

@@ -49,11 +49,11 @@ OPERATORS: Final = {
 OK, DIVISION_BY_ZERO, OUTSIDE_DOMAIN, NO_SUCH_ELEMENT, NO_SUCH_FUNCTION, NOT_FINITE = 0, 1, 2, 3, 4, 5
 BAD_PROBABILITY, PROBABILITIES_OVER_ONE, TOO_DEEP, MORE_SPACE = 6, 7, 8, 20
 
-# t, the program in whole numbers, begins with addresses in t or in v, the program in real numbers:
-# of the kinds' numbers of parameters, of a flag for each kind, of the stack and the local variables in v;
-ARITY, IGNORED, STACK, LOCALS = 0, 1, 2, 3
-# how many functions, the address of (address in v, number of samples) for each, and room in v for a copy of the locals.
-FUNCTIONS, FUNCTION_AT, SPARE, LOCAL_SIZE, HEADER = 4, 5, 6, 7, 8
+# v, the program in real numbers, begins with the local variables and room for a copy of them.
+# t, the program in whole numbers, begins with addresses in t or in v: of the kinds' numbers of parameters and of a flag
+# for each kind in t, of the stack in v; then how many local variables and functions there are, and the address in t of
+# (address in v, number of samples) for each function.
+ARITY, IGNORED, STACK, LOCAL_SIZE, FUNCTIONS, FUNCTION_AT, HEADER = 0, 1, 2, 3, 4, 5, 6
 # A production's record in t. Heads, contexts and plain successors are lists of kinds. -1: no condition, no probability.
 GROUP, CONDITION, PROBABILITY, SUCCESSOR = 0, 1, 2, 3
 # Address and length. The right context has brackets; behind them, for each the index of the enclosing bracket, or -1.
@@ -83,7 +83,7 @@ class Memory(NamedTuple):
 class Rewriting(NamedTuple):
     """What a step does."""
 
-    rules: int  # address in t
+    rules: int  # address in t; -1: none
     inner: int  # address in t of those that decompose what comes out; -1: none
     group: int
     depth: int  # of the decomposition

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import LsystemError
 from forestgen.geometry.mesh import unit
+from forestgen.lsystem.compiler import Program
 from forestgen.lsystem.derivation import MOST_MODULES, derive, interpret
-from forestgen.lsystem.program import Program
-from forestgen.lsystem.turtle import Drawing, Polygons, draw_word, options_from
+from forestgen.lsystem.turtle import Drawing, Polygons, draw_word
+from forestgen.lsystem.turtle_options import options_from
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
 _THREAD_M = 1e-6  # radius of what joins pieces between which the turtle moved without drawing

@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.crowding import SphereGrid, overlap_volumes
+from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes, SphereGrid, overlap_volumes
+
+
+def overlap(grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES) -> NDArray[np.float32]:
+    """(M,) crowding f(u) of each module, in units of its own volume (Eq. 1)."""
+    return (overlap_volumes(grid, parent_row, boxes) / grid.volume_m3).astype(np.float32)
 
 
 def intersection_ratio(grid: SphereGrid, parent_row: NDArray[np.integer] | None = None) -> float:

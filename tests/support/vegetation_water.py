@@ -19,7 +19,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from forestgen.community.soil_water import (
-    SUBSTEP_DAYS,
     Fields,
     Floats,
     Ground,
@@ -104,9 +103,7 @@ class VegetationWater:
         bare = self.of(bare_state(self.soil.parameters, rain_mm_per_day))
         return Vegetation(np.where(rng.random(self.ground.shape) < share, g_per_m2, 0.0), bare.water)
 
-    def advance(
-        self, state: Vegetation, days: float, *, rain_mm_per_day: Map, step_days: float = SUBSTEP_DAYS
-    ) -> Vegetation:
+    def advance(self, state: Vegetation, days: float, *, rain_mm_per_day: Map, step_days: float = 0.5) -> Vegetation:
         """The state after a time of steady rain, in equal steps of at most `step_days`."""
         shape, p = self.ground.shape, self.plants
         maps = (state.plants_g_per_m2, state.water.soil_mm, state.water.surface_mm, rain_mm_per_day)

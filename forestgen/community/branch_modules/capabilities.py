@@ -62,13 +62,10 @@ class ModuleCapabilities:
             return
         for name, one in drawn.species.items():
             if one.modules is not None and name not in species:
-                raise RecipeError(
-                    f"dead trees of {name} cannot be drawn",
-                    where=drawn.where("species", name),
-                    expected="a section modules_plant, by which its own branches are drawn",
-                    got="none",
-                    hint="add modules_plant: {generator: branch_modules, ...}, or set community.standing_dead_yr: 0",
-                )
+                problem = f"dead trees of {name} cannot be drawn"
+                expected = "a section modules_plant, by which its own branches are drawn"
+                hint = "add modules_plant: {generator: branch_modules, ...}, or set community.standing_dead_yr: 0"
+                raise RecipeError(problem, where=drawn.where("species", name), expected=expected, got="none", hint=hint)
 
     def keeps_skeletons(self, parameters: BranchModulesParameters) -> bool:
         """By the recipe's history_modules."""
@@ -80,13 +77,9 @@ def without_modules(name: str, where: str, generator: object = None) -> RecipeEr
     if isinstance(generator, Lifeless):
         problem, expected = f"{name} is no living plant", "species of living plants"
         return RecipeError(problem, where=where, expected=expected, got=name, hint=generator.instead)
-    return RecipeError(
-        f"{name} does not grow by branch modules",
-        where=where,
-        expected="a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on",
-        got="none",
-        hint="write one (scenes/species/fireweed.yaml has one of a herb); or another community.model",
-    )
+    expected = "a section `modules` with life_span_yr, root_vigour_max, growth_rate_per_yr and so on"
+    hint = "write one (scenes/species/fireweed.yaml has one of a herb); or another community.model"
+    return RecipeError(f"{name} does not grow by branch modules", where=where, expected=expected, got="none", hint=hint)
 
 
 def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters) -> None:
@@ -94,13 +87,11 @@ def _check_plantings(drawn: DrawnRecipe, parameters: BranchModulesParameters) ->
     for index, one in enumerate(parameters.disturbances):
         if one.plant is not None and one.plant.number > parameters.most_modules:
             key = "count" if one.plant.positions_m is None else "positions_m"
-            raise ResourceError(
-                "more plants than there may be branch modules",
-                where=drawn.where("community", "disturbances", index, "plant", key),
-                expected=f"at most community.most_modules = {parameters.most_modules:,}",
-                got=f"{one.plant.number:,}",
-                hint="plant fewer, or raise most_modules",
-            )
+            problem = "more plants than there may be branch modules"
+            where = drawn.where("community", "disturbances", index, "plant", key)
+            expected = f"at most community.most_modules = {parameters.most_modules:,}"
+            hint = "plant fewer, or raise most_modules"
+            raise ResourceError(problem, where=where, expected=expected, got=f"{one.plant.number:,}", hint=hint)
 
 
 def _not_growing(name: str, growing: Collection[str], where: str) -> RecipeError:
@@ -143,10 +134,5 @@ def _parsed(drawn: DrawnRecipe, model: type[M], data: dict[str, Any], places: Ma
     except RecipeError as cause:
         # The parser names the key in the recipe's own section, whose value may be right.
         own = [place for key, place in places.items() if (cause.where or "").endswith(key)]
-        raise RecipeError(
-            cause.problem,
-            where=(own or list(places.values()))[0],
-            expected=cause.expected,
-            got=cause.got,
-            hint=cause.hint,
-        ) from cause
+        problem, where = cause.problem, (own or list(places.values()))[0]
+        raise RecipeError(problem, where=where, expected=cause.expected, got=cause.got, hint=cause.hint) from cause

@@ -17,29 +17,158 @@ more than seedlings, and time and memory are O(M). Each sphere adds up its own n
 the sums do not depend on the number of threads.
 
 On a torus a sphere meets the nearest image of another; spheres should be smaller than a quarter of the site.
+
+A sphere's volume within a box is the integral of disc and rectangle's common area (exact) over height, by Gauss and
+Legendre's rule with 12 points on each of the parts between the heights at which the disc begins or ceases to reach a
+side or corner. Its error is below 1e-5 of the sphere's volume (measured in the tests).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from math import floor, pi, sqrt
-from typing import NamedTuple
+from math import asin, cos, floor, pi, sin, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes, volume_in_boxes
 from forestgen.core.compiled import compiled, unowned_view
 from forestgen.core.threads import parallel_for
+
+Floats = NDArray[np.float64]
+_NODE, _WEIGHT = np.polynomial.legendre.leggauss(12)
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Upright boxes, one row each."""
+
+    base_m: Floats  # (B, 3) centre of the lower face, metres, world frame
+    size_m: Floats  # (B, 3) width, depth, height; width along world x where the azimuth is 0
+    azimuth_rad: Floats  # (B,) anticlockwise, seen from above
+
+    def __len__(self) -> int:
+        return len(self.azimuth_rad)
+
+    @property
+    def rows(self) -> Floats:
+        """(B, 8) for kernels: centre x, y, z; half the width, depth, height, metres; cosine and sine of the azimuth."""
+        centre = self.base_m + np.array([0.0, 0.0, 0.5]) * self.size_m[:, 2:]
+        turn = np.stack([np.cos(self.azimuth_rad), np.sin(self.azimuth_rad)], axis=1)
+        return np.ascontiguousarray(np.hstack([centre, 0.5 * self.size_m, turn]), dtype=np.float64)
+
+    def cover(self, position_m: Floats, period_m: tuple[float, float] | None = None) -> NDArray[np.bool_]:
+        """(N,) whether points of (N, 2) world x and y lie on a box's ground."""
+        inside = np.zeros(len(position_m), dtype=np.bool_)
+        for row in self.rows:
+            offset = position_m[:, :2] - row[:2]
+            if period_m is not None:
+                offset -= np.round(offset / period_m) * period_m
+            along = offset[:, 0] * row[6] + offset[:, 1] * row[7]
+            across = offset[:, 1] * row[6] - offset[:, 0] * row[7]
+            inside |= (np.abs(along) <= row[3]) & (np.abs(across) <= row[4])
+        return inside
+
+
+NO_BOXES = Boxes(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+
+
+@compiled
+def _half_disc(t, rho):  # type: ignore[no-untyped-def]
+    """Integral of sqrt(rho^2 - s^2) over s from 0 to t."""
+    return 0.5 * (t * sqrt(max(rho * rho - t * t, 0.0)) + rho * rho * asin(min(max(t / rho, -1.0), 1.0)))
+
+
+@compiled
+def _corner(x, y, rho):  # type: ignore[no-untyped-def]
+    """Area of the part of a disc about the origin with coordinates below x and y."""
+    x, y = min(max(x, -rho), rho), min(max(y, -rho), rho)
+    a = sqrt(max(rho * rho - y * y, 0.0))
+    m = min(max(x, -a), a)
+    cap = _half_disc(m, rho) + _half_disc(a, rho)
+    if y >= 0.0:
+        return 2.0 * _half_disc(x, rho) + 0.5 * pi * rho * rho - (cap - y * (m + a))
+    return cap + y * (m + a)
+
+
+@compiled
+def _disc_and_rectangle(x, y, half_x, half_y, rho):  # type: ignore[no-untyped-def]
+    """Common area of a disc of radius rho at x, y and the rectangle |x| <= half_x, |y| <= half_y."""
+    if rho <= 0.0:
+        return 0.0
+    return (
+        _corner(half_x - x, half_y - y, rho)
+        - _corner(-half_x - x, half_y - y, rho)
+        - _corner(half_x - x, -half_y - y, rho)
+        + _corner(-half_x - x, -half_y - y, rho)
+    )
+
+
+@compiled
+def _kinks(x, y, half_x, half_y, r, low, high, cut):  # type: ignore[no-untyped-def]
+    """Put into `cut` the heights from `low` to `high` at which the disc begins to reach a side or corner, in order."""
+    cut[0], cut[1], count = low, high, 2
+    for k in range(8):  # four corners, then four sides
+        px = half_x - x if k % 2 else -half_x - x
+        py = half_y - y if (k // 2) % 2 else -half_y - y
+        d2 = px * px + py * py
+        if k >= 4:
+            d2 = px * px if k < 6 else (half_y + (y if k % 2 else -y)) ** 2
+        if d2 < r * r:
+            z = sqrt(r * r - d2)
+            for at in (-z, z):
+                if low < at < high:
+                    place = count
+                    while cut[place - 1] > at:
+                        cut[place] = cut[place - 1]
+                        place -= 1
+                    cut[place] = at
+                    count += 1
+    return count
+
+
+@compiled
+def _in_upright(x, y, z, r, half_x, half_y, half_z):  # type: ignore[no-untyped-def]
+    """Volume of a sphere at x, y, z within the box about the origin."""
+    low, high = max(-half_z - z, -r), min(half_z - z, r)
+    if low >= high or abs(x) >= half_x + r or abs(y) >= half_y + r:
+        return 0.0
+    cut = np.empty(20)
+    count = _kinks(x, y, half_x, half_y, r, low, high, cut)
+    volume = 0.0
+    for part in range(count - 1):
+        middle, half = 0.5 * (cut[part] + cut[part + 1]), 0.5 * (cut[part + 1] - cut[part])
+        for k in range(len(_NODE)):
+            # The square roots at both ends of a part become smooth: height = middle + half * sin.
+            angle = 0.5 * pi * _NODE[k]
+            height = middle + half * sin(angle)
+            area = _disc_and_rectangle(x, y, half_x, half_y, sqrt(max(r * r - height * height, 0.0)))
+            volume += _WEIGHT[k] * 0.5 * pi * cos(angle) * half * area
+    return volume
+
+
+@compiled
+def volume_in_boxes(x, y, z, r, boxes, width, height):  # type: ignore[no-untyped-def]
+    """Volume of a sphere within boxes, rows of `Boxes.rows`; a torus of `width` and `height` where width > 0."""
+    volume = 0.0
+    for b in range(len(boxes)):
+        dx, dy, dz = x - boxes[b, 0], y - boxes[b, 1], z - boxes[b, 2]
+        if width > 0.0:
+            dx -= width * round(dx / width)
+            dy -= height * round(dy / height)
+        if abs(dz) >= r + boxes[b, 5] or dx * dx + dy * dy >= (boxes[b, 3] + boxes[b, 4] + r) ** 2:
+            continue
+        along, across = dx * boxes[b, 6] + dy * boxes[b, 7], dy * boxes[b, 6] - dx * boxes[b, 7]
+        volume += _in_upright(along, across, dz, r, boxes[b, 3], boxes[b, 4], boxes[b, 5])
+    return volume
+
 
 LEAST_RADIUS_M = 1e-3
 _LEVELS = 6
 _RATIO = 3.0  # of the largest radii of two levels
 _CELL_PER_RADIUS = 1.4  # width of a cell over the level's largest radius
 _SPHERES_PER_CELL = 1.0  # at least, in the mean; columns too
-
-Floats = NDArray[np.float64]
 
 
 class Cells(NamedTuple):  # a tuple: compiled loops take no dataclass
@@ -166,66 +295,17 @@ def _sum_overlaps(first, end, cells, parent, boxes, total):  # type: ignore[no-u
         total[own] = volume
 
 
-@compiled
-def _sort_by_level(radius, top, level, counts, order):  # type: ignore[no-untyped-def]
-    """Level of each sphere by its radius, the number of each level, and the rows in order of levels."""
-    for i in range(len(radius)):
-        k, least = 0, top / _RATIO
-        while radius[i] <= least and k < _LEVELS - 1:
-            k, least = k + 1, least / _RATIO
-        level[i] = k
-        counts[k] += 1
-    place = np.zeros(_LEVELS, dtype=np.int64)
-    for k in range(1, _LEVELS):
-        place[k] = place[k - 1] + counts[k - 1]
-    for i in range(len(radius)):
-        k = level[i]
-        order[place[k]] = i
-        place[k] += 1
-
-
-@compiled
-def _columns(position, order, levels, first, end, k, width, height, column, low, high):  # type: ignore[no-untyped-def]
-    """Column of each sphere of level `k`, rows `order[first:end]`; lowest and highest z of each column."""
-    column0, nx, ny = int(levels[k, 0]), int(levels[k, 1]), int(levels[k, 2])
-    for at in range(first, end):
-        i = order[at]
-        x, y, z = position[i, 0], position[i, 1], position[i, 2]
-        if width > 0.0:
-            x, y = x % width, y % height
-        a = min(max(floor((x - levels[k, 5]) * levels[k, 3]), 0), nx - 1)
-        b = min(max(floor((y - levels[k, 6]) * levels[k, 4]), 0), ny - 1)
-        c = column0 + b * nx + a
-        column[at] = c
-        low[c], high[c] = min(low[c], z), max(high[c], z)
-
-
-@compiled
-def _fill(position, radius, order, column, levels, edges, first, low, width, height, start, sphere, row):  # type: ignore[no-untyped-def]
-    """Put spheres into their cells; `start` (cells + 2,) is zeros, and afterwards right but for its last place."""
-    for counting in (True, False):
-        for k in range(len(levels)):
-            for at in range(edges[k], edges[k + 1]):
-                i, c = order[at], column[at]
-                layer = floor((position[i, 2] - low[c]) * levels[k, 7])
-                cell = first[c] + min(max(layer, 0), first[c + 1] - first[c] - 1) + 1
-                if counting:
-                    start[cell + 1] += 1
-                    continue
-                place = start[cell]
-                start[cell] += 1
-                x, y = position[i, 0], position[i, 1]
-                if width > 0.0:
-                    x, y = x % width, y % height
-                sphere[place, 0], sphere[place, 1], sphere[place, 2] = x, y, position[i, 2]
-                sphere[place, 3], row[place] = radius[i], i
-        if counting:
-            for cell in range(2, len(start)):
-                start[cell] += start[cell - 1]
+def _levels(radius: Floats) -> NDArray[np.int8]:
+    """Level of each sphere by its radius: 0 are the largest."""
+    level, least = np.zeros(len(radius), dtype=np.int8), radius.max(initial=LEAST_RADIUS_M)
+    for _ in range(_LEVELS - 1):
+        least /= _RATIO
+        level += radius <= least
+    return level
 
 
 def _shape(
-    position_m: Floats, radius_m: Floats, rows: NDArray[np.int32], period_m: tuple[float, float] | None
+    position_m: Floats, radius_m: Floats, rows: NDArray[np.int64], period_m: tuple[float, float] | None
 ) -> tuple[float, ...]:
     """A level's row of `Cells.level` without its first column and its layers."""
     most = float(radius_m[rows].max())
@@ -242,55 +322,45 @@ def _shape(
 
 def cells_of(position_m: Floats, radius_m: Floats, period_m: tuple[float, float] | None) -> Cells:
     """The cells of (M, 3) float64 centres and (M,) float64 radii, metres; see `SphereGrid`."""
-    m = len(radius_m)
-    width, height = period_m or (0.0, 0.0)
-    counts, order = np.zeros(_LEVELS, dtype=np.int64), np.empty(m, dtype=np.int32)
-    _sort_by_level(radius_m, radius_m.max(initial=LEAST_RADIUS_M), np.empty(m, dtype=np.int8), counts, order)
+    level = _levels(radius_m)
+    order, counts = np.argsort(level, kind="stable"), np.bincount(level)
     edges = np.concatenate([[0], np.cumsum(counts[counts > 0])])
-    levels = np.zeros((len(edges) - 1, 9))
-    columns = 0
+    sphere = np.column_stack([position_m, radius_m])[order]
+    if period_m is not None:
+        sphere[:, :2] %= period_m
+    x, y, z = sphere[:, :3].T
+    levels, columns, column = np.zeros((len(edges) - 1, 9)), 0, np.empty(len(sphere), dtype=np.int64)
     for k, (begin, end) in enumerate(pairwise(edges.tolist())):
         nx, ny, per_x, per_y, x0, y0, most = _shape(position_m, radius_m, order[begin:end], period_m)
         levels[k] = columns, nx, ny, per_x, per_y, x0, y0, 0.0, most
+        along_x = np.clip(np.floor((x[begin:end] - x0) * per_x), 0, nx - 1)
+        along_y = np.clip(np.floor((y[begin:end] - y0) * per_y), 0, ny - 1)
+        column[begin:end] = columns + along_y * nx + along_x
         columns += int(nx * ny)
-    column, low, high = np.empty(m, dtype=np.int32), np.full(columns, np.inf), np.full(columns, -np.inf)
-    layers = np.zeros(columns, dtype=np.int32)
+    low, high = np.full(columns, np.inf), np.full(columns, -np.inf)
+    np.minimum.at(low, column, z)
+    np.maximum.at(high, column, z)
+    layers, per_z = np.zeros(columns, dtype=np.int64), np.empty(len(sphere))
     for k, (begin, end) in enumerate(pairwise(edges.tolist())):
-        _columns(position_m, order, levels, begin, end, k, width, height, column, low, high)
         own = slice(int(levels[k, 0]), int(levels[k, 0] + levels[k, 1] * levels[k, 2]))
         tall = np.where(high[own] >= low[own], high[own] - low[own], -1.0)
         thick = max(_CELL_PER_RADIUS * levels[k, 8], _SPHERES_PER_CELL * tall.clip(0).sum() / (end - begin))
-        levels[k, 7] = 1.0 / thick
+        levels[k, 7] = per_z[begin:end] = 1.0 / thick
         layers[own] = np.where(tall >= 0.0, np.floor(tall * levels[k, 7]) + 1, 0)
-    first = np.zeros(columns + 1, dtype=np.int32)
-    np.cumsum(layers, out=first[1:])
-    start = np.zeros(int(first[-1]) + 2, dtype=np.int32)
-    sphere, row = np.empty((m, 4)), np.empty(m, dtype=np.int32)
-    _fill(position_m, radius_m, order, column, levels, edges, first, low, width, height, start, sphere, row)
-    return Cells(sphere, row, start[:-1], first, low, levels, float(width), float(height))
-
-
-@compiled
-def _kept(cells, leave_out, start, sphere, row):  # type: ignore[no-untyped-def]
-    """Copy the spheres whose rows do not leave out, and where each cell's begin; their number."""
-    count = 0
-    for cell in range(len(start) - 1):
-        start[cell] = count
-        for j in range(cells.start[cell], cells.start[cell + 1]):
-            if not leave_out[cells.row[j]]:
-                for d in range(4):
-                    sphere[count, d] = cells.sphere[j, d]
-                row[count] = cells.row[j]
-                count += 1
-    start[len(start) - 1] = count
-    return count
+    first = np.concatenate([[0], np.cumsum(layers)])
+    cell = first[column] + np.clip(np.floor((z - low[column]) * per_z), 0, layers[column] - 1).astype(np.int64)
+    into, start = np.argsort(cell, kind="stable"), np.cumsum(np.bincount(cell, minlength=first[-1]))
+    starts = np.concatenate([[0], start]).astype(np.int32)
+    width, height = period_m or (0.0, 0.0)
+    rows = order[into].astype(np.int32)
+    return Cells(sphere[into], rows, starts, first.astype(np.int32), low, levels, float(width), float(height))
 
 
 def without(cells: Cells, leave_out: NDArray[np.bool_]) -> Cells:
     """The same cells without the spheres of some of the caller's rows, (M,)."""
-    start, sphere, row = np.empty_like(cells.start), np.empty_like(cells.sphere), np.empty_like(cells.row)
-    count = _kept(cells, leave_out, start, sphere, row)
-    return cells._replace(sphere=sphere[:count], row=row[:count], start=start)
+    keep = ~leave_out[cells.row]
+    start = np.concatenate([[0], np.cumsum(keep)])[cells.start].astype(np.int32)
+    return cells._replace(sphere=cells.sphere[keep], row=cells.row[keep], start=start)
 
 
 @dataclass(frozen=True)
@@ -303,22 +373,11 @@ class SphereGrid:
 
     @classmethod
     def of(
-        cls,
-        centre_world_m: NDArray[np.floating],
-        radius_m: NDArray[np.floating],
-        period_m: tuple[float, float] | None = None,
+        cls, centre_world_m: NDArray[Any], radius_m: NDArray[Any], period_m: tuple[float, float] | None = None
     ) -> SphereGrid:
-        """The grid of spheres: centres (M, 3), metres, world frame, and radii (M,), metres, at least 0.
-
-        Raises
-        ------
-        ValueError : numbers that are not finite, or radii below 0.
-        """
+        """The grid of spheres: centres (M, 3), metres, world frame, and radii (M,), metres, at least 0; all finite."""
         centre = np.ascontiguousarray(centre_world_m, dtype=np.float64)
-        radius = np.ascontiguousarray(radius_m, dtype=np.float64)
-        if not (np.isfinite(centre).all() and np.isfinite(radius).all() and radius.min(initial=0.0) >= 0.0):
-            raise ValueError("spheres need finite centres and finite radii of at least 0")
-        radius = np.maximum(radius, LEAST_RADIUS_M)
+        radius = np.maximum(np.ascontiguousarray(radius_m, dtype=np.float64), LEAST_RADIUS_M)
         return cls(cells_of(centre, radius, period_m), radius, period_m)
 
     def __len__(self) -> int:
@@ -331,19 +390,13 @@ class SphereGrid:
 
 
 def overlap_volumes(grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES) -> Floats:
-    """(M,) float64, m3: sum of each sphere's common volumes with all others and boxes; see `overlap`."""
+    """(M,) m3: sum of each sphere's common volumes with all others and boxes; over its own volume it is f(u) of Eq. 1.
+
+    `parent_row` (M,) is the row of the module that bears each, -1 for roots: pairs that share a joint do not count.
+    """
     total = np.empty(len(grid))
     parent = np.ascontiguousarray(parent_row, dtype=np.int64)
     if len(grid):
         cells, rows = grid.cells, boxes.rows
         parallel_for(len(grid), lambda first, end: _sum_overlaps(first, end, cells, parent, rows, total))
     return total
-
-
-def overlap(grid: SphereGrid, parent_row: NDArray[np.integer], boxes: Boxes = NO_BOXES) -> NDArray[np.float32]:
-    """(M,) crowding f(u) of each module, in units of its own volume (Eq. 1).
-
-    `parent_row` (M,) is the row of the module that bears each, -1 for roots (`Modules.parent_row`): pairs that share a
-    joint do not count.
-    """
-    return (overlap_volumes(grid, parent_row, boxes) / grid.volume_m3).astype(np.float32)

@@ -30,14 +30,16 @@ from math import cos, floor, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes, volume_in_boxes
 from forestgen.community.branch_modules.crowding import (
     LEAST_RADIUS_M,
+    NO_BOXES,
+    Boxes,
     Cells,
     SphereGrid,
     cells_of,
     nearest_image,
     runs,
+    volume_in_boxes,
     without,
 )
 from forestgen.core.compiled import compiled, unchecked, unowned_view
@@ -185,19 +187,11 @@ def _below(z, r, ground):  # type: ignore[no-untyped-def]
 @compiled
 def _turn(first, end, parity, angle, table, rows, fixed, moving, boxes, at, rotation, new_at, new_rotation):  # type: ignore[no-untyped-def]
     """Best choice of each module at places `first` to `end` of `moving`, of that parity; all are `at`, `rotation`."""
-    table, rows, fixed, moving, at = (
-        unowned_view(table),
-        unowned_view(rows),
-        unowned_view(fixed),
-        unowned_view(moving),
-        unowned_view(at),
-    )
+    table, rows, at = unowned_view(table), unowned_view(rows), unowned_view(at)
+    fixed, moving = unowned_view(fixed), unowned_view(moving)
     room, space, shared = np.empty((256, 2), dtype=np.int64), np.empty((4, 256)), np.empty(256)
-    run, near, common = (
-        unowned_view(room),
-        unowned_view(space),
-        unowned_view(shared),
-    )  # the loop reads all three: they live
+    # The loop reads room, space and shared: they live.
+    run, near, common = unowned_view(room), unowned_view(space), unowned_view(shared)
     c, s, width, height = cos(angle), sin(angle), fixed.width, fixed.height
     for place in range(first, end):
         i = moving.row[place]

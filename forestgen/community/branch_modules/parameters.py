@@ -63,31 +63,19 @@ class Change(Section):
         for key in data if isinstance(data, Mapping) else ():
             kind = None if key in cls.model_fields else nearest(str(key), KINDS)
             if kind is not None:
-                raise violation(
-                    "at_yr and set",
-                    problem=f"unknown key {str(key)!r}",
-                    hint=f"a change sets numbers; write disturbances: [{{at_yr: ..., {kind}: ...}}] beside changes",
-                    at=(str(key),),
-                )
+                hint = f"a change sets numbers; write disturbances: [{{at_yr: ..., {kind}: ...}}] beside changes"
+                raise violation("at_yr and set", problem=f"unknown key {str(key)!r}", hint=hint, at=(str(key),))
         return data
 
     @model_validator(mode="after")
     def _can_be_changed(self) -> Self:
         for key in self.set:
             if key in FIXED:
-                raise violation(
-                    "a key that may change with time",
-                    problem=f"{key} holds for the whole simulation",
-                    got=show(self.set[key]),
-                    at=("set", key),
-                )
+                expected, got = "a key that may change with time", show(self.set[key])
+                raise violation(expected, problem=f"{key} holds for the whole simulation", got=got, at=("set", key))
             if key.startswith("species") and species_key(key) is None:
-                raise violation(
-                    "species.NAME.KEY, such as species.pine.shade_tolerance",
-                    problem="this names no key of a species",
-                    got=repr(key),
-                    at=("set", key),
-                )
+                expected = "species.NAME.KEY, such as species.pine.shade_tolerance"
+                raise violation(expected, problem="this names no key of a species", got=repr(key), at=("set", key))
         return self
 
     def step(self, step_yr: float) -> int:
@@ -123,16 +111,10 @@ def _within(low: float, high: float, unit: str) -> AfterValidator:
     return AfterValidator(check)
 
 
-Temperature = Annotated[
-    Number,
-    _within(COLDEST_C, WARMEST_C, "deg C"),
-    Field(json_schema_extra={"minimum": COLDEST_C, "maximum": WARMEST_C}),
-]
-Precipitation = Annotated[
-    Number,
-    _within(DRIEST_MM, WETTEST_MM, "mm a year"),
-    Field(json_schema_extra={"minimum": DRIEST_MM, "maximum": WETTEST_MM}),
-]
+_WARMTH = Field(json_schema_extra={"minimum": COLDEST_C, "maximum": WARMEST_C})
+_RAIN = Field(json_schema_extra={"minimum": DRIEST_MM, "maximum": WETTEST_MM})
+Temperature = Annotated[Number, _within(COLDEST_C, WARMEST_C, "deg C"), _WARMTH]
+Precipitation = Annotated[Number, _within(DRIEST_MM, WETTEST_MM, "mm a year"), _RAIN]
 _CLIMATE = {"temperature_c": TypeAdapter(Temperature), "precipitation_mm_per_yr": TypeAdapter(Precipitation)}
 
 
@@ -162,19 +144,9 @@ def _number_or_by_species(value: Any) -> Any:
 
 _ALL = "*"  # no species has this name
 _Count = Annotated[Whole, Field(ge=0, le=MOST_PLANTS)]
-InitialPlants = Annotated[
-    dict[str, _Count],
-    BeforeValidator(_number_or_by_species),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "integer", "minimum": 0, "maximum": MOST_PLANTS},
-                {"type": "object", "additionalProperties": {"type": "integer", "minimum": 0, "maximum": MOST_PLANTS}},
-            ],
-            "default": 100,
-        }
-    ),
-]
+_NUMBER_SCHEMA = {"type": "integer", "minimum": 0, "maximum": MOST_PLANTS}
+_SCHEMA = {"anyOf": [_NUMBER_SCHEMA, {"type": "object", "additionalProperties": _NUMBER_SCHEMA}], "default": 100}
+InitialPlants = Annotated[dict[str, _Count], BeforeValidator(_number_or_by_species), WithJsonSchema(_SCHEMA)]
 
 
 class BranchModulesParameters(CommunityParameters):
@@ -256,12 +228,8 @@ class BranchModulesParameters(CommunityParameters):
     @classmethod
     def _buildings_are_the_sites(cls, data: Any) -> Any:
         if isinstance(data, Mapping) and "obstacles" in data:
-            raise violation(
-                "site.buildings: [{position_m: [...], size_m: [...]}]",
-                problem="obstacles are buildings of the site",
-                got=show(data["obstacles"]),
-                at=("obstacles",),
-            )
+            expected, got = "site.buildings: [{position_m: [...], size_m: [...]}]", show(data["obstacles"])
+            raise violation(expected, problem="obstacles are buildings of the site", got=got, at=("obstacles",))
         return data
 
     @model_validator(mode="before")
@@ -287,24 +255,18 @@ class BranchModulesParameters(CommunityParameters):
             given = next(key for key in _CLIMATE if key not in missing)
             raise violation(missing[0], problem="half a climate", got=f"{given} alone", at=(given,))
         if missing and self.biome is not None:
-            raise violation(
-                "temperature_c and precipitation_mm_per_yr, or a place",
-                problem="a biome without a climate",
-                at=("biome",),
-            )
+            expected = "temperature_c and precipitation_mm_per_yr, or a place"
+            raise violation(expected, problem="a biome without a climate", at=("biome",))
         return self
 
     @model_validator(mode="after")
     def _some_ground_is_open(self) -> Self:
         blocked = self.blocked_soil()
         if blocked is not None and blocked.all():
-            raise violation(
-                f"a value of at most {BLOCKED_ABOVE:g}, where plants may grow",
-                problem="the soil map bars the whole site",
-                got=f"values from {self.soil.values().min():g}" if self.soil is not None else None,
-                hint="1 is blocked and 0 is open: invert: true turns a map round",
-                at=("soil",),
-            )
+            expected = f"a value of at most {BLOCKED_ABOVE:g}, where plants may grow"
+            got = f"values from {self.soil.values().min():g}" if self.soil is not None else None
+            hint = "1 is blocked and 0 is open: invert: true turns a map round"
+            raise violation(expected, problem="the soil map bars the whole site", got=got, hint=hint, at=("soil",))
         return self
 
     def blocked_soil(self) -> NDArray[np.bool_] | None:
@@ -318,13 +280,9 @@ class BranchModulesParameters(CommunityParameters):
         total, kinds = self.initial_plants[_ALL], max(1, len(names))
         return np.array([total // kinds + (index < total % kinds) for index in range(len(names))], dtype=np.int64)
 
-    def counted_species(self) -> list[str]:
-        """The species whose plants at the start have a number of their own."""
-        return [name for name in self.initial_plants if name != _ALL]
-
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
-        yield from ((("initial_plants", name), name) for name in self.counted_species())
+        yield from ((("initial_plants", name), name) for name in self.initial_plants if name != _ALL)
         for index, change in enumerate(self.changes):
             for key in change.set:
                 if (parts := species_key(key)) is not None:

@@ -6,20 +6,17 @@ propagation after W. Palubicki et al., Self-organizing tree models for image syn
     S_k = spread(S_(k+1) + D_(k+1))          optical depth above layer k, from the highest layer to the ground
     Q_G = T exp(-(S_k + (D_k - own) / 2))
 
-The paper names a grid whose cells lose light below a module, and no rule. Here light falls by Beer's law. Layers follow
-the terrain: they count from the local ground. A module adds the optical depth opacity x area of its sphere's disc /
-area of a cell to the cells that the disc covers (as a square of the same area), in the layer of its centre. D_k is the
-depth of layer k and S_k that of all layers above, spread by the kernel [s, 1 - 2 s, s] along x and y for each layer
-down: the shadow's cone, which reaches the ground and keeps optical depth times area. A module sees, over its own disc,
+The paper names a grid whose cells lose light below a module, and no rule. Here light falls by Beer's law through layers
+that count from the local ground. A module adds the optical depth opacity x area of its sphere's disc / area of a cell
+to the cells that the disc covers (as a square of the same area), in the layer of its centre: D_k. S_k is that of all
+layers above, spread by the kernel [s, 1 - 2 s, s] along x and y for each layer down. A module sees, over its own disc,
 all layers above its own and half of its own layer less itself. At the edge of a bounded site what would spread out is
 mirrored back: the stand goes on.
 
 Obstacles are opaque: T, the share of the light that boxes let through, is 0 in them, 1 above them, and spreads down by
-the same kernel; a cell of which a box takes a part has at most the light of the other part. So a wall takes about half
-of the light of what stands at its foot.
+the same kernel; a cell of which a box takes a part has at most the light of the other part.
 
-Depths are summed as whole numbers: the order of modules does not matter to the bit. Time is O(modules + cells), and
-memory a few cells a column.
+Depths are summed as whole numbers: the order of modules does not matter to the bit. Time is O(modules + cells).
 """
 
 from __future__ import annotations
@@ -31,7 +28,7 @@ from math import exp, floor, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
+from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes
 from forestgen.core.compiled import compiled
 from forestgen.core.errors import ResourceError
 
@@ -157,19 +154,6 @@ def _spread(above, plane, s, periodic, out):  # type: ignore[no-untyped-def]
             out[b, a] = (1.0 - 2.0 * s) * line[own, a] + s * (line[before, a] + line[after, a])
 
 
-@compiled
-def _by_layer(height, layer_m, layers, start, order):  # type: ignore[no-untyped-def]
-    """Rows of modules in order of layers, and where each layer starts (`start`, layers + 2, zeros)."""
-    for i in range(len(height)):
-        start[min(max(floor(height[i] / layer_m), 0), layers - 1) + 2] += 1
-    for k in range(2, len(start)):
-        start[k] += start[k - 1]
-    for i in range(len(height)):
-        k = min(max(floor(height[i] / layer_m), 0), layers - 1) + 1
-        order[start[k]] = i
-        start[k] += 1
-
-
 def _open_shares(boxes: Boxes, box_layers: NDArray[np.int64], grid: ShadowGrid, top: int) -> Iterator[Floats]:
     """(ny, nx) share of each cell that no box takes, which bounds its light: of layer top - 1 down to the ground."""
     waiting, taken = np.argsort(box_layers, kind="stable").tolist(), np.zeros(grid.cells[::-1])  # the highest last
@@ -186,11 +170,13 @@ def _add_cover(boxes: Boxes, k: int, grid: ShadowGrid, taken: Floats) -> None:
     period_m = grid.size_m if grid.periodic else None
     cell_reach = float(np.hypot(0.5 / per_x, 0.5 / per_y)) * (1 + 1e-6)
     reach = float(np.hypot(*boxes.size_m[k, :2])) / 2 + cell_reach
-    columns, lines = (
-        np.flatnonzero(_near(np.asarray((np.arange(n) + 0.5) / per, np.float64), boxes.base_m[k, d], reach, grid, d))
-        for d, (n, per) in enumerate(((nx, per_x), (ny, per_y)))
-    )
-    rows, cols = (one.ravel() for one in np.meshgrid(lines, columns, indexing="ij"))
+    near = []
+    for d, (n, per) in enumerate(((nx, per_x), (ny, per_y))):
+        offset = (np.arange(n) + 0.5) / per - boxes.base_m[k, d]
+        if period_m is not None:
+            offset -= np.round(offset / period_m[d]) * period_m[d]
+        near.append(np.flatnonzero(np.abs(offset) <= reach))
+    rows, cols = (one.ravel() for one in np.meshgrid(near[1], near[0], indexing="ij"))
     middle = np.column_stack([(cols + 0.5) / per_x, (rows + 0.5) / per_y])
     if not grid.periodic:  # on a torus, two points of a cell may be nearest to different images of a box
         wider = boxes.size_m[k] + [2 * cell_reach, 2 * cell_reach, 0.0]
@@ -210,13 +196,6 @@ def _add_cover(boxes: Boxes, k: int, grid: ShadowGrid, taken: Floats) -> None:
         )
         inside = one.cover(np.column_stack([x.ravel(), y.ravel()]), period_m)
         taken[row, col] += np.count_nonzero(inside.reshape(len(row), -1), axis=1) / _PER_SIDE**2
-
-
-def _near(at: Floats, middle: float, reach: float, grid: ShadowGrid, axis: int) -> NDArray[np.bool_]:
-    offset = at - middle
-    if grid.periodic:
-        offset -= np.round(offset / grid.size_m[axis]) * grid.size_m[axis]
-    return np.asarray(np.abs(offset) <= reach)
 
 
 def shade(
@@ -242,21 +221,17 @@ def shade(
         position %= grid.size_m
     else:
         np.clip(position, 0.0, np.array(grid.size_m) * (1 - 1e-12), out=position)
-    if not (np.isfinite(position).all() and np.isfinite(height).all()):
-        raise ValueError("modules need finite positions")
     box_layers = np.ceil(boxes.size_m[:, 2] / grid.layer_m - 1e-9).astype(np.int64)  # (B,)
     top = max(int(max(height.max(initial=0.0), 0.0) // grid.layer_m) + 1, int(box_layers.max(initial=0)))
     if top > _MOST_LAYERS:
-        raise ResourceError(
-            "the trees are too tall for layers of light so thin",
-            where="community.cell_m",
-            expected=f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m",
-            got=f"modules {height.max():,.0f} m above the ground",
-            hint="make cell_m larger",
-        )
+        problem = "the trees are too tall for layers of light so thin"
+        expected = f"at most {_MOST_LAYERS:,} layers of {grid.layer_m:g} m"
+        got = f"modules {height.max():,.0f} m above the ground"
+        raise ResourceError(problem, where="community.cell_m", expected=expected, got=got, hint="make cell_m larger")
     open_shares = _open_shares(boxes, box_layers, grid, top)
-    start, order = np.zeros(top + 2, dtype=np.int64), np.empty(len(height), dtype=np.int64)
-    _by_layer(height, grid.layer_m, top, start, order)
+    layer = np.clip(np.floor(height / grid.layer_m), 0, top - 1).astype(np.int16)
+    order = np.argsort(layer, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(layer, minlength=top))])
     light = np.empty(len(height), dtype=np.float32)
     above, following, share = np.zeros((ny, nx)), np.empty((ny, nx)), np.ones((ny, nx))
     plane, nothing = np.zeros((ny, nx), dtype=np.int64), np.zeros((ny, nx), dtype=np.int64)

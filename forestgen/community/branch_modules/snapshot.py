@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,11 +9,10 @@ from forestgen.architecture.geometry import plant_sizes
 from forestgen.architecture.modules import Modules
 from forestgen.community.arrivals import on_the_ground
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
-from forestgen.community.branch_modules.state import Plants, Snags, State, step_parameters
-from forestgen.community.branch_modules.surroundings import ground_at
-from forestgen.community.ecology import SpeciesEcology
+from forestgen.community.branch_modules.state import Plants, Snags, State, ground_at, step_parameters
+from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Floats, Floats32, Population, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns, place_of
 from forestgen.core.errors import RecipeError
 
@@ -84,7 +81,7 @@ def _with_snags(state: State) -> tuple[Plants, Modules, NDArray[np.int32]]:
     return plants.where(order), state.modules.and_then(snags.modules).of_plants(order), died[order]
 
 
-def _mean(modules: Modules, values: NDArray[np.float32]) -> NDArray[np.float64]:
+def _mean(modules: Modules, values: Floats32) -> Floats:
     """(P,) mean of a number of each module; 0 for plants that have none."""
     sums = np.concatenate([[0.0], np.cumsum(values, dtype=np.float64)])
     count = np.diff(modules.first)
@@ -96,20 +93,13 @@ def _steps(years: NDArray[np.floating], parameters: BranchModulesParameters) -> 
 
 
 def state_of(
-    parameters: BranchModulesParameters,
-    site: Site,
-    species: Sequence[SpeciesEcology],
-    seed: int,
-    population: Population,
+    parameters: BranchModulesParameters, site: Site, species: Ecologies, seed: int, population: Population
 ) -> State:
     """The state that a snapshot was made of."""
     if population.modules is None:
-        raise RecipeError(
-            "a snapshot without its modules cannot go on",
-            where="community.history_modules",
-            expected="a history that keeps each plant's modules",
-            hint="set history_modules: true and simulate again",
-        )
+        problem, expected = "a snapshot without its modules cannot go on", "a history that keeps each plant's modules"
+        hint = "set history_modules: true and simulate again"
+        raise RecipeError(problem, where="community.history_modules", expected=expected, hint=hint)
     n, columns = len(population), population.columns
     zeros = np.zeros(n, dtype=np.float32)
     position_m = np.ascontiguousarray(population.position_m[:, :2])
@@ -133,7 +123,7 @@ def state_of(
 
 
 def check_resumable(
-    parameters: BranchModulesParameters, site: Site, species: Sequence[SpeciesEcology], population: Population
+    parameters: BranchModulesParameters, site: Site, species: Ecologies, population: Population
 ) -> None:
     """Raise `ImpossibleValueError` unless `state_of` can make a state of a snapshot with its modules."""
     keeps_dead = parameters.standing_dead_yr > 0
@@ -153,7 +143,7 @@ def check_resumable(
         _check_module_numbers(population.modules, population)
 
 
-def _check_obstacles(site: Site, species: Sequence[SpeciesEcology], population: Population) -> None:
+def _check_obstacles(site: Site, species: Ecologies, population: Population) -> None:
     """The recipe's buildings are the first rows, stand, and no other row is of a species that does not grow."""
     names = [one.name for one in species]
     wanted, row = [names.index(one.kind) for one in site.buildings], 0

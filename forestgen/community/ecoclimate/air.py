@@ -30,8 +30,7 @@ from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG, Sounding
-from forestgen.community.ecoclimate.climate import MONTHS_PER_YR, Month
-from forestgen.community.ecoclimate.parameters import WeatherSection
+from forestgen.community.ecoclimate.parameters import MONTHS_PER_YR, Month, WeatherSection
 from forestgen.community.soil_water import Floats, Ground
 from forestgen.core.randomness import child_rng
 from forestgen.core.threads import parallel_map
@@ -45,16 +44,24 @@ _FLAT = 0.5  # of a cell's height: lower hills are no terrain to the air
 _LAPSE_ABOVE_K_PER_KM = 4.0  # cooling upwards above the inversion
 
 
-@dataclass(frozen=True)
 class AreaRegridder:
-    """Maps between the ground's cells and the air's, by the areas that cells have in common: means stay as they are.
+    """Maps between the cells of a ground and of the air around it, by areas in common: means stay as they are.
 
-    Shares of area along each axis, of a ground that lies inside the air's box.
+    The ground lies in the middle of the air's box.
     """
 
-    to_air: tuple[Floats, Floats]  # (air rows, rows), (air cols, cols): share of an air cell that a ground cell takes
-    to_ground: tuple[Floats, Floats]  # (rows, air rows), (cols, air cols): share of a ground cell in an air cell
-    beyond: tuple[Floats, Floats]  # as `to_air`, of a ground whose outermost cells reach to the edges of the box
+    def __init__(self, ground: Ground, air: AirGrid) -> None:
+        # Along y and x, shares of area: of an air cell (rows) that a ground cell (columns) takes; the same of a ground
+        # whose outermost cells reach to the edges of the box; of a ground cell (rows) that an air cell takes.
+        self.to_air, self.beyond, self.to_ground = list[Floats](), list[Floats](), list[Floats]()
+        for axis in (1, 0):
+            length, box = ground.size_m[axis], air.size_m[axis]
+            edges = 0.5 * (box - length) + np.linspace(0.0, length, ground.shape[1 - axis] + 1)
+            of_air = np.linspace(0.0, box, air.cells[axis] + 1)
+            common = _overlap(of_air, edges)
+            self.to_air.append(common / air.cell_m[axis])
+            self.beyond.append(_overlap(of_air, np.concatenate([[0.0], edges[1:-1], [box]])) / air.cell_m[axis])
+            self.to_ground.append(common.T / ground.cell_m[axis])
 
     def for_air(self, values: Floats) -> NDArray[np.float32]:
         """(Y, X) means over the air's cells of a (rows, cols) map; around the ground it is as in its mean."""
@@ -72,21 +79,6 @@ class AreaRegridder:
         """(rows, cols) means over the ground's cells of a (Y, X) map of the air."""
         down, across = self.to_ground
         return _product(down, np.asarray(values, dtype=np.float64), across)
-
-
-def regridder_for(ground: Ground, air: AirGrid) -> AreaRegridder:
-    """The regridder of a ground that lies in the middle of the air's box."""
-    shares: list[list[Floats]] = [[], [], []]
-    for axis in (1, 0):
-        length, box = ground.size_m[axis], air.size_m[axis]
-        start = 0.5 * (box - length)
-        edges = start + np.linspace(0.0, length, ground.shape[1 - axis] + 1)
-        of_air = np.linspace(0.0, box, air.cells[axis] + 1)
-        common = _overlap(of_air, edges)
-        shares[0].append(common / air.cell_m[axis])
-        shares[1].append(common.T / ground.cell_m[axis])
-        shares[2].append(_overlap(of_air, np.concatenate([[0.0], edges[1:-1], [box]])) / air.cell_m[axis])
-    return AreaRegridder(*((down, across) for down, across in shares))
 
 
 def _overlap(ours: Floats, theirs: Floats) -> Floats:
@@ -110,6 +102,8 @@ class BoundaryConditions:
     vapour_mm_per_day: Floats  # (rows, cols) transpired and evaporated
     light: Floats  # (rows, cols) share of the light that comes down to the ground
     lapse_rate_k_per_km: float  # usual change of temperature with elevation, below 0
+    wind_from_deg: float  # where the wind comes from, clockwise from north
+    seed: int  # of the days' random numbers
 
 
 @dataclass(frozen=True)
@@ -154,18 +148,16 @@ class Hours:
     weather: Weather  # at the end
 
 
-def month_of_air(
-    section: WeatherSection, month: Month, number: int, bounds: BoundaryConditions, wind_from_deg: float, seed: int
-) -> MonthOfAir:
+def month_of_air(section: WeatherSection, month: Month, number: int, bounds: BoundaryConditions) -> MonthOfAir:
     """The air of month `number` since the beginning."""
     grid = grid_of(section, bounds.ground)
-    maps = regridder_for(bounds.ground, grid)
+    maps = AreaRegridder(bounds.ground, grid)
     of_year, indices = number % MONTHS_PER_YR, range(section.days_per_month)
-    usual = partial(_usual, section, grid, of_year=of_year, wind_from_deg=wind_from_deg, seed=seed)
+    usual = partial(_usual, section, grid, of_year=of_year, wind_from_deg=bounds.wind_from_deg, seed=bounds.seed)
     normal = replace(month, vapour=1.0)
 
     def over_the_site(index: int) -> Hours:
-        case = case_of(section, month, number, bounds, wind_from_deg, seed, index)
+        case = case_of(section, month, number, bounds, index)
         return hours_of(section, case.grid, case.day, case.surface)
 
     # A step of so little air has too short loops for several cores: every day has one.
@@ -189,23 +181,15 @@ def month_of_air(
     return MonthOfAir(wetness, float(region), warmth, float(condensed), error)
 
 
-def case_of(
-    section: WeatherSection,
-    month: Month,
-    number: int,
-    bounds: BoundaryConditions,
-    wind_from_deg: float,
-    seed: int,
-    index: int,
-) -> Case:
+def case_of(section: WeatherSection, month: Month, number: int, bounds: BoundaryConditions, index: int) -> Case:
     """Day `index` of month `number` since the beginning, over the site's own ground."""
     grid = grid_of(section, bounds.ground)
-    maps = regridder_for(bounds.ground, grid)
+    maps = AreaRegridder(bounds.ground, grid)
     height = maps.heights_for_air(bounds.height_m)
     terrain = height - height.min() if np.ptp(height) > _FLAT * grid.cell_m[2] else None
     shaded = 1.0 - section.shade_heat_share * (1.0 - maps.for_air(bounds.light).astype(np.float64))
     vapour = maps.for_air(bounds.vapour_mm_per_day).astype(np.float64) / (3600.0 * section.daylight_h)
-    day = day_of(section, month, number % MONTHS_PER_YR, index, wind_from_deg, seed)
+    day = day_of(section, month, number % MONTHS_PER_YR, index, bounds.wind_from_deg, bounds.seed)
     heat, damp = day.heat_w_per_m2 * shaded, day.vapour_kg_per_m2_s + vapour
     return Case(grid, day, Surface(heat.astype(np.float32), damp.astype(np.float32), terrain))
 
@@ -237,6 +221,7 @@ def grid_of(section: WeatherSection, ground: Ground) -> AirGrid:
 def day_of(section: WeatherSection, month: Month, of_year: int, index: int, wind_from_deg: float, seed: int) -> Day:
     """A day of a month, with normally distributed heat and vapour from the region (Algorithm 1, line 3)."""
     heat, vapour = child_rng(seed, "air", of_year, index).normal(size=2)
+    brought = _of_month(section.vapour_w_per_m2, of_year)
     layers = Layers(
         month.temperature_c, section.mixed_layer_m, section.lapse_rate_k_per_km, section.inversion_m,
         section.inversion_jump_k, _LAPSE_ABOVE_K_PER_KM, section.relative_humidity, section.relative_humidity_aloft,
@@ -244,11 +229,15 @@ def day_of(section: WeatherSection, month: Month, of_year: int, index: int, wind
     )  # fmt: skip
     return Day(
         layers.sounding(section.height_m, wind_towards(section.wind_m_per_s, wind_from_deg)),
-        section.heat_of(of_year) * max(0.0, 1.0 + section.spread * heat),
-        section.vapour_of(of_year) * month.vapour * max(0.0, 1.0 + section.spread * vapour) / LATENT_HEAT_J_PER_KG,
+        _of_month(section.heat_w_per_m2, of_year) * max(0.0, 1.0 + section.spread * heat),
+        brought * month.vapour * max(0.0, 1.0 + section.spread * vapour) / LATENT_HEAT_J_PER_KG,
         seed,
         (of_year, index),
     )
+
+
+def _of_month(values: float | tuple[float, ...], of_year: int) -> float:
+    return values[of_year] if isinstance(values, tuple) else values
 
 
 def hours_of(section: WeatherSection, grid: AirGrid, day: Day, surface: Surface) -> Hours:
@@ -262,16 +251,13 @@ def hours_of(section: WeatherSection, grid: AirGrid, day: Day, surface: Surface)
     condensed, warmth = np.zeros(grid.shape[1:]), np.zeros(grid.shape[1:])
     for look in range(1, looks + 1):
         weather = air.run(weather, end_s * look / looks)
-        condensed += _column_kg_per_m2(weather) / looks
+        water = (weather.cloud + weather.rain) * weather.density_kg_per_m3.astype(np.float32)[:, None, None]
+        column = water.sum(axis=0, dtype=np.float64) * grid.cell_m[2] + weather.fallen_kg_per_m2
+        condensed += column / looks
         warmth += (_of_lowest(weather)[0] - rest_k) / looks
     received_kg = area_m2 * float(surface.vapour_kg_per_m2_s.sum(dtype=np.float64)) * end_s
     error = abs(weather.total_water_kg - before_kg - received_kg) / before_kg
     return Hours(condensed, warmth, _of_lowest(weather)[1], error, weather)
-
-
-def _column_kg_per_m2(weather: Weather) -> Floats:
-    water = (weather.cloud + weather.rain) * weather.density_kg_per_m3.astype(np.float32)[:, None, None]
-    return np.asarray(water.sum(axis=0, dtype=np.float64) * weather.grid.cell_m[2] + weather.fallen_kg_per_m2)
 
 
 def _of_lowest(weather: Weather) -> tuple[Floats, Floats]:

@@ -21,7 +21,6 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -34,17 +33,21 @@ from forestgen.atmosphere.fluid.parameters import UnstableError
 from forestgen.atmosphere.grid import Weather
 from forestgen.atmosphere.simulate import described, read_weather, weather_store
 from forestgen.community.branch_modules.parameters import parameters_at
-from forestgen.community.branch_modules.seeding import NO_SEEDS, Arriving
-from forestgen.community.branch_modules.state import State, refuse_more_seeds, step_parameters
-from forestgen.community.branch_modules.step import step_forest
-from forestgen.community.branch_modules.surroundings import LocalClimate
+from forestgen.community.branch_modules.state import LocalClimate, State, refuse_more_seeds, step_parameters
+from forestgen.community.branch_modules.step import NO_SEEDS, Arriving, step_forest
 from forestgen.community.ecoclimate.air import BoundaryConditions, Case, case_of, hours_of, month_of_air
-from forestgen.community.ecoclimate.climate import DAYS_PER_MONTH, MONTHS_PER_YR, Month, month_at
-from forestgen.community.ecoclimate.parameters import EcoclimateParameters, WeatherSection
+from forestgen.community.ecoclimate.parameters import (
+    DAYS_PER_MONTH,
+    MONTHS_PER_YR,
+    EcoclimateParameters,
+    Month,
+    WeatherSection,
+    month_at,
+)
 from forestgen.community.model import Site
 from forestgen.community.soil_water import Floats, Ground, SoilWater, SoilWaterParameters, Water, WaterBudget
 from forestgen.core.array_serialization import pack
-from forestgen.core.cache import code_hash
+from forestgen.core.cache import BoundedCache, code_hash
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -163,7 +166,7 @@ def local_climate(state: Ecoclimate) -> LocalClimate:
     """What plants feel of warmth and wetness by place."""
     parameters, soil = state.parameters, soil_of(state.parameters, state.forest.site)
     ground = soil.ground
-    height_m = _heights(_SiteKey(state.forest.site), parameters.soil_water.cell_m)
+    height_m = _heights(parameters, state.forest.site)
     warmth = state.temperature_mean_c + state.warmth_mean_k + parameters.lapse_rate_k_per_km * height_m / 1000.0
     wetness = _mean_unless(parameters.microclimate, state.soil_mean_mm)
     rain = worth_mm_per_yr(wetness, soil.parameters, parameters.soil_water.reference_g_per_m2)
@@ -178,35 +181,27 @@ def worth_mm_per_yr(soil_mm: Floats, soil: SoilWaterParameters, leaves_g_per_m2:
 
 def soil_of(parameters: EcoclimateParameters, site: Site) -> SoilWater:
     """The soil of a site; level without microclimate."""
-    section = parameters.soil_water
-    if not parameters.microclimate:
-        site = replace(site, height=None)
-    return _soil(_SiteKey(site), section.cell_m, parameters.periodic, section.water())
+    return _soil_and_heights(parameters, site)[1]
 
 
-class _SiteKey:
-    """A site as a key: the same object, or one of the same size without heights."""
-
-    def __init__(self, site: Site) -> None:
-        self.site = site
-        self._key = (site.size_m, None if site.height is None else id(site.height))
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _SiteKey) and self._key == other._key
+def _heights(parameters: EcoclimateParameters, site: Site) -> Floats:
+    """(rows, cols) heights of the ground, metres, with microclimate or without."""
+    return _soil_and_heights(parameters, site)[2]
 
 
-@lru_cache(maxsize=4)
-def _soil(site: _SiteKey, cell_m: float, periodic: bool, water: SoilWaterParameters) -> SoilWater:
-    return SoilWater(Ground.of_site(site.site, cell_m, periodic=periodic), water)
+def _soil_and_heights(parameters: EcoclimateParameters, site: Site) -> tuple[Site, SoilWater, Floats]:
+    section, water, uneven = parameters.soil_water, parameters.soil_water.water(), parameters.microclimate
+
+    def made() -> tuple[Site, SoilWater, Floats]:
+        ground = Ground.of_site(site, section.cell_m, periodic=parameters.periodic)
+        height_m = np.zeros(ground.shape) if ground.height_m is None else ground.height_m
+        return site, SoilWater(ground if uneven else replace(ground, height_m=None), water), height_m
+
+    # By the height function's identity, which cannot be another's while the site is kept.
+    return _soils.get((site.size_m, id(site.height), section.cell_m, parameters.periodic, uneven, water), made)
 
 
-@lru_cache(maxsize=4)
-def _heights(site: _SiteKey, cell_m: float) -> Floats:
-    ground = Ground.of_site(site.site, cell_m, periodic=False)
-    return np.zeros(ground.shape) if ground.height_m is None else ground.height_m
+_soils: BoundedCache[tuple[Site, SoilWater, Floats]] = BoundedCache(4, lambda kept: 1)
 
 
 def _leaves(state: Ecoclimate, ground: Ground) -> Floats:
@@ -221,13 +216,11 @@ def _mean_unless(local: bool, values: Floats) -> Floats:
 
 def _under_air(state: Ecoclimate, ground: Ground, leaves: Floats, now: Month, month: int) -> Ecoclimate:
     """What the month's air makes of the rain and of the warmth; the same state if none is simulated in this month."""
-    parameters, site = state.parameters, state.forest.site
+    parameters = state.parameters
     section = parameters.weather
     if section is None or month % section.every_months:
         return state
-    sky = month_of_air(
-        section, now, month, _boundary_conditions(state, ground, leaves), site.wind_from_deg, state.forest.seed
-    )
+    sky = month_of_air(section, now, month, _boundary_conditions(state, ground, leaves))
     share, local = section.local_share, _mean_unless(parameters.microclimate, sky.wetness)
     wetness = (1.0 - share) * sky.region + share * local
     warmth = _mean_unless(parameters.microclimate, sky.warmth_k)
@@ -240,20 +233,20 @@ def air_over(state: Ecoclimate, section: WeatherSection, day: int) -> Case:
 
     The section is that of the state's parameters; another, such as one with finer cells, has days of its own.
     """
-    parameters, site = state.parameters, state.forest.site
-    ground = soil_of(parameters, site).ground
+    parameters = state.parameters
+    ground = soil_of(parameters, state.forest.site).ground
     month = state.forest.step * parameters.months_per_step
     now = month_at(parameters.climate.normals(), parameters.climate_changes, month)
-    bounds = _boundary_conditions(state, ground, _leaves(state, ground))
-    return case_of(section, now, month, bounds, site.wind_from_deg, state.forest.seed, day)
+    return case_of(section, now, month, _boundary_conditions(state, ground, _leaves(state, ground)), day)
 
 
 def _boundary_conditions(state: Ecoclimate, ground: Ground, leaves: Floats) -> BoundaryConditions:
     """What the ground gives to the air."""
-    parameters = state.parameters
+    parameters, forest = state.parameters, state.forest
     light = np.exp(-_EXTINCTION * leaves / max(parameters.soil_water.leaf_mass_g_per_m2, 1e-9))
-    height_m = _heights(_SiteKey(state.forest.site), parameters.soil_water.cell_m)
-    return BoundaryConditions(ground, height_m, state.vapour_mm_per_day, light, parameters.lapse_rate_k_per_km)
+    height_m, lapse_rate = _heights(parameters, forest.site), parameters.lapse_rate_k_per_km
+    given = ground, height_m, state.vapour_mm_per_day, light
+    return BoundaryConditions(*given, lapse_rate, forest.site.wind_from_deg, forest.seed)
 
 
 def _share_of_months(parameters: EcoclimateParameters, count: int) -> float:
@@ -313,20 +306,14 @@ def shown_section(drawn: DrawnRecipe, parameters: EcoclimateParameters) -> Weath
     section = at_the_end.weather
     if section is None:
         turned_off = parameters.weather is not None
-        raise RecipeError(
-            "the community simulates no air" + (" any more when the picture is taken" if turned_off else ""),
-            where=drawn.where("sky", "clouds", "type"),
-            expected="a section community.weather",
-            got="a change to weather: null" if turned_off else "none",
-            hint="leave out that change" if turned_off else "set community.weather={} for one with usual values",
-        )
+        problem = "the community simulates no air" + (" any more when the picture is taken" if turned_off else "")
+        expected, got = "a section community.weather", "a change to weather: null" if turned_off else "none"
+        hint = "leave out that change" if turned_off else "set community.weather={} for one with usual values"
+        raise RecipeError(problem, where=drawn.where("sky", "clouds", "type"), expected=expected, got=got, hint=hint)
     if clouds.time_s is not None and not 0 < clouds.time_s <= _MOST_S:
-        raise RecipeError(
-            "no time of the day's simulated hours",
-            where=drawn.where("sky", "clouds", "time_s"),
-            expected=f"more than 0 and at most {_MOST_S:g} s",
-            got=f"{clouds.time_s:g}",
-        )
+        problem, expected = "no time of the day's simulated hours", f"more than 0 and at most {_MOST_S:g} s"
+        got = f"{clouds.time_s:g}"
+        raise RecipeError(problem, where=drawn.where("sky", "clouds", "time_s"), expected=expected, got=got)
     hours = None if clouds.time_s is None else clouds.time_s / 3600.0
     given = {"cell_m": clouds.cell_m, "cell_height_m": clouds.cell_height_m, "hours": hours}
     own = {key: value for key, value in given.items() if value is not None}
@@ -347,13 +334,9 @@ def shown_weather(drawn: DrawnRecipe, section: WeatherSection, state: Ecoclimate
             weather = hours_of(section, case.grid, case.day, case.surface).weather
             advance(1)
     except UnstableError as cause:
-        raise RecipeError(
-            "the air over the community cannot be simulated",
-            where=drawn.where("sky", "clouds"),
-            expected="air that stays slower than any storm",
-            got=str(cause),
-            hint="lower the heat, the vapour or the wind of community.weather, or make the cells larger",
-        ) from cause
+        problem, expected = "the air over the community cannot be simulated", "air that stays slower than any storm"
+        got, hint = str(cause), "lower the heat, the vapour or the wind of community.weather, or make the cells larger"
+        raise RecipeError(problem, where=drawn.where("sky", "clouds"), expected=expected, got=got, hint=hint) from cause
     if store is not None:
         store.write(key, pack(weather))
         store.trim()

@@ -1,28 +1,12 @@
 """What a species asks of the ground: the five living conditions of Zamuda et al. 2007, section IV.
 
-Each condition has a response: a curve (`forestgen.recipe.curves`) of the condition's value that says which share of
-the species' density grows there, 1 all of it, 0 none. The responses are multiplied, so any one can bar the species::
+Each condition (docs/placement.md; moisture, wind and sun as in `relief`) has a response: a curve
+(`forestgen.recipe.curves`) of its value that says which share of the species' density grows there, 1 all of it, 0 none.
+The responses are multiplied, so any one can bar the species.
 
-    conditions:
-      elevation_m: [[200, 1], [900, 1], [1200, 0]]     # straight between the points, constant beyond
-      slope_deg: {smooth: [[25, 1], [45, 0]]}          # without corners
-      moisture: {formula: "exp(-((x - 0.6) / 0.2)^2)"} # of the condition's value, x
-      wind: [[0.6, 1], [0.9, 0.2]]
-      sun: [[0.5, 0], [0.9, 1]]
-
-==========  ==========  =================================================================  =============
-name        unit        meaning                                                            level ground
-==========  ==========  =================================================================  =============
-elevation   m           height above sea level: site.altitude_m and the ground's height    altitude_m
-slope       degrees     of the steepest descent                                            0
-moisture    0 to 1      topographic wetness, see `relief`: 0 dry crest, 1 valley floor     0.5
-wind        0 to 1      exposure, see `horizons`: 0 sheltered hollow, 1 crest              0.5
-sun         0 and more  direct irradiation over the year, see `horizons`                   1
-==========  ==========  =================================================================  =============
-
-The ground is defined everywhere, so what lies around the site counts: 200 m of it for water, 1000 m for views. It is
-sampled at nodes that depend on the site alone: 480 across the site with the 200 m around it, or one every 4 m if that
-is closer. A grid of any number of cells reads its values between the nodes, so that its own fineness matters little.
+What lies around the site counts: 200 m of it for water, 1000 m for views. The ground is sampled at nodes that depend on
+the site alone: 480 across the site with the 200 m around it, or one every 4 m if that is closer. A grid of any number
+of cells reads its values between the nodes, so that its own fineness matters little.
 
 References
 ----------
@@ -40,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from forestgen.community.ground.horizons import Views, exposure, irradiation, views
-from forestgen.community.ground.relief import Nodes, Relief, far_relief, moisture, near_relief
+from forestgen.community.ground import relief
 from forestgen.community.model import GroundHeight, Site
 from forestgen.core.cache import BoundedCache
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
@@ -67,7 +50,7 @@ class _Ground:
 
     def __init__(self, site: Site, height: GroundHeight) -> None:
         self.site, self.height = site, height
-        self._made: dict[str, tuple[Nodes, Floats]] = {}
+        self._made: dict[str, tuple[relief.Nodes, Floats]] = {}
 
     def on_cells(self, name: str, shape: tuple[int, int], rows: slice) -> Floats:
         """(rows, cols) of one living condition on the cells of some rows of a grid."""
@@ -80,29 +63,29 @@ class _Ground:
         )
         return nodes.between(values, x, y[rows])
 
-    def _at_nodes(self, name: str) -> tuple[Nodes, Floats]:
+    def _at_nodes(self, name: str) -> tuple[relief.Nodes, Floats]:
         """Nodes over the site, and (rows, cols) one living condition there."""
         near, site, over = self._near, self.site, self._near.over(self.site)
         along_x, along_y = (np.ascontiguousarray(one[over]) for one in near.slopes)
-        nodes = Nodes(near.nodes.x_m[over[1]], near.nodes.y_m[over[0]])
+        nodes = relief.Nodes(near.nodes.x_m[over[1]], near.nodes.y_m[over[0]])
         match name:
             case "elevation_m":
                 return nodes, site.altitude_m + near.z_m[over]
             case "slope_deg":
                 return nodes, np.asarray(np.degrees(np.arctan(np.hypot(along_x, along_y))))
             case "moisture":
-                return nodes, np.ascontiguousarray(moisture(near)[over])
+                return nodes, np.ascontiguousarray(relief.moisture(near)[over])
             case "wind":
-                return self._views.nodes, exposure(self._views, site.wind_from_deg)
-        return nodes, irradiation(along_x, along_y, nodes, self._views, site.latitude_deg)
+                return self._views.nodes, relief.exposure(self._views, site.wind_from_deg)
+        return nodes, relief.irradiation(along_x, along_y, nodes, self._views, site.latitude_deg)
 
     @cached_property
-    def _near(self) -> Relief:
-        return near_relief(self.height, self.site)
+    def _near(self) -> relief.Relief:
+        return relief.near_relief(self.height, self.site)
 
     @cached_property
-    def _views(self) -> Views:
-        return views(self._near, far_relief(self.height, self.site), self.site)
+    def _views(self) -> relief.Views:
+        return relief.views(self._near, relief.far_relief(self.height, self.site), self.site)
 
 
 #: The grounds asked for last, each of which counts as one; they take some tens of megabytes each.
@@ -123,11 +106,8 @@ def _response(least: float, most: float, unit: str) -> Callable[[Function], Func
                 raise violation(f"values from {least:g} to {most:g} {unit}", problem="out of range", got=f"{outside:g}")
         if not (values.min() >= 0 and values.max() <= 1):
             wrong = values.min() if values.min() < 0 else values.max()
-            raise violation(
-                "a response from 0 (bars the species) to 1 (all of its density)",
-                got=f"{wrong:g}",
-                hint="cut a formula off: max(0, min(1, ...))" if isinstance(curve, Formula) else None,
-            )
+            got, hint = f"{wrong:g}", "cut a formula off: max(0, min(1, ...))" if isinstance(curve, Formula) else None
+            raise violation("a response from 0 (bars the species) to 1 (all of its density)", got=got, hint=hint)
         return curve
 
     return check

@@ -9,7 +9,7 @@ others at its terminals, and is shed. A step of Δt years is
 1.  light: Q = exp(-crowding f), f the volume that a module's sphere shares with others, over its own (Eq. 1); shade of
     what stands above, Q_G, by Beer's law (2.6.2); ``Q_eff = s_tol + (1 - s_tol) Q Q_G``;
 2.  vigour: each module gains ``g = (Q_eff - c) / (1 - c)`` times its share of leaves; gains add up towards the root, at
-    most v_rootmax o s go up again, and every fork shares by Eq. 2 (vigour.py). o is the climate's adaptation (Eq. 13),
+    most v_rootmax o s go up again, and every fork shares by Eq. 2 (growth.py). o is the climate's adaptation (Eq. 13),
     s falls from 1 to 0 in senescence_yr after the life span;
 3.  growth: a module's physiological age rises by Eqs. 7 and 8, of its vigour over its size, up to a_mature;
 4.  shedding: a module of less than v_min over its size, or stunted, falls with all that it bears; a plant that loses
@@ -102,10 +102,9 @@ from numpy.typing import NDArray
 from forestgen.community.arrivals import refuse_overflow
 from forestgen.community.branch_modules.capabilities import ModuleCapabilities, without_modules
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, numbers_in_time
-from forestgen.community.branch_modules.seeding import initial_state, new_seedlings
 from forestgen.community.branch_modules.snapshot import check_resumable, population_of, state_of
 from forestgen.community.branch_modules.state import State, refuse_more_modules, step_parameters
-from forestgen.community.branch_modules.step import step_forest
+from forestgen.community.branch_modules.step import initial_state, new_seedlings, step_forest
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import Site

@@ -93,10 +93,9 @@ from forestgen.community.registry import COMPETITION_MODELS
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns
 from forestgen.core.errors import LsystemError, RecipeError, ResourceError
 from forestgen.lsystem.codegen import fold
-from forestgen.lsystem.compiler import settable
+from forestgen.lsystem.compiler import Program, settable
 from forestgen.lsystem.derivation import Derivation, TooManyModulesError, axiom, derive_step
 from forestgen.lsystem.multiset import Kind, words_as_lists
-from forestgen.lsystem.program import Program
 
 _BYTES_PER_PLANT = 330  # peak: a state, its successor, the competition model, a snapshot; tests measure it
 _BYTES_PER_SOWN = 400  # while the axiom makes the cohort, in space that doubles

@@ -60,12 +60,10 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, WithJ
 
 from forestgen.core.errors import LsystemError, RecipeError
 from forestgen.geometry.patches import Patch
-from forestgen.lsystem.compiler import Value, compile_program, settable, with_values
+from forestgen.lsystem.compiler import Program, Value, compile_program, settable, with_values
 from forestgen.lsystem.derivation import TooManyModulesError
-from forestgen.lsystem.parsing import parse_text
-from forestgen.lsystem.program import Program
+from forestgen.lsystem.parsing import parse_sys_text, parse_text
 from forestgen.lsystem.syntax import ProgramAST
-from forestgen.lsystem.sys_format import parse_sys_text
 from forestgen.plants.budget import check_budget
 from forestgen.plants.fitting import moved
 from forestgen.plants.from_turtle import draw_program, skeleton_of

@@ -90,13 +90,7 @@ def test_parameters_are_checked():
         MODEL.Parameters(program="x")
 
 
-@pytest.mark.parametrize("name", ["max_radius_m", "seedling_radius_m", "height_scale"])
-def test_species_and_site_are_checked(tree, name):
-    with pytest.raises(ValueError, match=name):
-        tree(**{name: 0.0})
-    for numbers in ({"shade_tolerance": 1.1}, {"growth_m_per_yr": -1.0}, {"seedlings_per_ha_per_yr": float("nan")}):
-        with pytest.raises(ValueError, match=next(iter(numbers))):
-            tree(**numbers)
+def test_sites_are_checked():
     for size in ((0.0, 1.0), (1.0, float("inf")), (1.0,)):
         with pytest.raises(ValueError, match="size_m"):
             Site(size)

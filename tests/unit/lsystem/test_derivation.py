@@ -13,11 +13,10 @@ from scipy import stats
 
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.codegen import fold
-from forestgen.lsystem.compiler import compile_program, with_values
+from forestgen.lsystem.compiler import Program, compile_program, with_values
 from forestgen.lsystem.derivation import Derivation, axiom, derive, derive_step, interpret
 from forestgen.lsystem.multiset import Multiset, show_number, words_as_lists, words_as_text
 from forestgen.lsystem.parsing import parse_text
-from forestgen.lsystem.program import Program
 
 
 def compiled(text: str) -> Program:
@@ -244,7 +243,9 @@ def test_the_environment_gets_parameters_and_gives_others() -> None:
         values[1::3] = values[0::3] * 100 + values[2::3]
         return replace(found, parameter=values)
 
-    *_, state = derive(program, 1, 0, competition_model=environment)
+    start = axiom(program, 0)
+    after = derive_step(program, replace(start, multiset=environment(start.multiset)), 0)
+    state = replace(after, multiset=environment(after.multiset))
     assert list(words_as_text(state.multiset)) == ["T(310)?E(31007,7)", "T(412)?E(41208,8)"]
 
 

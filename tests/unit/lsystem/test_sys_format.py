@@ -9,9 +9,10 @@ import pytest
 from turtle_oracle import Oracle, encode
 
 from forestgen.core.errors import LsystemError
-from forestgen.lsystem.parsing import parse_file
-from forestgen.lsystem.sys_format import parse_sys_text
-from forestgen.lsystem.turtle import draw, options_from
+from forestgen.lsystem.compiler import compile_program
+from forestgen.lsystem.parsing import parse_file, parse_sys_text
+from forestgen.lsystem.turtle import draw
+from forestgen.lsystem.turtle_options import options_from
 
 EXAMPLE = "LSYSTEM\n1\nF\nF F [%>F]F[<&F][<&F][%F] 1\n"
 RULE = "F[%>F]F[<&F][<&F][%F]"
@@ -136,30 +137,29 @@ def test_probabilities_of_one_symbol_may_reach_one():
         ("LSYSTEM\n 1.5\nF\n", "2:2", "whole number"),
         ("LSYSTEM\n2\nF\nF FF 1\n", "5:1", "too few rules"),
         ("LSYSTEM\n1\nF\nF FF .5\n F F .5\n", "5:2", "more rules than announced"),
-        ("LSYSTEM\n1\nF\nF FF\n", "4:3", "without probability"),
-        ("LSYSTEM\n1\nF\nF\n", "4:1", "without probability"),
+        ("LSYSTEM\n1\nF\nF FF\n", "4:1", "and a probability"),
+        ("LSYSTEM\n1\nF\nF\n", "4:1", "and a probability"),
         ("LSYSTEM\n1\nF\nF FF 1.5\n", "4:6", "probability"),
         ("LSYSTEM\n1\nF\nF FF -1\n", "4:6", "probability"),
-        ("LSYSTEM\n1\nF\nF FF nan\n", "4:6", "without probability"),
+        ("LSYSTEM\n1\nF\nF FF nan\n", "4:1", "and a probability"),
         ("LSYSTEM\n1\nF\nFF FF 1\n", "4:1", "one symbol"),
-        ("LSYSTEM\n1\nF\n[ FF 1\n", "4:1", "cannot be replaced"),
-        ("LSYSTEM\n2\nF\nF FF 0.6\nF F 0.5\n", "5:5", "exceed 1"),
-        ("LSYSTEM\n1\nF\nF F[F 1\n", "4:4", "never closed"),
-        ("LSYSTEM\n1\nF\nF F]F[ 1\n", "4:4", "no bracket is open"),
-        ("LSYSTEM\n0\nF[\n", "3:2", "never closed"),
+        ("LSYSTEM\n1\nF\n[ FF 1\n", "4:1", "one symbol"),
+        ("LSYSTEM\n2\nF\nF FF 0.6\nF F 0.5\n", "5:5", "sum to more than 1"),
+        ("LSYSTEM\n1\nF\nF F[F 1\n", "4:4", "has no ]"),
+        ("LSYSTEM\n1\nF\nF F]F[ 1\n", "4:4", "has no ["),
+        ("LSYSTEM\n0\nF[\n", "3:2", "has no ]"),
         ("LSYSTEM\n1\nF\nF F(1,2,3,4) 1\n", "4:3", "too many parameters of F"),
         ("LSYSTEM\n0\nF>(1,2)\n", "3:2", "too many parameters of >"),
         ("LSYSTEM\n0\nF|(1)\n", "3:2", "too many parameters of |"),
         ("LSYSTEM\n0\nF(x)\n", "3:3", "a number"),
         ("LSYSTEM\n0\nF(1,)\n", "3:5", "a number"),
-        ("LSYSTEM\n0\nF(1e999)\n", "3:3", "a number"),
-        ("LSYSTEM\n0\nF(1\n", "3:2", "never closed"),
-        ("LSYSTEM\n0\nF)\n", "3:2", "not a module"),
+        ("LSYSTEM\n0\nF(1\n", "3:4", "not understood"),
+        ("LSYSTEM\n0\nF)\n", "3:2", "not understood"),
     ],
 )
 def test_errors_name_their_place(text, where, message):
     with pytest.raises(LsystemError) as caught:
-        parse_sys_text(text, "tree.sys")
+        compile_program(parse_sys_text(text, "tree.sys"))
     assert str(caught.value).startswith(f"tree.sys:{where}: ")
     assert message in str(caught.value)
 

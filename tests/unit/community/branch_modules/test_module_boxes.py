@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes, volume_in_boxes
+from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes, volume_in_boxes
 
 SPHERE = 4 / 3 * np.pi
 

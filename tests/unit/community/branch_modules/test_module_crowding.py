@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from forestgen.community.branch_modules import crowding
-from forestgen.community.branch_modules.boxes import Boxes
 from forestgen.community.branch_modules.crowding import (
+    Boxes,
     SphereGrid,
     lens,
-    overlap,
     overlap_volumes,
     without,
 )
-from support.module_spheres import intersection_ratio
+from support.module_spheres import intersection_ratio, overlap
 from support.module_stands import ModuleStand, module_stand
 
 Floats = NDArray[np.float64]
@@ -84,12 +83,6 @@ def test_no_modules() -> None:
     grid = SphereGrid.of(np.empty((0, 3)), np.empty(0))
     assert overlap(grid, np.empty(0, dtype=np.int64)).shape == (0,)
     assert intersection_ratio(grid, np.empty(0, dtype=np.int64)) == 0.0
-
-
-@pytest.mark.parametrize(("centre", "radius"), [(np.nan, 1.0), (0.0, -1.0), (0.0, np.inf)])
-def test_spheres_that_are_none(centre: float, radius: float) -> None:
-    with pytest.raises(ValueError, match="finite"):
-        SphereGrid.of(np.full((1, 3), centre), np.array([radius]))
 
 
 def test_boxes_count_like_spheres() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from forestgen.architecture.geometry import node_diameters, node_positions
+from forestgen.community.branch_modules.growth import axis_lengths_m, distribute, net_gain, stature_of
 from forestgen.community.branch_modules.state import step_parameters
-from forestgen.community.branch_modules.vigour import axis_lengths_m, distribute, net_gain, stature_of
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site, simulate
@@ -147,11 +147,11 @@ def test_vigour_of_children_sums_to_what_reaches_their_fork(stand):
     modules, plants, kinds = state.modules, state.plants, step_parameters(state)
     traits, tables, sp = kinds.traits, kinds.tables, plants.species
     most, control = traits.root_vigour_max[sp], traits.apical_control[sp]
-    gain = net_gain(modules.light, sp, modules.first, traits)
+    gain = net_gain(modules.light, sp, modules.first, kinds)
     assert np.all(gain <= 1)
-    stature, axis = stature_of(modules, sp, tables, traits), axis_lengths_m(tables, traits)
+    stature, axis = stature_of(modules, sp, kinds), axis_lengths_m(kinds)
     assert np.all((axis > 0.5) & (axis < 8))
-    flow = distribute(modules, gain, stature, sp, most, control, tables, traits)
+    flow = distribute(modules, gain, stature, sp, most, control, kinds)
     parent, plant_of, forks = modules.parent_row(), modules.plant(), 0
     borne = {(int(u), int(n)): w for w, (u, n) in enumerate(zip(parent, modules.node, strict=True)) if u >= 0}
     flux, way = np.zeros(len(modules)), np.zeros(len(modules))

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from forestgen.community.branch_modules import orientation
-from forestgen.community.branch_modules.boxes import NO_BOXES, Boxes
-from forestgen.community.branch_modules.crowding import SphereGrid, lens
+from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes, SphereGrid, lens
 from forestgen.community.branch_modules.orientation import Turning, orient
 from support.module_spheres import intersection_ratio
 

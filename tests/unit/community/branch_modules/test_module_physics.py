@@ -8,9 +8,8 @@ from test_module_engine import MODEL, ecology, last, mixed, plant_type, same, st
 
 from forestgen.architecture.geometry import diameters
 from forestgen.architecture.prototypes import load_prototypes
-from forestgen.community.branch_modules.growth import PATIENCE, STUNTED, on_axis
+from forestgen.community.branch_modules.growth import PATIENCE, STUNTED, on_axis, stature_of
 from forestgen.community.branch_modules.state import step_parameters
-from forestgen.community.branch_modules.vigour import stature_of
 from forestgen.community.model import Site
 from forestgen.core.errors import RecipeError
 
@@ -47,7 +46,7 @@ def test_the_height_of_a_lone_plant_levels_off_by_its_reach(row, low, high):
 def test_leaves_and_sizes_of_modules_are_those_of_their_terminals():
     state = last(**mixed(12))
     modules, kinds = state.modules, step_parameters(state)
-    stature = stature_of(modules, state.plants.species, kinds.tables, kinds.traits)
+    stature = stature_of(modules, state.plants.species, kinds)
     assert np.all((stature.leaves >= 0) & (stature.leaves <= 1) & (stature.size > 0) & (stature.size <= 1))
     bearer, ends = modules.parent_row(), kinds.tables.terminals[modules.prototype]
     for row in range(0, len(modules), 5):

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.community.branch_modules.state import step_parameters
-from forestgen.community.branch_modules.surroundings import Surroundings, surroundings_of
-from forestgen.community.branch_modules.vigour import stature_of
+from forestgen.community.branch_modules.growth import stature_of
+from forestgen.community.branch_modules.state import Surroundings, step_parameters, surroundings_of
 from forestgen.community.ecoclimate.months import Ecoclimate
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
 from forestgen.community.ecology import SpeciesEcology
@@ -73,5 +72,5 @@ def after(steps: int, site: Site = SITE, species: list[SpeciesEcology] | None = 
 def around(state: Ecoclimate) -> Surroundings:
     """What the plants of a state see of one another."""
     kinds = step_parameters(state.forest)
-    stature = stature_of(state.forest.modules, state.forest.plants.species, kinds.tables, kinds.traits)
+    stature = stature_of(state.forest.modules, state.forest.plants.species, kinds)
     return surroundings_of(state.forest, kinds, stature.leaves)

@@ -9,8 +9,7 @@ import pytest
 
 from forestgen.atmosphere.fluid.parameters import Surface
 from forestgen.community.ecoclimate.air import BoundaryConditions, day_of, grid_of, hours_of, month_of_air
-from forestgen.community.ecoclimate.climate import Month
-from forestgen.community.ecoclimate.parameters import WeatherSection
+from forestgen.community.ecoclimate.parameters import Month, WeatherSection
 from forestgen.community.soil_water import Ground
 
 SECTION = WeatherSection.model_validate(
@@ -26,7 +25,7 @@ def sky(vapour_mm_per_day=2.0, light=0.5, height=0.0, section=SECTION, seed=1, n
         np.broadcast_to(np.asarray(one, dtype=float), GROUND.shape).copy() for one in (height, vapour_mm_per_day, light)
     )
     height_m, vapour, left = maps
-    return month_of_air(section, month, number, BoundaryConditions(GROUND, height_m, vapour, left, -6.5), 270.0, seed)
+    return month_of_air(section, month, number, BoundaryConditions(GROUND, height_m, vapour, left, -6.5, 270.0, seed))
 
 
 def test_the_same_ground_as_the_regions_has_the_regions_rain() -> None:
@@ -106,8 +105,8 @@ def test_air_that_comes_down_behind_a_ridge_is_warmer_than_before_it() -> None:
     ground = Ground((12_800.0, 800.0), (8, 128))
     x_m = (np.arange(128) + 0.5) * 100.0 - 6400.0
     height = np.broadcast_to(500.0 * np.exp(-((x_m / 800.0) ** 2)), ground.shape).copy()
-    given = BoundaryConditions(ground, height, np.zeros(ground.shape), np.ones(ground.shape), -6.5)
-    warmth = month_of_air(SECTION.model_copy(update=dry), MONTH, 0, given, 270.0, 1).warmth_k.mean(axis=0)
+    given = BoundaryConditions(ground, height, np.zeros(ground.shape), np.ones(ground.shape), -6.5, 270.0, 1)
+    warmth = month_of_air(SECTION.model_copy(update=dry), MONTH, 0, given).warmth_k.mean(axis=0)
     slopes = (np.abs(x_m) > 240.0) & (np.abs(x_m) < 1200.0)
     assert warmth[slopes & (x_m > 0)].mean() > warmth[slopes & (x_m < 0)].mean() + 0.2
 
@@ -120,8 +119,8 @@ def test_still_air_over_a_hill_is_as_cold_as_the_air_at_rest_there() -> None:
     }  # fmt: skip
     ground, height = Ground((800.0, 800.0), (8, 8)), np.zeros((8, 8))
     height[:, 3:5] = 400.0
-    given = BoundaryConditions(ground, height, np.zeros((8, 8)), np.ones((8, 8)), -6.5)
-    warmth = month_of_air(SECTION.model_copy(update=still), MONTH, 5, given, 270.0, 1).warmth_k
+    given = BoundaryConditions(ground, height, np.zeros((8, 8)), np.ones((8, 8)), -6.5, 270.0, 1)
+    warmth = month_of_air(SECTION.model_copy(update=still), MONTH, 5, given).warmth_k
     assert warmth[:, 3:5].mean() - warmth[:, [0, 7]].mean() == pytest.approx(0.4 * (6.5 - 4.0), abs=0.15)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from ecoclimate_cases import parameters
 
-from forestgen.community.ecoclimate.climate import (
+from forestgen.community.ecoclimate.parameters import (
     DAYS_PER_MONTH,
     ClimateChange,
     MonthlyClimate,

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from ecoclimate_cases import HILLY, ecology, parameters
 
-from forestgen.community.ecoclimate.climate import MonthlyClimate, month_at
-from forestgen.community.ecoclimate.parameters import ClimateChange, GlobalSeeding
+from forestgen.community.ecoclimate.parameters import ClimateChange, GlobalSeeding, MonthlyClimate, month_at
 from forestgen.community.history import open_history, write_history
 from forestgen.community.history_tables import MAPS_NAME as NAME
 from forestgen.community.model import simulate

@@ -10,9 +10,8 @@ import pytest
 from ecoclimate_cases import HILLY, SITE, STEADY, after, around, ecology, parameters, plant_type, states
 
 from forestgen.architecture.geometry import plant_sizes
-from forestgen.community.branch_modules.state import State, step_parameters
+from forestgen.community.branch_modules.state import LocalClimate, State, ground_at, step_parameters, suited
 from forestgen.community.branch_modules.step import step_forest
-from forestgen.community.branch_modules.surroundings import LocalClimate, ground_at, suited
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.months import Ecoclimate, leaf_area_index, local_climate
 from forestgen.community.ecoclimate.parameters import GlobalSeeding
