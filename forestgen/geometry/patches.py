@@ -71,6 +71,11 @@ def placed(patch: Patch, linear: Floats, shift: Floats) -> Patch:
     return patch._replace(points=patch.points @ linear.T + shift)
 
 
+def lifted(patch: Patch, height_m: float) -> Patch:
+    """The patch moved along y."""
+    return patch._replace(points=patch.points + np.array([0.0, height_m, 0.0]))
+
+
 def copies(patch: Patch, linear: Floats, shift: Floats) -> Patch:
     """M copies of a patch under (M, 3, 3) matrices and (M, 3) shifts."""
     count, size = len(linear), len(patch.points)

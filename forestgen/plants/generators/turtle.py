@@ -69,7 +69,7 @@ from forestgen.lsystem.sys_format import parse_sys_text
 from forestgen.plants.budget import check_budget
 from forestgen.plants.fitting import moved
 from forestgen.plants.from_turtle import draw_program, skeleton_of
-from forestgen.plants.organs.base import OrganForm, Pieces
+from forestgen.plants.organs.base import OrganForm, OrganPatch
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.recipe.curves import Curve, evaluate_one
@@ -107,10 +107,10 @@ class PolygonFace(OrganForm):
 
     form: Literal["polygon"] = "polygon"
 
-    def patches(self) -> tuple[Pieces, ...]:
+    def patches(self) -> list[OrganPatch]:
         """The triangle that `from_turtle` bends and moves to each of a polygon's own."""
         corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-        return (Pieces(self.material, (Patch(corners, np.array([[0, 1, 2]]), corners[:, :2]),)),)
+        return [OrganPatch(self.material, Patch(corners, np.array([[0, 1, 2]]), corners[:, :2]))]
 
 
 class Parameters(PlantParameters):

@@ -12,14 +12,6 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.patches import Patch, to_mesh
 from forestgen.recipe.fields import Section
 
-_PARTS = {
-    "leaf": Part.LEAF,
-    "flower": Part.FLOWER,
-    "fruit": Part.FRUIT,
-    "trunk": Part.TRUNK,
-    "branch": Part.BRANCH,
-    "dead_wood": Part.DEAD_WOOD,
-}
 _LEAST_M = 1e-4  # triangles that are smaller vanish in single precision
 
 
@@ -48,11 +40,11 @@ class OrganPiece(NamedTuple):
     mesh: Mesh  # the organ's frame: foot at the origin, y along it, z its upper side, metres; with normals and uv
 
 
-class Pieces(NamedTuple):
-    """Patches of an organ by material, before they are meshes."""
+class OrganPatch(NamedTuple):
+    """Triangles of one material on the way to an `OrganPiece`."""
 
     material: str
-    patches: tuple[Patch, ...]
+    patch: Patch
     part: Part | None = None  # None: the organ's own
 
 
@@ -62,8 +54,8 @@ class OrganForm(Section):
     part: PartName = Field("leaf", description="the label of its surface")
     material: str = Field(description="name of one of the species' materials")
 
-    def patches(self) -> tuple[Pieces, ...]:
-        """Geometry by material."""
+    def patches(self) -> list[OrganPatch]:
+        """The organ's triangles, in its own frame."""
         raise NotImplementedError
 
     def pieces(self) -> tuple[OrganPiece, ...]:
@@ -71,25 +63,20 @@ class OrganForm(Section):
         return _pieces(self)
 
     def template(self) -> Mesh:
-        """The whole organ as one mesh, in its own frame: foot at the origin, y along it, z its upper side, metres."""
+        """The whole organ as one mesh, in its own frame."""
         return _template(self)
-
-    @property
-    def label(self) -> Part:
-        return _PARTS[self.part]
 
 
 @lru_cache(maxsize=512)
 def _pieces(form: OrganForm) -> tuple[OrganPiece, ...]:
     joined: dict[tuple[Part, str], list[Patch]] = {}
-    for piece in form.patches():
-        part = form.label if piece.part is None else piece.part
-        joined.setdefault((part, piece.material), []).extend(patch for patch in piece.patches if len(patch.faces))
-    return tuple(
-        OrganPiece(part, material, to_mesh(*patches)) for (part, material), patches in joined.items() if patches
-    )
+    for material, patch, part in form.patches():
+        if len(patch.faces):
+            part = Part[form.part.upper()] if part is None else part
+            joined.setdefault((part, material), []).append(patch)
+    return tuple(OrganPiece(part, material, to_mesh(*patches)) for (part, material), patches in joined.items())
 
 
 @lru_cache(maxsize=512)
 def _template(form: OrganForm) -> Mesh:
-    return to_mesh(*(patch for piece in form.patches() for patch in piece.patches))
+    return to_mesh(*(one.patch for one in form.patches()))
