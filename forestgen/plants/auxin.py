@@ -3,17 +3,7 @@
 Streit et al. 2005, section 3; Barlow, Brain and Adam 1989 as given there in section 2.2. Lengths in millimetres, time
 in hours, auxin in a unit of its own. generators/auxin_root.py is the manual page.
 
-The root is a row of segments, base to tip. A segment's surface has S sides at even azimuths (two sides: the plane
-model), each with a length L and an amount of auxin A. With x the distance from the tip along the side,
-
-::
-
-    dA/dt = (v/L A) of the next segment to the tip - (v/L) A - decay A,     the tip's: + supply share(azimuth)
-    dL/dt = L RELEL(x) max(0, 1 - inhibition S A / L),                      RELEL(x) = M exp(-(x - mu)^2 / (2 sigma^2))
-    share = (1 + sensitivity n . g) / S
-
-where n is the outward normal of the side at the tip, g the direction of gravity (of its opposite, for shoots). The last
-segment is the cap, which senses and does not grow.
+With x the distance from the tip along the side, a side elongates by RELEL(x) = M exp(-(x - mu)^2 / (2 sigma^2)).
 """
 
 from __future__ import annotations
@@ -52,24 +42,25 @@ class Zone:
         return self.peak_per_h * self.width_mm * math.sqrt(2.0 * math.pi) * (1.0 - before_tip)
 
 
-@dataclass(frozen=True)
-class AuxinModel:
-    """Parameters of the simulation."""
+class AuxinModel(NamedTuple):
+    """Parameters of the simulation, as compiled loops read them too; those of generators/auxin_root.py of these names.
 
-    zones: tuple[Zone, ...] = (Zone(),)  # one for all sides, or one for each
+    A segment's surface has sides at even azimuths; two sides are the plane model.
+    """
+
     sectors: int = 2
     diameter_mm: float = 1.0
     supply_per_h: float = 10.0  # auxin units through the centre to the tip
-    transport_mm_per_h: float = 10.0  # v
+    transport_mm_per_h: float = 10.0
     decay_per_h: float = 0.0
-    inhibition_mm: float = 0.5  # loss of growth, as a share, for a unit of auxin a millimetre of root
-    sensitivity: float = 0.8  # of a horizontal tip: excess of auxin on the lower side, as a share
+    inhibition_mm: float = 0.5
+    sensitivity: float = 0.8
     tilt_deg: float = 90.0  # of the young root from its target
     azimuth_deg: float = 0.0  # of the tilt's plane
     is_shoot: bool = False  # target: up, not down
-    young_mm: float = 8.0  # length at the start
+    young_mm: float = 8.0
     on_flank: bool = False  # x along the side itself, as Barlow's flanks have it; else along the centre line
-    segment_mm: float = 0.25  # longer ones are split
+    segment_mm: float = 0.25
     step_h: float = 0.02
 
     @property
@@ -116,18 +107,20 @@ class Root:
         return points
 
 
-def simulate(model: AuxinModel, *, length_mm: float | None = None, duration_h: float | None = None) -> Root:
-    """Grow a root to a length or for a time, whichever is first.
+def simulate(
+    model: AuxinModel,
+    zones: tuple[Zone, ...] = (Zone(),),
+    *,
+    length_mm: float | None = None,
+    duration_h: float | None = None,
+) -> Root:
+    """Grow a root to a length or for a time, whichever is first. `zones`: one for all sides, or one for each.
 
     Raises `RecipeError`: too many segments or time steps, or a root that stops growing before it is long enough.
     """
-    steps = MOST_STEPS if duration_h is None else round(duration_h / model.step_h)
-    zones = model.zones if len(model.zones) == model.sectors else model.zones * model.sectors
+    steps = MOST_STEPS if duration_h is None else min(round(duration_h / model.step_h), MOST_STEPS)
+    zones = zones if len(zones) == model.sectors else zones * model.sectors
     fastest = sum(zone.elongation_mm_per_h for zone in zones) / len(zones)
-    if length_mm is not None:
-        steps = min(steps, MOST_STEPS)
-    elif steps > MOST_STEPS:
-        raise RecipeError("too many time steps", where="plant", expected=f"at most {MOST_STEPS:,}", got=f"{steps:,}")
     young = max(2, int(np.ceil(model.young_mm / (0.75 * model.segment_mm))))
     longest = model.young_mm + fastest * steps * model.step_h if length_mm is None else max(length_mm, model.young_mm)
     room = young + int(min(4.0 * longest / model.segment_mm, 1e12)) + 16
@@ -142,24 +135,12 @@ def simulate(model: AuxinModel, *, length_mm: float | None = None, duration_h: f
     side, auxin = np.zeros((room, model.sectors)), np.zeros((room, model.sectors))
     side[:young] = model.young_mm / young
     angle = model.azimuth_rad
-    number = _Numbers(
-        supply=model.supply_per_h,
-        transport=model.transport_mm_per_h,
-        decay=model.decay_per_h,
-        inhibition=model.inhibition_mm,
-        sensitivity=model.sensitivity,
-        diameter=model.diameter_mm,
-        segment=model.segment_mm,
-        step=model.step_h,
-        longest=np.inf if length_mm is None else length_mm,
-        on_flank=model.on_flank,
-        most_work=MOST_WORK,
-    )
     tip, sums = np.zeros((steps + 1, 3)), np.zeros(3)
-    columns = np.array([(zone.peak_per_h, zone.centre_mm, zone.width_mm) for zone in zones]).T.copy()
+    numbers = np.array([(zone.peak_per_h, zone.centre_mm, zone.width_mm) for zone in zones])
+    until_mm = np.inf if length_mm is None else length_mm
     done, n = _grow(
-        side, auxin, young, model.first_frame(), model.target, np.cos(angle), np.sin(angle), number, *columns, tip,
-        sums,
+        side, auxin, young, model, numbers, until_mm, MOST_WORK, model.first_frame(), model.target, np.cos(angle),
+        np.sin(angle), tip, sums,
     )  # fmt: skip
     unfinished = length_mm is not None and duration_h is None and done == steps
     if n < 0 or unfinished:
@@ -171,22 +152,6 @@ def simulate(model: AuxinModel, *, length_mm: float | None = None, duration_h: f
             hint="less inhibition or supply, a longer step_h or segment_mm",
         )
     return Root(model, side[:n].copy(), auxin[:n].copy(), tip[: done + 1].copy(), *sums)
-
-
-class _Numbers(NamedTuple):
-    """Numbers of `AuxinModel` for the compiled loops."""
-
-    supply: float
-    transport: float
-    decay: float
-    inhibition: float
-    sensitivity: float
-    diameter: float
-    segment: float
-    step: float
-    longest: float
-    on_flank: bool
-    most_work: float
 
 
 @compiled
@@ -236,12 +201,22 @@ def _assemble(side: Floats, cosine: Floats, sine: Floats, diameter: float, frame
 
 
 @compiled
-def _transport(side: Floats, auxin: Floats, number: _Numbers, share: Floats, sums: Floats) -> None:
+def _along(side: Floats, cosine: Floats, sine: Floats, diameter: float, frame: Floats, length_mm: float) -> float:
+    """Turn the frame as the segments do; returns the length, theirs added."""
+    for i in range(len(side)):
+        x, y = _bend(side[i], cosine, sine, diameter)
+        _turn(frame, x, y)
+        length_mm += np.mean(side[i])
+    return length_mm
+
+
+@compiled
+def _transport(side: Floats, auxin: Floats, model: AuxinModel, share: Floats, sums: Floats) -> None:
     """One step of polar transport from the tip back, upwind and implicit: stable and exactly conserving."""
-    step, speed, decay = number.step, number.transport, number.decay
-    sums[_SUPPLIED] += step * number.supply
+    step, speed, decay = model.step_h, model.transport_mm_per_h, model.decay_per_h
+    sums[_SUPPLIED] += step * model.supply_per_h
     for k in range(side.shape[1]):
-        flow = number.supply * share[k]
+        flow = model.supply_per_h * share[k]
         for i in range(len(side) - 1, -1, -1):
             rate = speed / side[i, k]
             auxin[i, k] = (auxin[i, k] + step * flow) / (1.0 + step * (rate + decay))
@@ -251,32 +226,31 @@ def _transport(side: Floats, auxin: Floats, number: _Numbers, share: Floats, sum
 
 
 @compiled
-def _elongate(
-    side: Floats, auxin: Floats, number: _Numbers, peak: Floats, centre: Floats, width: Floats, first: int
-) -> Any:
+def _elongate(side: Floats, auxin: Floats, model: AuxinModel, zones: Floats, first: int) -> Any:
     """One step of growth of all sides from segment `first` on, the tip's segment excepted.
 
     Returns the first segment that may still grow; those before it lie behind the growth zone for good.
     """
     n, sectors = side.shape
-    step, inhibition, on_flank = number.step, number.inhibition, number.on_flank
+    step, inhibition, on_flank = model.step_h, model.inhibition_mm, model.on_flank
     growing = n - 1
     centre_line = np.empty(n - first)
     for i in range(first, n):
         centre_line[i - first] = np.mean(side[i])
     for k in range(sectors):
+        peak, centre, width = zones[k, 0], zones[k, 1], zones[k, 2]
         away = side[n - 1, k] if on_flank else centre_line[n - 1 - first]
-        root2 = math.sqrt(2.0) * width[k]
-        whole = peak[k] * width[k] * math.sqrt(0.5 * math.pi)
-        before = math.erf((away - centre[k]) / root2)
+        root2 = math.sqrt(2.0) * width
+        whole = peak * width * math.sqrt(0.5 * math.pi)
+        before = math.erf((away - centre) / root2)
         for i in range(n - 2, first - 1, -1):
-            if away > centre[k] + _REACH * width[k]:
+            if away > centre + _REACH * width:
                 break
             growing = min(growing, i)
             length = side[i, k]
             passed = length if on_flank else centre_line[i - first]
             away += passed
-            after = math.erf((away - centre[k]) / root2)
+            after = math.erf((away - centre) / root2)
             held = max(0.0, 1.0 - inhibition * sectors * auxin[i, k] / length)
             side[i, k] = length * math.exp(step * held * whole * (after - before) / passed)
             before = after
@@ -305,58 +279,38 @@ def _split(side: Floats, auxin: Floats, n: int, first: int, segment: float) -> A
 
 
 @compiled
-def _grow(
-    side: Floats,
-    auxin: Floats,
-    n: int,
-    frame: Floats,
-    target: Floats,
-    cosine: Floats,
-    sine: Floats,
-    number: _Numbers,
-    peak: Floats,
-    centre: Floats,
-    width: Floats,
-    tip: Floats,
-    sums: Floats,
-) -> Any:
+def _grow(  # type: ignore[no-untyped-def]
+    side, auxin, n, model, zones, until_mm, most_work, frame, target, cosine, sine, tip, sums
+):
     """Time steps until the root is as long as it should be, or the steps are used up.
 
-    Returns steps done, number of segments (-1: there is no room for more, -2: it takes too long).
+    `zones` (S, 3) of each side: M, mu, sigma. Returns steps done, number of segments (-1: there is no room for more,
+    -2: it takes too long).
     """
-    sectors, work = side.shape[1], 0.0
+    sectors, diameter, work = side.shape[1], model.diameter_mm, 0.0
     share, first, frozen_mm, end = np.empty(sectors), 0, 0.0, np.empty((3, 3))
     for step in range(len(tip) - 1):
-        length = frozen_mm
         end[:] = frame
-        for i in range(first, n):
-            x, y = _bend(side[i], cosine, sine, number.diameter)
-            _turn(end, x, y)
-            length += np.mean(side[i])
+        length = _along(side[first:n], cosine, sine, diameter, end, frozen_mm)
         tip[step] = end[2]
-        if length >= number.longest:
+        if length >= until_mm:
             return step, n
         work += n * sectors
-        if work > number.most_work:
+        if work > most_work:
             return step, -2
         for k in range(sectors):
             towards = 0.0
             for c in range(3):
                 towards += (cosine[k] * end[0, c] + sine[k] * end[1, c]) * target[c]
-            share[k] = (1.0 + number.sensitivity * towards) / sectors
-        _transport(side[:n], auxin[:n], number, share, sums)
-        growing = _elongate(side[:n], auxin[:n], number, peak, centre, width, first)
-        for i in range(first, growing):
-            x, y = _bend(side[i], cosine, sine, number.diameter)
-            _turn(frame, x, y)
-            frozen_mm += np.mean(side[i])
+            share[k] = (1.0 + model.sensitivity * towards) / sectors
+        _transport(side[:n], auxin[:n], model, share, sums)
+        growing = _elongate(side[:n], auxin[:n], model, zones, first)
+        frozen_mm = _along(side[first:growing], cosine, sine, diameter, frame, frozen_mm)
         first = growing
-        n = _split(side, auxin, n, first, number.segment)
+        n = _split(side, auxin, n, first, model.segment_mm)
         if n < 0:
             return step, n
     end[:] = frame
-    for i in range(first, n):
-        x, y = _bend(side[i], cosine, sine, number.diameter)
-        _turn(end, x, y)
+    _along(side[first:n], cosine, sine, diameter, end, frozen_mm)
     tip[len(tip) - 1] = end[2]
     return len(tip) - 1, n

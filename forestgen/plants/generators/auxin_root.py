@@ -103,22 +103,9 @@ class Parameters(PlantParameters):
 
     def model(self, tilt_deg: float, azimuth_deg: float) -> AuxinModel:
         """The simulation's parameters for an axis that starts in this direction."""
-        return AuxinModel(
-            zones=(Zone(self.rate_per_h, self.zone_centre_mm, self.zone_width_mm),),
-            sectors=self.sectors,
-            diameter_mm=self.diameter_mm,
-            supply_per_h=self.supply_per_h,
-            transport_mm_per_h=self.transport_mm_per_h,
-            decay_per_h=self.decay_per_h,
-            inhibition_mm=self.inhibition_mm,
-            sensitivity=self.sensitivity,
-            tilt_deg=tilt_deg,
-            azimuth_deg=azimuth_deg,
-            is_shoot=self.gravitropism == "negative",
-            young_mm=self.young_mm,
-            segment_mm=self.segment_mm,
-            step_h=self.step_h,
-        )
+        shared = {name: getattr(self, name) for name in AuxinModel._fields if name in type(self).model_fields}
+        is_shoot = self.gravitropism == "negative"
+        return AuxinModel(**(shared | {"tilt_deg": tilt_deg, "azimuth_deg": azimuth_deg, "is_shoot": is_shoot}))
 
 
 _Parameters = Parameters  # the generator's attribute hides the name
@@ -137,7 +124,8 @@ class AuxinRootGenerator:
         drawn = float(rng.uniform(0.0, 360.0))
         compass_deg = drawn if parameters.tilt_azimuth_deg is None else parameters.tilt_azimuth_deg
         model = parameters.model(abs(tilt_deg), 90.0 - compass_deg)
-        root = simulate(model, length_mm=parameters.length_mm)
+        zone = Zone(parameters.rate_per_h, parameters.zone_centre_mm, parameters.zone_width_mm)
+        root = simulate(model, (zone,), length_mm=parameters.length_mm)
         points = root.points_mm()
         if not model.is_shoot:
             points[:, 2] -= points[:, 2].min()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,10 +14,9 @@ from forestgen.plants.auxin import AuxinModel, Root, Zone, simulate
 def barlow(upper: Zone, lower: Zone, time_h: float, diameter_mm: float = 1.0, steps: int = 1000) -> Root:
     """Two flanks with RELELs of their own and no auxin; side 0, which faces the ground, is the lower one."""
     model = AuxinModel(
-        zones=(lower, upper), diameter_mm=diameter_mm, supply_per_h=0.0, young_mm=14.0, segment_mm=0.1,
-        step_h=time_h / steps, on_flank=True,
-    )  # fmt: skip
-    return simulate(model, duration_h=time_h)
+        diameter_mm=diameter_mm, supply_per_h=0.0, young_mm=14.0, segment_mm=0.1, step_h=time_h / steps, on_flank=True
+    )
+    return simulate(model, (lower, upper), duration_h=time_h)
 
 
 def tip_angle_deg(root: Root) -> np.ndarray:
@@ -175,4 +173,4 @@ def test_centre_line_is_as_long_as_the_root():
 def test_hopeless_roots_are_refused(change, length_mm, monkeypatch):
     monkeypatch.setattr("forestgen.plants.auxin.MOST_WORK", 1e7)
     with pytest.raises(RecipeError, match="root"):
-        simulate(replace(AuxinModel(), **change), length_mm=length_mm)
+        simulate(AuxinModel(**change), length_mm=length_mm)
