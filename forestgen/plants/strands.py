@@ -127,30 +127,6 @@ class Pose:
     rotation: Floats  # (N, 3, 3) segment frame -> plant frame; y along the segment
 
 
-def divide(
-    strands: int,
-    least: int,
-    trunk_m: float,
-    gravicentralism: float,
-    phyllotaxis_rad: float,
-    by_order: Floats,
-    by_depth: Floats,
-    jitter: Floats,
-    normals: Floats,
-) -> Branching:
-    """Divide the strands until every branch has `least` of them or fewer.
-
-    Parameters
-    ----------
-    trunk_m : length of the base segment, metres.
-    by_order, by_depth : (6, ORDERS) auxiliary parameters over the Gravelius and the Weibull order; angles in radians.
-    jitter : (JITTERS,) standard deviations of k_s, alpha (twice), alpha_p (radians) and of the logarithm of l.
-    normals : (3 strands, JITTERS) standard normal numbers, or (1, JITTERS) zeros.
-    """
-    columns = _divide(strands, least, trunk_m, gravicentralism, phyllotaxis_rad, by_order, by_depth, jitter, normals)
-    return Branching(*columns)
-
-
 def pose(branching: Branching, wind: Wind, stiffness: float, phases_rad: Floats) -> Pose:
     """The branching in a wind, its segments placed one after the other.
 
@@ -180,21 +156,23 @@ def product(row: int, by_order: Floats, by_depth: Floats, g: int, w: int) -> Any
 
 
 @compiled
-def _divide(  # type: ignore[no-untyped-def]
+def divide(  # type: ignore[no-untyped-def]
     strands, least, trunk_m, gravicentralism, phyllotaxis, by_order, by_depth, jitter, normals
-) -> Any:
+):
+    """Divide the strands until every branch has `least` of them or fewer.
+
+    Returns the columns of `Branching`: (N, 5) whole numbers from `parent` on, (N, 5) others from `length_m` on.
+
+    Parameters
+    ----------
+    trunk_m : length of the base segment, metres; phyllotaxis : alpha_p, radians.
+    by_order, by_depth : (6, ORDERS) auxiliary parameters over the Gravelius and the Weibull order; angles in radians.
+    jitter : (JITTERS,) standard deviations of k_s, alpha (twice), alpha_p (radians) and of the logarithm of l.
+    normals : (3 strands, JITTERS) standard normal numbers, or (1, JITTERS) zeros.
+    """
     size = 2 * strands
-    parent = np.full(size, -1, np.int64)
-    axis = np.zeros(size, np.int64)
-    count = np.full(size, strands, np.int64)
-    gravelius = np.zeros(size, np.int64)
-    weibull = np.zeros(size, np.int64)
-    relative = np.ones(size)
-    length = np.zeros(size)
-    turn = np.zeros(size)
-    tilt = np.zeros(size)
-    azimuth = np.zeros(size)
-    lift = np.zeros(size)
+    tree, shape = np.zeros((size, 5), np.int64), np.zeros((size, 5))
+    tree[0] = (-1, 0, strands, 0, 0)
     # Axes that wait for their turn: a minor sub-branch is written here, and copied to its place when that is known.
     waiting = np.zeros((strands, 4), np.int64)  # bearer, strands, g, w
     forms = np.zeros((strands, 6))  # relative and actual length, turn, tilt, azimuth, lift
@@ -206,9 +184,8 @@ def _divide(  # type: ignore[no-untyped-def]
         bearer, s, g, w = waiting[done]
         ratio, actual, turned, tilted, turned_about, lifted = forms[done]
         while True:
-            parent[node], axis[node], count[node], gravelius[node], weibull[node] = bearer, done, s, g, w
-            relative[node], length[node], turn[node], tilt[node] = ratio, actual, turned, tilted
-            azimuth[node], lift[node] = turned_about, lifted
+            tree[node] = (bearer, done, s, g, w)
+            shape[node] = (actual, turned, tilted, turned_about, lifted)
             if s <= least:
                 break
             split = product(SPLIT, by_order, by_depth, g, w)
@@ -246,10 +223,7 @@ def _divide(  # type: ignore[no-untyped-def]
             node += 1
         node += 1
         done += 1
-    return (
-        parent[:node], axis[:node], count[:node], gravelius[:node], weibull[:node],
-        length[:node], turn[:node], tilt[:node], azimuth[:node], lift[:node],
-    )  # fmt: skip
+    return tree[:node], shape[:node]
 
 
 @compiled

@@ -260,9 +260,10 @@ def branching_of(parameters: Parameters, height_m: float, rng: np.random.Generat
     normals = rng.normal(size=(3 * strands, JITTERS)) if jitter.any() else np.zeros((1, JITTERS))
     trunk_m = float(np.clip(evaluate_one(p.trunk_length_m, height_m), 0.0, 20.0))
     giving_way = p.gravicentralism if p.gravicentralism_as == "printed" else 1.0 - p.gravicentralism
-    branching = divide(
+    tree, shape = divide(
         strands, max(1, p.lod), trunk_m, giving_way, np.radians(p.phyllotaxis_deg), *tables(p), jitter, normals
     )
+    branching = Branching(*tree.T.copy(), *shape.T.copy())
     if not branching.length_m.sum() > 0.0:
         raise RecipeError("no branch of the plant has a length", where="plant", hint="trunk_length_m and length")
     scale = evaluate_one(p.scale_by_height, height_m)
