@@ -10,6 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+UP = np.array([0.0, 0.0, 1.0])
+GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))  # turn from leaf to leaf that fills the circle most evenly
 
 
 @dataclass(frozen=True)

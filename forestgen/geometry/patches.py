@@ -12,10 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.mesh import Mesh, triangle_areas, unit, vertex_normals
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from forestgen.geometry.mesh import Floats, Ints, Mesh, triangle_areas, unit, vertex_normals
 
 
 class Patch(NamedTuple):

@@ -18,10 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.threads import cores
-from forestgen.geometry.mesh import Mesh, triangle_areas, vertex_normals
+from forestgen.geometry.mesh import Floats, Ints, Mesh, triangle_areas, vertex_normals
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Image = NDArray[np.float32]
 
 _ROUNDS = 20

@@ -30,12 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.threads import map_ranges
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Floats, Ints, Mesh
 from forestgen.geometry.sweep_kernel import Surface, Tubes, Turns, fill
 from forestgen.geometry.sweep_points import frames, keep, starts
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 MOST_SIDES = 256
 

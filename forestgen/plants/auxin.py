@@ -13,12 +13,10 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
 from forestgen.core.errors import RecipeError
-
-Floats = NDArray[np.float64]
+from forestgen.geometry.mesh import Floats
 
 _SUPPLIED, _OUT, _DECAYED = range(3)  # sums of auxin, in their order
 _REACH = 6.0  # widths of the growth zone beyond which nothing grows

@@ -10,16 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.mesh import any_perpendicular, rotate, unit
+from forestgen.geometry.mesh import UP, Floats, Ints, any_perpendicular, rotate, unit
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate
 from forestgen.recipe.fields import Section
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-_UP = np.array([0.0, 0.0, 1.0])
 _LAST_INTERNODE = 0.4  # a rest shorter than this share of an internode joins the one before it
 _MOST_INTERNODES = 20_000  # of one axis
 _NODE_BYTES = 600  # of an internode while it grows and is meshed
@@ -128,7 +124,7 @@ def _internodes(s: Floats, rules: Order, rng: np.random.Generator) -> Floats:
 def _bend(direction: Floats, turn: Floats, step: Floats, s: Floats, rules: Order) -> Floats:
     """Turn towards the sky (or, for a negative upturn, the ground) as a torque does, and wander."""
     rate = evaluate(rules.upturn_deg_per_m, np.clip(s / rules.longest_m, 0.0, 1.0))
-    lever = np.cross(direction, _UP)
+    lever = np.cross(direction, UP)
     sine = np.linalg.norm(lever, axis=1)
     angle = np.clip(np.radians(rate) * step * sine, -0.5, 0.5)
     bent = rotate(direction, unit(lever), angle)
@@ -226,7 +222,7 @@ class Assembly:
 
 def around(axis: Floats, azimuth_rad: Floats, angle_rad: Floats) -> Floats:
     """(M, 3) unit directions at `angle_rad` from `axis`, turned about it from the horizontal by `azimuth_rad`."""
-    side = np.cross(axis, _UP)
+    side = np.cross(axis, UP)
     steep = np.linalg.norm(side, axis=1) < 0.2
     side[steep] = np.cross(axis[steep], [0.0, 1.0, 0.0])
     side = np.where(np.linalg.norm(side, axis=1, keepdims=True) > 1e-9, unit(side), any_perpendicular(axis))

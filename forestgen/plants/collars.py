@@ -13,12 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
-from forestgen.geometry.mesh import Mesh, unit
+from forestgen.geometry.mesh import Floats, Ints, Mesh, unit
 from forestgen.geometry.sweep import Polylines, rotation_minimising_frames, sides_for_radius, sweep_tubes
 from forestgen.plants.skeleton import Skeleton
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _COLLARED_M = 0.008  # thinner branches have no collar
 _MANY_RINGS_M = 0.015  # radius from which a collar has all its rings

@@ -8,11 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Floats, Mesh
 from forestgen.plants.parameters import Fit
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-
-Floats = NDArray[np.float64]
 
 _ROUNDS = 12
 _STRETCH = (0.3, 3.0)

@@ -5,20 +5,15 @@ from __future__ import annotations
 from typing import Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.geometry.mesh import rotate, unit
+from forestgen.geometry.mesh import UP, Floats, Ints, rotate, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.recipe.curves import Curve, PositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-_UP = np.array([0.0, 0.0, 1.0])
 _ORGAN_BYTES = 2000  # of an organ while it is placed, and of its smallest blade
 _HINT = "foliage of the shape {!r}: a larger spacing_m, or a smaller within_m, count or per_node"
 _DEEPEST_SEAT_M = 0.008  # an organ's foot sits on the bark, but no further than this from the axis
@@ -95,7 +90,7 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     foot = foot + 0.7 * radius[:, None] * unit(seat)
     size = growth * evaluate(rule.size, share) * np.clip(1 + rule.size_jitter * rng.normal(size=len(axis)), 0.4, 1.6)
     roll = np.radians(rule.roll_jitter_deg) * rng.normal(size=len(axis))
-    upper = np.broadcast_to(_UP, tangent.shape) if rule.facing == "up" else tangent
+    upper = np.broadcast_to(UP, tangent.shape) if rule.facing == "up" else tangent
     frame = organ_frames(foot, along, upper, roll, size)
     return OrganPlacements(rule.shape, frame.astype(np.float32), node.astype(np.int32))
 
@@ -173,7 +168,7 @@ def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> _Stations:
 
 def droop(along: Floats, angle_rad: Floats | float) -> Floats:
     """Directions turned to the ground, level ones by `angle_rad`."""
-    lever = np.cross(along, -_UP)
+    lever = np.cross(along, -UP)
     return rotate(along, unit(lever), angle_rad * np.linalg.norm(lever, axis=1))
 
 

@@ -12,12 +12,8 @@ from numpy.typing import NDArray
 from forestgen.architecture.geometry import skeletal_graph
 from forestgen.architecture.prototypes import MOST_NODES, Tables
 from forestgen.community.population import Population, Status
-from forestgen.geometry.mesh import any_perpendicular, unit
+from forestgen.geometry.mesh import Bools, Floats, Ints, any_perpendicular, unit
 from forestgen.plants.skeleton import Skeleton
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 MOST_ORDER = 7  # what is of a higher order counts as this
 _NO_LENGTH_M = 1e-3  # shorter segments have not begun to grow

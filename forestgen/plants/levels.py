@@ -31,12 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.mesh import Mesh, concatenate
+from forestgen.geometry.mesh import Bools, Floats, Ints, Mesh, concatenate
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 PIXEL_STEPS_M = (0.2, 0.4)  # pixels for which far versions are made
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh, concatenate, instance, unit
+from forestgen.geometry.mesh import Floats, Ints, Mesh, concatenate, instance, unit
 from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep, sweep_tubes
 from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
@@ -30,9 +30,6 @@ from forestgen.plants.levels import far_piece, mean_size
 from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _FOOT_M = 0.3  # stems reach this far below the ground, so that none hangs over a slope
 _STANDS = 0.3  # least z of a stem's direction at its foot: one that lies on the ground gets no foot

@@ -9,13 +9,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh, vertex_normals
+from forestgen.geometry.mesh import Floats, Mesh, vertex_normals
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-
-Floats = NDArray[np.float64]
 
 _SIDES = 32
 _LEVELS = 40  # rings of a measured profile

@@ -23,11 +23,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.core.compiled import compiled
-from forestgen.geometry.mesh import Mesh, unit
+from forestgen.geometry.mesh import UP, Floats, Ints, Mesh, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
 from forestgen.plants.foliage import droop, organ_frames
@@ -35,14 +34,10 @@ from forestgen.plants.skeleton import OrganPlacements
 from forestgen.recipe.curves import PositiveCurve, evaluate_one
 from forestgen.recipe.fields import Section
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 ORDERS = 256  # entries of a table of local parameters; orders beyond take the last one
 SPLIT, ANGLE, SHORTEST, LONGEST, LENGTH, GRAVIMORPHISM = range(6)  # rows of the tables
 JITTERS = 5  # split, turn, tilt, azimuth, length
 _GOLDEN_DEG = 137.5
-_UP = np.array([0.0, 0.0, 1.0])
 _LEAF_BYTES = 1500  # a leaf's draws, frame and some ten triangles with their normals
 
 
@@ -314,7 +309,7 @@ def leaf_places(
     own_size *= evaluate_one(leaves.size_by_height, height_m)
     size = size * own_size * np.sqrt(np.where(ends, branching.strands, 1)[node])
     roll = np.radians(leaves.roll_jitter_deg) * rng.normal(size=len(node))
-    upper = tangent if leaves.arrangement == "coniferous" else np.broadcast_to(_UP, tangent.shape)
+    upper = tangent if leaves.arrangement == "coniferous" else np.broadcast_to(UP, tangent.shape)
     frame = organ_frames(foot, along, upper, roll, size)
     return OrganPlacements(leaves.shape, frame.astype(np.float32), node.astype(np.int32))
 

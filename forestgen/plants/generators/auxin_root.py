@@ -56,15 +56,13 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from forestgen.geometry.mesh import Floats
 from forestgen.plants.auxin import AuxinModel, Zone, simulate
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.curves import FallingCurve, evaluate
-
-Floats = NDArray[np.float64]
 
 _THREAD = 1e-6  # radius, as a share of the plant's height, of what a root hangs from
 

@@ -59,11 +59,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.mesh import unit
+from forestgen.geometry.mesh import Floats, Ints, unit
 from forestgen.plants.branching import Assembly, Grown, Order, Shoots, around, grow, lateral_sites
 from forestgen.plants.budget import check_budget
 from forestgen.plants.grown import ClothedWood, ModuleWood, wood_skeleton, woods_of
@@ -76,8 +75,6 @@ if TYPE_CHECKING:
     from forestgen.community.population import Population
     from forestgen.recipe.species import Species
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # For who writes a species' file: what matters most, in this order.
 #   bearing.thinner_than_m   which wood bears twigs. A grown terminal segment has PlantType.thickening_cm (0.01 m) times

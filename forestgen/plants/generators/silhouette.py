@@ -53,9 +53,9 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, TypeAdapter, WithJsonSchema
 
+from forestgen.geometry.mesh import Floats
 from forestgen.plants.branching import Assembly, Grown, Order, Shoots, Sites, grow, lateral_sites
 from forestgen.plants.budget import check_budget
 from forestgen.plants.parameters import Fit, PlantParameters
@@ -71,8 +71,6 @@ from forestgen.recipe.curves import (
     evaluate_one,
 )
 from forestgen.recipe.fields import Section
-
-Floats = NDArray[np.float64]
 
 _STEM_BYTES = 100_000  # of a stem with its branches, at least
 

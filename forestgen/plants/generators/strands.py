@@ -89,6 +89,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from forestgen.core.errors import RecipeError
+from forestgen.geometry.mesh import Floats
 from forestgen.plants.budget import check_budget
 from forestgen.plants.fitting import fit, moved
 from forestgen.plants.parameters import PlantParameters
@@ -107,8 +108,6 @@ from forestgen.plants.strands import (
 )
 from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
-
-Floats = NDArray[np.float64]
 
 MOST_STRANDS = 200_000
 # Where a species' file says nothing of wind, or makes the plant too stiff to move; degrees.

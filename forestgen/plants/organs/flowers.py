@@ -8,13 +8,12 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from forestgen.geometry import patches
-from forestgen.geometry.patches import Floats, Patch
+from forestgen.geometry.mesh import GOLDEN_RAD, Floats
+from forestgen.geometry.patches import Patch
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, OrganPatch, PartName, Size
 from forestgen.plants.organs.leaves import SimpleBlade
 
 Opening = Annotated[float, Field(ge=0, le=170)]
-
-_GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
 
 
 class _OnStalk(OrganForm):
@@ -183,7 +182,7 @@ def _set_with(core: Patch, scale: Patch, angle_rad: Floats, radius_m: Floats, he
 
     The other arrays are (N,): where the scales' feet are, and the scales' sizes.
     """
-    outward = patches.outwards(np.arange(len(size)) * _GOLDEN_RAD)
+    outward = patches.outwards(np.arange(len(size)) * GOLDEN_RAD)
     along = np.sin(angle_rad) * outward + np.cos(angle_rad) * np.array([0.0, 1.0, 0.0])
     upper = np.sin(angle_rad) * np.array([0.0, 1.0, 0.0]) - np.cos(angle_rad) * outward
     feet = patches.on_axis(height_m) + radius_m[:, None] * outward
@@ -228,7 +227,7 @@ class Berry(_OnStalk):
             return self.on_stalk((None, patches.revolve(profile, sides)))
         k = np.arange(self.drupelets)
         z = 1.0 - 2.0 * (k + 0.5) / self.drupelets
-        turn = k * _GOLDEN_RAD
+        turn = k * GOLDEN_RAD
         ring = np.sqrt(1.0 - z * z)
         outward = np.column_stack([ring * np.cos(turn), z, ring * np.sin(turn)])
         size = 0.5 * min(diameter_m, length_m)

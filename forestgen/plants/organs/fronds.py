@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from forestgen.geometry import patches
-from forestgen.geometry.patches import Floats, Patch
+from forestgen.geometry.mesh import UP, Floats
+from forestgen.geometry.patches import Patch
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, OrganPatch, PartName, Size
 from forestgen.plants.organs.leaves import LobedBlade, SimpleBlade
 
-_UP = np.array([0.0, 0.0, 1.0])
 _ALONG = np.array([0.0, 1.0, 0.0])
 _PALM_LEAFLET = 0.68  # area of a leaflet over its length times its width
 
@@ -123,7 +123,7 @@ class FanFrond(OrganForm):
         ray = _ray(at * self.radius_m, profile, np.radians(22.0), folded=self.detail > 0)
         ray = patches.bent(ray, self.radius_m, np.radians(self.droop_deg), 2.5)
         along = np.column_stack([np.sin(middle), np.cos(middle), np.zeros(self.segments)])
-        linear = patches.attitude(along, np.tile(_UP, (self.segments, 1))) * (reach / self.radius_m)[:, None, None]
+        linear = patches.attitude(along, np.tile(UP, (self.segments, 1))) * (reach / self.radius_m)[:, None, None]
         fan = OrganPatch(
             self.material, patches.copies(ray, linear, np.tile([0.0, self.stalk_m, 0.0], (self.segments, 1)))
         )
@@ -218,7 +218,7 @@ def _pinna(length_m: float, breadth_m: float, pinnules: int, detail: int, broad:
     tip = patches.strip(1.6 * step, np.array([0.5 * step * broad, 0.0]), folded=False)
     parts.append(patches.lifted(tip, length_m - 1.2 * step))
     axis = patches.strip(length_m, np.array([0.05 * breadth_m, 0.0]), folded=False)
-    parts.append(axis._replace(points=axis.points + 0.0003 * _UP))
+    parts.append(axis._replace(points=axis.points + 0.0003 * UP))
     return patches.bent(patches.join(parts), length_m, 0.35, 1.5)
 
 

@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.geometry import patches
-from forestgen.geometry.patches import Floats, Patch
+from forestgen.geometry.mesh import Floats
+from forestgen.geometry.patches import Patch
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, OrganPatch, Size
 from forestgen.recipe.fields import Section
 

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.core.parts import Part
-from forestgen.geometry.patches import Floats, Patch, attitude, bend, copies, on_axis, outwards, tube
+from forestgen.geometry.mesh import GOLDEN_RAD, Floats
+from forestgen.geometry.patches import Patch, attitude, bend, copies, on_axis, outwards, tube
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, OrganPatch, Share, Size
 
 NeedleWidth = Annotated[float, Field(ge=1e-4, le=0.05)]
@@ -22,7 +23,6 @@ MOST_NEEDLES = 2000
 _COVER = 0.8  # area of a needle over its length times its width
 _LENGTH_POWER = 0.4
 _LONGEST = 3.2  # a needle that stands for many is at most so many times as long
-_GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))
 
 
 class Fascicle(OrganForm):
@@ -98,7 +98,7 @@ class NeedleTwig(OrganForm):
         one = _needle(self.needle_length_m * longer, width_m, np.radians(self.curl_deg), self.detail)
         k = np.arange(drawn)
         share = (k + 0.5) / drawn
-        turn = k * _GOLDEN_RAD
+        turn = k * GOLDEN_RAD
         side, rise = np.cos(turn), np.sin(turn)
         # Parted needles of the upper and lower side sweep to the right and left.
         side = side + self.parting * (np.sign(side) * np.sqrt(1.0 - rise**2 * 0.2) - side)

@@ -8,17 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.mesh import rotate, unit
+from forestgen.geometry.mesh import UP, Floats, Ints, rotate, unit
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.loop import NewNodes, carry, walk
 from forestgen.plants.variation.model import Plane, Variation
 from forestgen.recipe.curves import Function, evaluate
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-_UP = np.array([0.0, 0.0, 1.0])
 _UPRIGHT_SINE = 0.05  # an axis nearer to the vertical has no side that is up
 _BYTES_PER_STEP = 400  # tables, the new nodes in the loop and in the skeleton
 _MOST_LAG_STEPS = 1e9
@@ -72,7 +68,7 @@ def axes_of(skeleton: Skeleton, position: Floats) -> Axes:
     apart = length > 0.0
     index = np.where(apart, np.arange(len(position)), len(position))
     leads = np.minimum.reduceat(index, first)
-    foot = unit(np.append(way, [_UP], axis=0)[np.minimum(leads, len(position))])
+    foot = unit(np.append(way, [UP], axis=0)[np.minimum(leads, len(position))])
     return Axes(
         first=first,
         last=last,
@@ -207,8 +203,8 @@ def normals(foot: Floats, plane: Plane, azimuth: Floats) -> Floats:
     """
     if isinstance(plane, int | float):
         angle = np.radians(plane)
-        return np.broadcast_to(np.cross(_UP, [np.sin(angle), np.cos(angle), 0.0]), foot.shape)
-    up = np.cross(foot, _UP)
+        return np.broadcast_to(np.cross(UP, [np.sin(angle), np.cos(angle), 0.0]), foot.shape)
+    up = np.cross(foot, UP)
     upright = np.linalg.norm(up, axis=1) < _UPRIGHT_SINE
     up[upright] = np.cross(foot[upright], [1.0, 0.0, 0.0])
     up = unit(up)

@@ -9,13 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from forestgen.core.compiled import compiled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from forestgen.geometry.mesh import Floats, Ints
 
 _SENSED_RAD = 1e-12  # an error below this is none
 
