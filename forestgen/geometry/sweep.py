@@ -58,15 +58,6 @@ class Polylines:
         """(A,) points of each polyline."""
         return np.diff(self.offset)
 
-    def volume_m3(self) -> float:
-        """Sum of the frusta between consecutive points."""
-        inner = np.ones(len(self.radius_m), dtype=bool)
-        inner[self.offset[1:] - 1] = False
-        i = np.flatnonzero(inner)
-        length = np.linalg.norm(self.points_m[i + 1] - self.points_m[i], axis=1)
-        a, b = self.radius_m[i], self.radius_m[i + 1]
-        return float(np.sum(length * (a * a + a * b + b * b)) * np.pi / 3.0)
-
 
 def sides_for_radius(radius_m: Floats) -> Ints:
     """Sides of a tube by its base radius; (A,) to (A,).
@@ -87,21 +78,6 @@ def rotation_minimising_frames(lines: Polylines) -> tuple[Floats, Floats, Floats
     tangent, normal = np.zeros_like(lines.points_m), np.zeros_like(lines.points_m)
     frames(np.ascontiguousarray(lines.points_m, dtype=np.float64), lines.offset, tangent, normal)
     return tangent, normal, np.cross(tangent, normal)
-
-
-def sweep(
-    lines: Polylines,
-    sides: Ints,
-    *,
-    pointed: bool | NDArray[np.bool_] = True,
-    radial_factor: Floats | None = None,
-    height_ratio: float | Floats = 1.0,
-    tile_m: tuple[float, float] = (1.0, 1.0),
-) -> Mesh:
-    """One mesh of all tubes, closed, wound outward, with smooth normals and texture coordinates: see `sweep_tubes`."""
-    return sweep_tubes(
-        lines, sides, pointed=pointed, radial_factor=radial_factor, height_ratio=height_ratio, tile_m=tile_m
-    )[0]
 
 
 def sweep_tubes(
@@ -149,17 +125,17 @@ def sweep_tubes(
     tubes = _tubes(
         lines, points, sides, _each(pointed, count, np.bool_), _each(height_ratio, len(points), np.float64), factor
     )
-    surface = _room(int(tubes.vertex_start[-1]), int(tubes.face_start[-1]))
+    vertices, faces = int(tubes.vertex_start[-1]), int(tubes.face_start[-1])
+    surface = Surface(*(np.empty((vertices, k), np.float32) for k in (3, 3, 2)), np.empty((faces, 3), np.uint32))
     turns, tile = _ring_tables(sides), np.array(tile_m, dtype=np.float64)
 
     def part(first: int, end: int) -> int:
         return int(fill(first, end, tubes, tile, turns, surface))
 
-    vertices, normals, uv, faces = surface
-
+    position, normals, uv, face = surface
     if sum(map_ranges(count, part)):  # neighbouring rings touched: a triangle without area is not one
-        faces = faces[faces[:, 0] != faces[:, 1]]
-    return Mesh(vertices, faces, normals, uv), tubes.vertex_start
+        face = face[face[:, 0] != face[:, 1]]
+    return Mesh(position, face, normals, uv), tubes.vertex_start
 
 
 def _tubes(
@@ -179,17 +155,6 @@ def _each(given: object, count: int, kind: type) -> NDArray[Any]:
     """One value each, from one for all or as many as there are."""
     values: NDArray[Any] = np.asarray(given, dtype=kind)
     return np.ascontiguousarray(values) if values.shape == (count,) else np.full(count, values)
-
-
-def _room(vertices: int, faces: int) -> Surface:
-    """Vertices, normals, texture coordinates and faces, not yet filled, in one block of memory.
-
-    One block reaches sooner the size from which NumPy asks for large pages: new small ones take longer than the mesh.
-    """
-    block = np.empty(8 * vertices + 3 * faces, dtype=np.float32)
-    position, normal = block[: 3 * vertices].reshape(-1, 3), block[3 * vertices : 6 * vertices].reshape(-1, 3)
-    uv, face = block[6 * vertices : 8 * vertices].reshape(-1, 2), block[8 * vertices :].view(np.uint32)
-    return Surface(position, normal, uv, face.reshape(-1, 3))
 
 
 def _ring_tables(sides: Ints) -> Turns:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Floats, Ints, Mesh, concatenate, instance, unit
-from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep, sweep_tubes
+from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep_tubes
 from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.levels import far_piece, mean_size
@@ -85,7 +85,7 @@ def wood_mesh(
     if tubes:
         mesh = concatenate([one for one, _, _, _ in tubes])
     else:
-        mesh = sweep(Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64)), np.zeros(0, np.int64))
+        mesh = sweep_tubes(Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64)), np.zeros(0, np.int64))[0]
     if skeleton.mark is None:
         return mesh, None
     marks = [tube_marks(one, start, line, skeleton.mark[node], tile_m[1]) for one, start, line, node in tubes]
@@ -197,7 +197,7 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
     sides = sides_for_radius(line.radius_m[:1])
     pointed = _is_pointed(line)
     if base < _MESHED_FLARE_RADIUS_M or plain:
-        return sweep(line, sides, pointed=pointed, tile_m=tile_m)
+        return sweep_tubes(line, sides, pointed=pointed, tile_m=tile_m)[0]
     sides = np.maximum(3 * sides // 2, 16)  # the stem's outline is what one sees from near
     step = np.linalg.norm(np.diff(line.points_m, axis=0), axis=1)
     height = np.concatenate([[0.0], np.cumsum(step)]) - (_FOOT_M if _is_standing(line.points_m) else 0.0)
@@ -207,7 +207,8 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
     near_ground = np.exp(-np.maximum(height, 0.0) / (3.5 * base))[:, None]
     ridges = 1.0 + 0.55 * np.cos(5.0 * angle + phase[0]) + 0.35 * np.cos(3.0 * angle + phase[1])
     waves = 0.03 * np.sin(3.0 * angle + 1.7 * height[:, None]) + 0.025 * np.sin(2.0 * angle - 2.9 * height[:, None])
-    return sweep(line, sides, pointed=pointed, radial_factor=1.0 + flare * near_ground * ridges + waves, tile_m=tile_m)
+    factor = 1.0 + flare * near_ground * ridges + waves
+    return sweep_tubes(line, sides, pointed=pointed, radial_factor=factor, tile_m=tile_m)[0]
 
 
 def _limbs(

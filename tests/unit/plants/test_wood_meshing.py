@@ -18,6 +18,7 @@ from forestgen.plants.generators.silhouette import GENERATOR
 from forestgen.plants.meshing import branch_lines, organ_meshes, stem_line, wood_mesh
 from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
+from support.swept import volume_m3
 
 Floats = NDArray[np.float64]
 
@@ -84,9 +85,9 @@ def frusta_m3(wood: Skeleton) -> float:
     for a, b in zip(first, last, strict=True):
         if wood.order[a] == 0 and wood.parent[a] <= 0:
             line = stem_line(wood, int(a), int(b))
-            total += line.volume_m3() if line is not None else 0.0
+            total += volume_m3(line) if line is not None else 0.0
         else:
-            total += branch_lines(wood, np.array([a]), np.array([b])).volume_m3()
+            total += volume_m3(branch_lines(wood, np.array([a]), np.array([b])))
     return total
 
 
