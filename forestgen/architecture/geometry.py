@@ -179,7 +179,7 @@ class PlantSizes:
 def terminal_leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
     """(T, S) one-sided leaf area of a terminal of thickness 1 of a grown module, m2."""
     index = -2.0 * np.log1p(-np.minimum(tables.opacity, _MOST_OPACITY))
-    disc = np.pi * tables.sphere_radius_m**2
+    disc = np.pi * tables.grown_spheres_m[1] ** 2
     pipes = np.where(tables.terminal_index >= 0, tables.thickness**2, 0.0).sum(axis=1)
     return np.asarray(index[:, None] * disc / pipes)
 

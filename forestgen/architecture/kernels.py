@@ -164,26 +164,37 @@ def fill_nodes(shapes, modules, start, first, end, position, length):  # type: i
 
 
 @compiled
-def add_pipes(shapes, kind, s, age, disused, borne, squared):  # type: ignore[no-untyped-def]
-    """Fill `squared` (N,) with the squared diameters of one module's nodes, m2: the pipe model from its terminals down.
+def fill_pipes(shapes, plants, plant, joint, borne, squared):  # type: ignore[no-untyped-def]
+    """Fill `squared` (modules, N) of one plant with the squared diameters of its nodes, m2: pipes from the tips down.
 
-    `borne` (N,) is the squared diameter of the root node of the module that each terminal bears, m2; -1: none.
+    Scratch: `joint` (modules, terminals), the root node of the module that each terminal bears; `borne` (N,).
     """
-    count, mature = shapes.count[s], shapes.mature[kind]
-    grown = min(age, mature)
-    for node in range(count):
-        squared[node] = -1.0  # of no child yet
-    for node in range(count - 1, -1, -1):
-        if squared[node] < 0.0:  # a terminal
-            birth = shapes.birth[s, node]
-            share = min(1.0, max(0.0, grown / mature - birth) / (1.0 - birth))
-            own = shapes.thickening[kind] * shapes.thickness[s, node] * share
-            squared[node] = max(own * own, borne[node])
-        if node == shapes.disused_node[s]:
-            squared[node] += disused
-        if node > 0:
-            bearer = shapes.parent[s, node]
-            squared[bearer] = max(squared[bearer], 0.0) + squared[node]
+    begin, size, kind = plants.first[plant], plants.first[plant + 1] - plants.first[plant], plants.kind[plant]
+    mature = shapes.mature[kind]
+    joint[:size] = -1.0
+    for own in range(size - 1, -1, -1):
+        row = begin + own
+        s = plants.prototype[row]
+        grown = min(plants.age[row], mature)
+        pipes = squared[own]
+        for node in range(shapes.count[s]):
+            slot = shapes.terminal_index[s, node]
+            borne[node] = joint[own, slot] if slot >= 0 else -1.0
+            pipes[node] = -1.0  # of no child yet
+        for node in range(shapes.count[s] - 1, -1, -1):
+            if pipes[node] < 0.0:  # a terminal
+                birth = shapes.birth[s, node]
+                share = min(1.0, max(0.0, grown / mature - birth) / (1.0 - birth))
+                thick = shapes.thickening[kind] * shapes.thickness[s, node] * share
+                pipes[node] = max(thick * thick, borne[node])
+            if node == shapes.disused_node[s]:
+                pipes[node] += plants.disused[row]
+            if node > 0:
+                bearer = shapes.parent[s, node]
+                pipes[bearer] = max(pipes[bearer], 0.0) + pipes[node]
+        if plants.parent[row] >= 0:
+            slot = shapes.terminal_index[plants.prototype[begin + plants.parent[row]], plants.node[row]]
+            joint[plants.parent[row], slot] = pipes[0]
 
 
 @compiled
@@ -193,30 +204,19 @@ def fill_diameters(shapes, plants, first, end, start, root_m, node_m):  # type: 
     `node_m` (.,) takes those of all nodes, module row's from start[row]; of no length: not wanted.
     """
     shapes, plants = unowned_view(shapes), unowned_view(plants)
-    prototype, counts, terminal_index = plants.prototype, shapes.count, shapes.terminal_index
     n = shapes.parent.shape[1]
-    squared, borne = np.empty(n), np.empty(n)
-    joint = np.empty((0, shapes.most_terminals))
+    joint, squared, borne = np.empty((0, shapes.most_terminals)), np.empty((0, n)), np.empty(n)
     for plant in range(first, end):
         begin, size = plants.first[plant], plants.first[plant + 1] - plants.first[plant]
         if size > len(joint):
-            joint = np.empty((2 * size, shapes.most_terminals))
-        joint[:size] = -1.0
-        for own in range(size - 1, -1, -1):
+            joint, squared = np.empty((2 * size, shapes.most_terminals)), np.empty((2 * size, n))
+        fill_pipes(shapes, plants, plant, joint, borne, squared)
+        for own in range(size):
             row = begin + own
-            s = prototype[row]
-            for node in range(counts[s]):
-                slot = terminal_index[s, node]
-                borne[node] = joint[own, slot] if slot >= 0 else -1.0
-            add_pipes(shapes, plants.kind[plant], s, plants.age[row], plants.disused[row], borne, squared)
-            root_m[row] = np.sqrt(squared[0])
+            root_m[row] = np.sqrt(squared[own, 0])
             if len(node_m):
-                for node in range(counts[s]):
-                    node_m[start[row] + node] = np.sqrt(squared[node])
-            bearer = plants.parent[row]
-            if bearer >= 0:
-                slot = terminal_index[prototype[begin + bearer], plants.node[row]]
-                joint[bearer, slot] = squared[0]
+                for node in range(shapes.count[plants.prototype[row]]):
+                    node_m[start[row] + node] = np.sqrt(squared[own, node])
 
 
 @compiled
@@ -241,7 +241,7 @@ def fill_sizes(shapes, plants, leaf_area, first, end, sizes):  # type: ignore[no
             joint, squared = np.empty((2 * size, most_terminals)), np.empty((2 * size, n))
             child = np.empty((2 * size, most_terminals), dtype=np.int64)
             bare = np.empty((2 * size, most_terminals))
-        joint[:size] = -1.0
+        fill_pipes(shapes, plants, plant, joint, borne, squared)
         child[:size] = -1
         bare[:size] = 1.0
         low[:] = 0.0
@@ -253,14 +253,11 @@ def fill_sizes(shapes, plants, leaf_area, first, end, sizes):  # type: ignore[no
             grown = min(1.0, age[row] / shapes.mature[kind])
             for node in range(counts[s]):
                 slot = terminal_index[s, node]
-                borne[node] = joint[own, slot] if slot >= 0 else -1.0
                 if slot >= 0:
                     share = max(0.0, grown - births[s, node]) / (1.0 - births[s, node]) * shapes.thickness[s, node]
                     leaves += leaf_area[kind, s] * share * share * bare[own, slot]
-            add_pipes(shapes, kind, s, age[row], plants.disused[row], borne, squared[own])
             if parent_of[row] >= 0:
                 slot = terminal_index[prototype[begin + parent_of[row]], node_of[row]]
-                joint[parent_of[row], slot] = squared[own, 0]
                 child[parent_of[row], slot] = own
                 bare[parent_of[row], slot] = 1.0 - grown
             matrix_of(plants.rotation, row, turned)

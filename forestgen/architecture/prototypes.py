@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -240,8 +240,25 @@ class Tables:
     thickening_m: NDArray[np.float64]  # (T,) `pipe_diameter_m`, of a grown terminal segment of thickness 1
     opacity: NDArray[np.float64]  # (T,)
     sphere_scale: float  # of the spheres' radii
-    sphere_centre_m: NDArray[np.float64]  # (T, S, 3) of grown modules, module's frame, no tropism
-    sphere_radius_m: NDArray[np.float64]  # (T, S) of grown modules, no tropism
+
+    @cached_property
+    def grown_spheres_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centres (T, S, 3), module's frame, and radii (T, S) of grown modules without tropism, as geometry.spheres."""
+        per_type = (self.mature_age, self.length_per_age_m, self.longest_segment_m)
+        mature, per_age, longest = (one[:, None, None] for one in per_type)
+        since = np.maximum(mature - self.birth * mature, 0.0)  # (T, S, N)
+        metres = self.length * np.minimum(longest, per_age * since)
+        place = np.zeros((*metres.shape, 3))
+        every = np.arange(len(self.parent))
+        for node in range(1, self.parent.shape[1]):
+            bearer = np.maximum(self.parent[:, node], 0)
+            place[:, :, node] = place[:, every, bearer] + metres[..., node, None] * self.direction[:, node]
+        weight = metres.sum(axis=-1)
+        centre = (place * metres[..., None]).sum(axis=-2) / np.where(weight > 0, weight, 1.0)[..., None]
+        away = np.linalg.norm(centre, axis=-1)
+        axis = centre / np.where(away > 0, away, 1.0)[..., None]
+        reach = np.where(metres > 0, np.einsum("tsnc,tsc->tsn", place, axis), 0.0).max(axis=-1)
+        return centre, 0.5 * reach * self.sphere_scale
 
     @property
     def most_terminals(self) -> int:
@@ -254,87 +271,40 @@ def tables_of(prototypes: Sequence[Prototype], types: Sequence[PlantType], *, sp
 
     `sphere_scale` is a factor on the spheres' radii; at 1 the spheres of a chain of modules touch.
     """
-    s, n = len(prototypes), MOST_NODES
-    parent = np.full((s, n), -1, dtype=np.int16)
-    first_child, next_sibling, terminal, terminal_index = (np.full((s, n), -1, dtype=np.int16) for _ in range(4))
-    direction = np.zeros((s, n, 3))
-    length, birth, thickness = np.zeros((s, n)), np.zeros((s, n)), np.zeros((s, n))
-    disused = np.zeros(s, dtype=np.int16)
+    shape = len(prototypes), MOST_NODES
+    links = ("parent", "first_child", "next_sibling", "terminal", "terminal_index")
+    columns: dict[str, NDArray[Any]] = {name: np.full(shape, -1, dtype=np.int16) for name in links}
+    columns |= {name: np.zeros(shape) for name in ("length", "birth", "thickness")}
+    columns |= {"direction": np.zeros((*shape, 3)), "disused_node": np.zeros(len(prototypes), dtype=np.int16)}
     for index, prototype in enumerate(prototypes):
         count = len(prototype)
-        parent[index, :count] = prototype.parent
+        for name in ("parent", "length", "birth", "thickness"):
+            columns[name][index, :count] = getattr(prototype, name)
         unit = prototype.direction.astype(np.float64)
-        direction[index, :count] = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
-        length[index, :count], birth[index, :count] = prototype.length, prototype.birth
-        thickness[index, :count] = prototype.thickness
+        columns["direction"][index, :count] = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
+        first_child, next_sibling = columns["first_child"][index], columns["next_sibling"][index]
         for node in range(count - 1, 0, -1):  # from the last, so that the first child ends at the front
             bearer = prototype.parent[node]
-            next_sibling[index, node] = first_child[index, bearer]
-            first_child[index, bearer] = node
+            next_sibling[node] = first_child[bearer]
+            first_child[bearer] = node
         ends = prototype.terminals
-        terminal[index, : len(ends)] = ends
-        terminal_index[index, ends] = np.arange(len(ends))
-        while first_child[index, first_child[index, disused[index]]] >= 0:
-            disused[index] = first_child[index, disused[index]]
-    length[:, 0] = 0.0
-    mature, per_age, longest, strength, decay, opacity = (
-        np.array([getattr(one, name) for one in types], dtype=np.float64) for name in _COLUMNS
-    )
-    nodes = np.array([len(prototype) for prototype in prototypes], dtype=np.int16)
-    centre, radius = _grown_spheres(parent, direction, length, birth, mature, per_age, longest)
+        columns["terminal"][index, : len(ends)] = ends
+        columns["terminal_index"][index, ends] = np.arange(len(ends))
+        disused = columns["disused_node"]
+        while first_child[first_child[disused[index]]] >= 0:
+            disused[index] = first_child[disused[index]]
+    columns["length"][:, 0] = 0.0
+    columns |= {name: np.array([getattr(one, name) for one in types], dtype=np.float64) for name in _COLUMNS}
     return Tables(
         names=tuple(prototype.name for prototype in prototypes),
-        nodes=nodes,
-        parent=parent,
-        direction=direction,
-        length=length,
-        birth=birth,
-        thickness=thickness,
-        first_child=first_child,
-        next_sibling=next_sibling,
-        terminals=np.array([len(prototype.terminals) for prototype in prototypes], dtype=np.int16),
-        terminal=terminal,
-        terminal_index=terminal_index,
-        disused_node=disused,
-        mature_age=mature,
-        length_per_age_m=per_age,
-        longest_segment_m=longest,
-        tropism_strength=strength,
-        tropism_decay=decay,
-        thickening_m=np.array([pipe_diameter_m(one) for one in types], dtype=np.float64),
-        opacity=opacity,
         sphere_scale=sphere_scale,
-        sphere_centre_m=centre,
-        sphere_radius_m=radius * sphere_scale,
+        nodes=np.array([len(prototype) for prototype in prototypes], dtype=np.int16),
+        terminals=np.array([len(prototype.terminals) for prototype in prototypes], dtype=np.int16),
+        thickening_m=np.array([pipe_diameter_m(one) for one in types], dtype=np.float64),
+        **columns,
     )
 
 
 def pipe_diameter_m(one: PlantType) -> float:
     """Of the pipes that a grown terminal segment adds to the wood below: n shoots of phi have sqrt(n) phi (Eq. 10)."""
     return float(one.thickening_cm / 100.0 * np.sqrt(one.shoots_per_terminal))
-
-
-def _grown_spheres(
-    parent: NDArray[np.int16],
-    direction: NDArray[np.float64],
-    length: NDArray[np.float64],
-    birth: NDArray[np.float64],
-    mature: NDArray[np.float64],
-    per_age: NDArray[np.float64],
-    longest: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centres (T, S, 3) and radii (T, S), metres, of straight grown modules; as geometry.spheres has them."""
-    mature, per_age, longest = (one[:, None, None] for one in (mature, per_age, longest))
-    since = np.maximum(mature - birth * mature, 0.0)  # (T, S, N)
-    metres = length * np.minimum(longest, per_age * since)
-    place = np.zeros((*metres.shape, 3))
-    every = np.arange(len(parent))
-    for node in range(1, parent.shape[1]):
-        bearer = np.maximum(parent[:, node], 0)
-        place[:, :, node] = place[:, every, bearer] + metres[..., node, None] * direction[:, node]
-    weight = metres.sum(axis=-1)
-    centre = (place * metres[..., None]).sum(axis=-2) / np.where(weight > 0, weight, 1.0)[..., None]
-    away = np.linalg.norm(centre, axis=-1)
-    axis = centre / np.where(away > 0, away, 1.0)[..., None]
-    reach = np.where(metres > 0, np.einsum("tsnc,tsc->tsn", place, axis), 0.0).max(axis=-1)
-    return centre, 0.5 * reach
