@@ -82,12 +82,8 @@ class PrototypeNode(Section):
     angle_deg: Number | None = Field(None, ge=0, le=180, description="From the segment that the parent ends, degrees.")
     azimuth_deg: Number = Field(0.0, ge=-3600, le=3600, description="Side of that angle, degrees.")
     length: Positive = Field(ge=1e-3, le=20, description="Factor on the plant type's segment lengths.")
-    birth: Number = Field(
-        0.0, ge=0, le=0.95, description="Share of the mature age at which the segment begins to grow."
-    )
-    thickness: Positive = Field(
-        1.0, ge=1e-3, le=20, description="Factor on the plant type's thickening, of a terminal node."
-    )
+    birth: Number = Field(0.0, ge=0, le=0.95, description="Share of the mature age at which it begins to grow.")
+    thickness: Positive = Field(1.0, ge=1e-3, le=20, description="Factor on the type's thickening, of a terminal node.")
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:

@@ -40,9 +40,7 @@ class Order(Section):
     branch_length_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of that length, as a share")
     shortest_m: float = Field(0.05, gt=0, description="a branch on this axis that would be shorter does not grow")
     branches_per_node: int = Field(1, ge=0, le=1000, description="branches of a whorl")
-    nodes_per_whorl: int = Field(
-        1, ge=1, le=1000, description="a whorl every so many nodes; one branch on those between"
-    )
+    nodes_per_whorl: int = Field(1, ge=1, le=1000, description="a whorl every so many nodes; one branch between")
     between_length: float = Field(1.0, gt=0, le=1, description="length of the branches between whorls, as a share")
     missing: float = Field(0.0, ge=0, lt=1, description="share of branches that failed")
     phyllotaxis_deg: float = Field(137.5, description="phyllo_ang[o]: turn from one node to the next, degrees")

@@ -45,12 +45,8 @@ class Foliage(Section):
     facing: Literal["up", "axis"] = Field("up", description="upper side turned to the sky or along the axis")
     size: PositiveCurve = Field(((0.0, 1.0),), description="factor on the shape's size over the zone")
     size_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of the size, as a share")
-    size_by_height: PositiveCurve = Field(
-        ((0.0, 1.0),), description="factor on size and spacing over the plant's height in metres"
-    )
-    spacing_by_height: PositiveCurve = Field(
-        ((0.0, 1.0),), description="one more factor on the spacing, over the plant's height in metres"
-    )
+    size_by_height: PositiveCurve = Field(((0.0, 1.0),), description="factor on size and spacing over height in metres")
+    spacing_by_height: PositiveCurve = Field(((0.0, 1.0),), description="one more on spacing, over height in metres")
     terminal: bool = Field(False, description="one more at the very tip, along the axis")
     missing: float = Field(0.0, ge=0, lt=1, description="share of places left empty")
 

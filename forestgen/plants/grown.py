@@ -65,13 +65,7 @@ class ClothedWood:
 
 
 def wood_skeleton(
-    wood: ModuleWood,
-    bearing: Bools,
-    spacing_m: float,
-    *,
-    smooth: bool,
-    crook: float,
-    rng: np.random.Generator,
+    wood: ModuleWood, bearing: Bools, spacing_m: float, *, smooth: bool, crook: float, rng: np.random.Generator
 ) -> ClothedWood:
     """Axes in curves through the graph's nodes, which stay where they are.
 

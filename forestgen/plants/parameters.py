@@ -37,9 +37,7 @@ class Wood(Section):
     )
     dead: bool = Field(False, description="labelled dead_wood rather than trunk and branch")
     flare: float = Field(0.35, ge=0, le=3, description="widening at the root collar, as a share of the radius")
-    branch_height_ratio: float = Field(
-        1.0, ge=0.3, le=3, description="height over width of a branch's elliptical section; the area stays"
-    )
+    branch_height_ratio: float = Field(1.0, ge=0.3, le=3, description="a branch's height over width; the area stays")
     bark_tile_m: tuple[Tile, Tile] = Field(
         (0.5, 0.5),
         description="width round the stem and height of one repeat of the bark's texture, metres; where the material "
@@ -56,7 +54,7 @@ class PlantParameters(Section):
     shapes: dict[str, OrganShape] = Field(default_factory=dict, description="forms of the organs, by name")
     foliage: tuple[Foliage, ...] = Field((), description="where organs sit, beside those that the generator places")
     variation: Variation | None = Field(
-        None, description="growth responses that make each plant of the same base model another one"
+        None, description="growth responses that make each plant of a base model differ"
     )
     fit: Fit = Field(
         "scale",

@@ -44,21 +44,19 @@ _LEAF_BYTES = 1500  # a leaf's draws, frame and some ten triangles with their no
 class Wind(Section):
     """The wind that a plant stands in."""
 
-    speed_directed: float = Field(default=0.0, ge=0, le=10, description="w_g: greatest bend of one segment, degrees")
+    speed_directed: float = Field(0.0, ge=0, le=10, description="w_g: greatest bend of one segment, degrees")
     speed_undirected: float = Field(
-        default=0.0, ge=0, le=10, description="w_s: sway of what a segment of 1 m bears, without stiffness, degrees"
+        0.0, ge=0, le=10, description="w_s: sway beyond a 1 m segment, stiffness 0, degrees"
     )
     axis: tuple[float, float, float] = Field(
-        default=(0.0, 1.0, 0.0),
+        (0.0, 1.0, 0.0),
         description="w: the axis that segments turn about, plant frame; [0, 1, 0] is a wind towards +x, [-1, 0, 0] "
         "one towards +y, [0, 0, 1] turns without bending",
     )
     bends: Literal["thin", "thick"] = Field(
-        default="thin", description="alpha_w = (1 - S_0/S) w_g: twigs give way; or as printed, alpha_w = S_0/S w_g"
+        "thin", description="alpha_w = (1 - S_0/S) w_g: twigs give way; or as printed, alpha_w = S_0/S w_g"
     )
-    time_s: float = Field(
-        default=0.0, ge=-1e6, le=1e6, description="t: time of the pose, seconds; a sway takes 2 pi seconds"
-    )
+    time_s: float = Field(0.0, ge=-1e6, le=1e6, description="t: time of the pose, seconds; a sway takes 2 pi seconds")
 
     @model_validator(mode="after")
     def _has_axis(self) -> Self:
@@ -85,9 +83,7 @@ class Leaves(Section):
         le=2,
         description="l_l: length of the leaf with its stalk; its proportions are the shape's. None: the shape's own",
     )
-    size_by_height: PositiveCurve = Field(
-        ((0.0, 1.0),), description="factor on the size over the plant's height in metres"
-    )
+    size_by_height: PositiveCurve = Field(((0.0, 1.0),), description="factor on size over height in metres")
     size_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of the size, as a share")
     zone: tuple[float, float] = Field((0.1, 1.0), description="part of the branch that bears leaves: 0 base, 1 tip")
     angle_deg: float = Field(55.0, ge=0, le=180, description="angle from the branch, degrees")

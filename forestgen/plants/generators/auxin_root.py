@@ -83,16 +83,12 @@ class Parameters(PlantParameters):
         None, ge=-360, le=360, description="side of the tilt, clockwise from +y as of a compass; null: drawn by plant"
     )
     zone_centre_mm: float = Field(3.0, ge=0, le=1000, description="mu: growth zone's centre from the tip, millimetres")
-    zone_width_mm: float = Field(
-        1.0, gt=0, le=1000, description="sigma: from the centre to where growth is 0.607 of the most, millimetres"
-    )
+    zone_width_mm: float = Field(1.0, gt=0, le=1000, description="sigma: from there to 0.607 of the most, millimetres")
     rate_per_h: float = Field(0.4, gt=0, le=10, description="M: relative rate of elongation at the centre, per hour")
     transport_mm_per_h: float = Field(10.0, gt=0, le=1000, description="v: speed of polar transport, mm per hour")
     supply_per_h: float = Field(10.0, ge=0, le=1e6, description="auxin that reaches the tip, units per hour")
     decay_per_h: float = Field(0.0, ge=0, le=100, description="share of auxin lost in an hour")
-    inhibition_mm: float = Field(
-        0.5, ge=0, le=1e6, description="loss of growth, as a share, for one unit of auxin per millimetre of root"
-    )
+    inhibition_mm: float = Field(0.5, ge=0, le=1e6, description="share of growth lost by a unit of auxin a millimetre")
     sensitivity: float = Field(0.8, ge=0, le=1, description="excess of auxin on a horizontal tip's lower side, a share")
     diameter_mm: float = Field(1.0, gt=0, le=1000, description="d: thickness, millimetres")
     taper: FallingCurve = Field(((0.0, 1.0),), description="share of the thickness over the axis, 0 base, 1 tip")
@@ -145,11 +141,7 @@ def _hanging(points_m: Floats, radius_m: Floats, height_m: float) -> Skeleton:
     count = len(points_m) + 1
     order = np.arange(count) > 1
     return Skeleton.of(
-        np.arange(-1, count - 1),
-        np.concatenate([foot, points_m]),
-        np.concatenate([thin, radius_m[1:]]),
-        order,
-        order,
+        np.arange(-1, count - 1), np.concatenate([foot, points_m]), np.concatenate([thin, radius_m[1:]]), order, order
     )
 
 

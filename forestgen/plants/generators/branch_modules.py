@@ -102,9 +102,7 @@ class Bearing(Section):
 
     thinner_than_m: float = Field(0.04, gt=0, le=10, description="only segments of a smaller diameter, metres")
     younger_than_yr: float = Field(1e4, gt=0, description="only on modules that began less than so long ago, years")
-    orders: tuple[int, ...] = Field(
-        (0, 1, 2, 3, 4, 5, 6, 7), min_length=1, description="orders of the wood that bear them; 0 is the stem"
-    )
+    orders: tuple[int, ...] = Field((0, 1, 2, 3, 4, 5, 6, 7), min_length=1, description="orders that bear them; 0 stem")
     spacing_m: float = Field(0.15, ge=0.005, le=10, description="distance between the twigs along the wood, metres")
     per_node: int = Field(1, ge=1, le=50, description="twigs at a node, evenly about the axis: 2 for opposite ones")
     angle_deg: float = Field(55.0, ge=0, le=180, description="angle from the wood, degrees")
@@ -115,9 +113,7 @@ class Bearing(Section):
     age_length: PositiveCurve = Field(
         ((0.0, 0.35), (0.7, 1.0)), description="share of a twig's length over the age of its segment, 0 new to 1 grown"
     )
-    light_length: PositiveCurve = Field(
-        ((0.0, 0.6), (0.5, 1.0)), description="share of a twig's length over its module's light, 0 to 1"
-    )
+    light_length: PositiveCurve = Field(((0.0, 0.6), (0.5, 1.0)), description="share of length over its module's light")
     thick_length: PositiveCurve = Field(
         ((0.0, 1.0), (0.6, 0.85), (1.0, 0.4)),
         description="share of a twig's length over its segment's diameter, as a share of thinner_than_m",
@@ -135,9 +131,7 @@ class Parameters(PlantParameters):
     """The `plant:` or `modules_plant:` block of a species' file."""
 
     generator: Literal["branch_modules"] = "branch_modules"
-    crook: float = Field(
-        0.03, ge=0, le=0.3, description="random bend of a segment's middle, share of its length (standard deviation)"
-    )
+    crook: float = Field(0.03, ge=0, le=0.3, description="standard deviation of segments' middles, share of length")
     smooth: bool = Field(True, description="whether axes run in curves through the modules' nodes, or straight")
     bearing: Bearing | None = Field(
         default_factory=lambda: Bearing.model_validate({}), description="where the wood bears twigs; null: nowhere"

@@ -137,9 +137,7 @@ def silhouette_length(
 class Trunk(Section):
     """Stems: axes of order 0, from the ground up."""
 
-    diameter_ratio: PositiveCurve = Field(
-        ((0.0, 0.014),), description="base diameter by height, over the height in metres"
-    )
+    diameter_ratio: PositiveCurve = Field(((0.0, 0.014),), description="base diameter by height, over height in metres")
     taper: FallingCurve = Field(
         ((0.0, 1.0), (0.9, 0.18), (1.0, 0.02)), description="share of the base diameter over the stem, 0 base, 1 tip"
     )
@@ -160,9 +158,7 @@ class Parameters(PlantParameters):
         description="branch_len(0, .): form of the crown: ellipsoid, ovoid, cone, column, or a curve of its radius "
         "over the height within it, 0 its base and 1 its top, in any unit: the greatest is the plant's width",
     )
-    crown_base: Curve = Field(
-        ((0.0, 0.3),), description="crown's lower end, share of height, over the height in metres"
-    )
+    crown_base: Curve = Field(((0.0, 0.3),), description="crown's lower end, share of height, over height in metres")
     trunk: Trunk = Field(description="int_width(0, .), and the stems")
     orders: tuple[Order, ...] = Field(min_length=1, max_length=8, description="the stem, its branches, and so on")
     fit: Fit = Field("stretch", description="as for every generator; height and width fit by default")

@@ -120,9 +120,7 @@ class Parameters(PlantParameters):
     program: Annotated[ProgramText, BeforeValidator(_embedded), WithJsonSchema(_PROGRAM_SCHEMA)] = Field(
         description="the L-system: a shipped program's name, or the path of a .lsys or .sys file"
     )
-    steps: Curve | None = Field(
-        None, description="derivation steps over the plant's height in metres; null: the program's derivation length"
-    )
+    steps: Curve | None = Field(None, description="derivation steps over height in metres; null: the program's own")
     values: dict[str, Any] = Field(
         default_factory=dict,
         description="values of the program's #defines (numbers, or curves over the plant's height in metres), arrays "

@@ -95,9 +95,7 @@ class _Blade(Section):
 
 class _Waved(_Blade):
     waves: Annotated[float, Field(ge=0, le=40)] = Field(0.0, description="number of the margin's waves up and down")
-    wave_height: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.1, description="height of the margin's waves, share of half the width"
-    )
+    wave_height: Annotated[float, Field(ge=0, le=1)] = Field(0.1, description="their height, share of half the width")
 
     def flat(self) -> Self:
         return super().flat().model_copy(update={"waves": 0.0})
@@ -144,9 +142,7 @@ class SimpleBlade(_Waved):
         0.0, description="depth of a heart-shaped base's lobes behind the petiole's end, share of the length"
     )
     teeth: Annotated[int, Field(ge=0, le=60)] = Field(0, description="teeth on each side; drawn at detail 2")
-    tooth_depth: Annotated[float, Field(ge=0, le=0.35)] = Field(
-        0.08, description="height of the teeth, share of the local half-width"
-    )
+    tooth_depth: Annotated[float, Field(ge=0, le=0.35)] = Field(0.08, description="height, share of local half-width")
     double_teeth: bool = Field(False, description="a smaller tooth upon each tooth")
 
     @model_validator(mode="after")
@@ -238,12 +234,8 @@ class PalmateBlade(_Blade):
     form: Literal["palmate"]
     lobes: Literal[3, 5, 7, 9, 11, 13] = Field(5, description="lobes in all")
     sinus: Annotated[float, Field(ge=0, le=0.9)] = Field(0.5, description="depth of the sinuses, share of the lobes")
-    spread_deg: Annotated[float, Field(ge=30, le=160)] = Field(
-        125.0, description="angle of the outermost lobes from the middle one, degrees"
-    )
-    outer: Annotated[float, Field(ge=0.2, le=1)] = Field(
-        0.45, description="length of the outermost lobes, share of the middle one's"
-    )
+    spread_deg: Annotated[float, Field(ge=30, le=160)] = Field(125.0, description="middle to outermost lobe, degrees")
+    outer: Annotated[float, Field(ge=0.2, le=1)] = Field(0.45, description="the outermost's length over the middle's")
     teeth: Annotated[int, Field(ge=0, le=6)] = Field(2, description="coarse teeth on each side of a lobe, at detail 2")
     tooth_depth: Annotated[float, Field(ge=0, le=0.3)] = Field(0.12, description="their height, share of the lobe")
 

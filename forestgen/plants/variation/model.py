@@ -133,9 +133,7 @@ class Pull(Section):
 class Variation(Section):
     """How a plant grows away from its base model; this module's page has the equations."""
 
-    growth_steps: PositiveCurve = Field(
-        ((0.0, 32.0), (3.0, 4.0)), description="number of growth steps of an axis, over its order"
-    )
+    growth_steps: PositiveCurve = Field(((0.0, 32.0), (3.0, 4.0)), description="growth steps of an axis over its order")
     step_m: float | None = Field(None, gt=0, description="length of a growth step, metres; instead of growth_steps")
     orders: tuple[int, ...] | None = Field(None, description="orders that vary, others are carried along; all if null")
     reference: Literal["global", "local"] = Field(
@@ -143,19 +141,13 @@ class Variation(Section):
     )
     lag: float | None = Field(None, ge=0, le=1, description="a signal's lifetime, as a share of the growth steps")
     kappa: float | None = Field(None, gt=0, le=100, description="share of the error that one signal corrects")
-    compensation_ratio: float | None = Field(
-        None, gt=0, le=1e4, description="1 / (kappa x lag in growth steps); 0.5 to 1.2"
-    )
-    derivative_gain: float = Field(
-        0.0, ge=-100, le=100, description="kappa_d: response to the error's change, per step"
-    )
+    compensation_ratio: float | None = Field(None, gt=0, le=1e4, description="1 / (kappa x lag in steps); 0.5 to 1.2")
+    derivative_gain: float = Field(0.0, ge=-100, le=100, description="kappa_d: response to the error's change a step")
     integral_gain: float = Field(0.0, ge=-100, le=100, description="kappa_i: response to the sum of errors")
     decay: PositiveCurve = Field(((0.0, 1.0),), description="loss of lifetime a growth step, over the position")
     transmission: PositiveCurve = Field(((0.0, 1.0),), description="speed of signals over that of growth")
     sensor_error_deg: PositiveCurve = Field(((0.0, 0.0),), description="v: error of sensing, degrees, over the order")
-    disturbance_deg: PositiveCurve = Field(
-        ((0.0, 0.0),), description="w: disturbance of each growth step's response, degrees, over the order"
-    )
+    disturbance_deg: PositiveCurve = Field(((0.0, 0.0),), description="w: disturbance of a step, degrees, by the order")
     distribution: Literal["gaussian", "uniform"] = Field(
         "gaussian", description="disturbance_deg is the standard deviation, or the largest angle"
     )
