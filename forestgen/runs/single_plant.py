@@ -20,13 +20,12 @@ from forestgen.dataset.tonemap import tone_map
 from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of, mesh_suffixes, model_files, png
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.plants.bark.texture import texture_images
-from forestgen.plants.build import size_m
+from forestgen.plants.build import check_sways, size_m, sway
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.growing import ExemplarRequest, grow_exemplar
 from forestgen.plants.light_wood import check_wood_triangles, with_light_wood
 from forestgen.plants.parameters import with_detail
 from forestgen.plants.plan import PlantPlan, plan_plants
-from forestgen.plants.sway import check_sways, sway
 from forestgen.recipe.assets import SUFFIXES, find_asset
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.species import TALLEST_M, Species

@@ -91,7 +91,7 @@ from pydantic import AfterValidator, Field, model_validator
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.mesh import Floats
 from forestgen.plants.budget import check_budget
-from forestgen.plants.fitting import fit, moved
+from forestgen.plants.build import fit, moved
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.strands import JITTERS, ORDERS, Branching, Leaves, Pose, Wind, carried, divide, leaf_places, pose

@@ -14,7 +14,7 @@ from forestgen.lsystem.compiler import compile_program
 from forestgen.lsystem.multiset import RESERVED, Kind
 from forestgen.lsystem.parsing import parse_file, parse_text
 from forestgen.lsystem.turtle import draw, options_from
-from forestgen.plants.from_turtle import draw_program, skeleton_of
+from forestgen.plants.generators.turtle import draw_program, skeleton_of
 from forestgen.plants.meshing import wood_mesh
 from forestgen.recipe.assets import find_asset
 
