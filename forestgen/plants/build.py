@@ -17,7 +17,7 @@ from forestgen.geometry.mesh import Floats, Mesh, surface_area_m2
 from forestgen.plants.budget import check_budget
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
-from forestgen.plants.levels import FULL, Level, simplified
+from forestgen.plants.levels import simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.parameters import Fit, Sways
@@ -48,7 +48,7 @@ def build_exemplar(
     radius_m: float,
     rng: np.random.Generator,
     *,
-    level: Level = FULL,
+    pixel_m: float = 0.0,
     wood: ModuleWood | None = None,
 ) -> Exemplar:
     """Grow and mesh one plant.
@@ -57,7 +57,7 @@ def build_exemplar(
     ----------
     plant : the generator's own `Parameters`; their `generator` names it in `GENERATORS`.
     radius_m : community radius.
-    level : how much detail; the plant is the same one at every level.
+    pixel_m : what a pixel covers of the plant, metres, which sets the detail; 0: all. The plant is the same one.
     wood : branches that it has grown already: the generator clothes them, and they give its height.
 
     Raises
@@ -82,8 +82,8 @@ def build_exemplar(
     skeleton = _with_visible_organs(fit(skeleton, templates, plant.fit, height_m, width_m), templates)
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
-    seen = simplified(skeleton, templates, level, level_rng)
-    organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=level.pixel_m)
+    seen = simplified(skeleton, templates, pixel_m, level_rng)
+    organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=pixel_m)
     _check_materials(species_name, organs, species.materials)
     low, high = _box(organs, species_name)
     _check_fitted(species_name, plant.fit, float(high[2]), height_m)

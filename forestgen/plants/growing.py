@@ -15,7 +15,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from forestgen.core.array_serialization import UnreadableError, pack, unpack
@@ -27,7 +27,6 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood, wood_key
-from forestgen.plants.levels import FULL, Level
 from forestgen.plants.registry import GENERATORS, clothes_modules
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.species import Species
@@ -51,7 +50,7 @@ class ExemplarRequest:
     radius_m: float  # community radius
     seed: int  # root seed
     identity: tuple[str | int, ...]  # of its randomness, see `core.randomness.child_rng`
-    level: Level = FULL
+    pixel_m: float = 0.0  # what a pixel covers of the plant where it is seen closest, metres; 0: all detail
     wood: ModuleWood | None = None  # branches that its community grew; None: the generator grows it by the radius
     is_kept: bool = True  # on disk: other runs may ask for the same
     is_shared: bool = False  # in memory: this process' next images may ask for the same
@@ -72,7 +71,7 @@ class ExemplarRequest:
             "materials": sorted(self.species.materials),
             "radius_m": repr(float(self.radius_m)),
             "seed": [int(self.seed), *self.identity],
-            "level": asdict(self.level),
+            "level": {"pixel_m": self.pixel_m},
             "wood": None if self.wood is None else wood_key(self.wood),
             "code": code_hash(_SOURCES, _COMPUTE_WITH),
         }
@@ -123,7 +122,7 @@ def grow_exemplar(request: ExemplarRequest) -> Exemplar:
         wood = GENERATORS.load(plant.generator).wood_alone(name, species, size, seed)
         plant = plant.model_copy(update={"fit": "scale_all"})  # leaves reach beyond the wood
     rng = child_rng(request.seed, *request.identity)
-    return build_exemplar(name, species, plant, request.radius_m, rng, level=request.level, wood=wood)
+    return build_exemplar(name, species, plant, request.radius_m, rng, pixel_m=request.pixel_m, wood=wood)
 
 
 def grow_exemplars(

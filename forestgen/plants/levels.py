@@ -34,7 +34,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Bools, Floats, Ints, Mesh, concatenate
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
-PIXEL_STEPS_M = (0.2, 0.4)  # pixels for which far versions are made
+PIXEL_STEPS_M = (0.0, 0.2, 0.4)  # pixels for which versions are made; 0: all detail
 
 _ORGAN_PIXELS = 0.7  # length of an enlarged organ
 _TWIG_PIXELS = 0.1  # diameter of an enlarged twig
@@ -52,44 +52,23 @@ _FEWEST_SHEETS = 24  # of an organ with many; fewer would cover one another less
 _ROUNDEST = 1.15  # greatest width over length of a triangle: equal sides
 
 
-@dataclass(frozen=True)
-class Level:
-    """How much detail a plant shows."""
-
-    pixel_m: float = 0.0  # what a pixel covers of the plant where it is seen closest, metres; 0: all detail
-
-
-FULL = Level()
-
-
 def level_for(pixel_m: Floats) -> Ints:
-    """Index of the level for each view: 0 for all detail, k for ``PIXEL_STEPS_M[k - 1]``; any shape.
-
-    `pixel_m`: what a pixel covers of the plant, metres.
-    """
-    return np.searchsorted(np.asarray(PIXEL_STEPS_M), pixel_m, side="right").astype(np.int64)
+    """Index of ``PIXEL_STEPS_M`` for what a pixel covers of the plant in each view, metres; any shape."""
+    return np.searchsorted(np.asarray(PIXEL_STEPS_M[1:]), pixel_m, side="right").astype(np.int64)
 
 
-def level_of_index(index: int) -> Level:
-    """The level that `level_for` numbers."""
-    return FULL if index == 0 else Level(PIXEL_STEPS_M[index - 1])
-
-
-def simplified(skeleton: Skeleton, templates: Mapping[str, Mesh], level: Level, rng: np.random.Generator) -> Skeleton:
-    """A skeleton with the detail that a level needs.
+def simplified(skeleton: Skeleton, templates: Mapping[str, Mesh], pixel_m: float, rng: np.random.Generator) -> Skeleton:
+    """A skeleton with the detail that shows where a pixel covers at least `pixel_m` of it, metres; 0: all.
 
     `skeleton`: at its final size, with all organs. `templates`: organ shapes by name. `rng`: decides what remains; the
     same for all levels of a plant, so that they are nested.
     """
-    if level.pixel_m <= 0.0:
+    if pixel_m <= 0.0:
         return skeleton
     organ_rng, twig_rng = rng.spawn(2)
-    organs = _pruned_organs(skeleton, templates, level.pixel_m, organ_rng)
-    thinned = _pruned_twigs(replace(skeleton, organs=organs), level.pixel_m, twig_rng)
-    return _straightened(thinned, level.pixel_m)
-
-
-# --- organs ----------------------------------------------------------------------------------------------------------
+    organs = _pruned_organs(skeleton, templates, pixel_m, organ_rng)
+    thinned = _pruned_twigs(replace(skeleton, organs=organs), pixel_m, twig_rng)
+    return _straightened(thinned, pixel_m)
 
 
 def _pruned_organs(
@@ -179,9 +158,6 @@ def _enlarged(
     return out.astype(np.float32)
 
 
-# --- wood ------------------------------------------------------------------------------------------------------------
-
-
 def _pruned_twigs(skeleton: Skeleton, pixel_m: float, rng: np.random.Generator) -> Skeleton:
     """A share of the thin axes that bear no other, widened so that the area they show stays."""
     parent, axis = skeleton.parent, skeleton.axis
@@ -267,9 +243,6 @@ def _without(skeleton: Skeleton, gone: Bools) -> Skeleton:
         organs=tuple(replace(one, node=renumbered[one.node]) for one in skeleton.organs),
         mark=None if skeleton.mark is None else skeleton.mark[keep],
     )
-
-
-# --- organs smaller than a pixel -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

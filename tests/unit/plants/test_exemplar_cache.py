@@ -26,7 +26,6 @@ from forestgen.plants.growing import (
     keep_exemplar,
     load_exemplar,
 )
-from forestgen.plants.levels import Level
 
 
 def request_for(name: str, radius_m: float = 0.3, number: int = 0) -> ExemplarRequest:
@@ -78,7 +77,7 @@ CHANGES: dict[str, Callable[[ExemplarRequest], ExemplarRequest]] = {
     "radius": lambda one: replace(one, radius_m=np.nextafter(one.radius_m, 1.0)),
     "seed": lambda one: replace(one, seed=8),
     "identity": lambda one: replace(one, identity=(*one.identity, 1)),
-    "level": lambda one: replace(one, level=Level(0.2)),
+    "level": lambda one: replace(one, pixel_m=0.2),
     "name": lambda one: replace(one, species_name="other"),
     "parameters": lambda one: replace(one, parameters=one.parameters.model_copy(update={"fit": "none"})),
     "allometry": lambda one: replace(
