@@ -39,16 +39,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.kernels import (
-    Graphs,
-    Poses,
-    Shapes,
-    fill_diameters,
-    fill_nodes,
-    fill_sizes,
-    fill_spheres,
-    fill_terminals,
-)
+from forestgen.architecture import kernels
+from forestgen.architecture.kernels import Graphs, Poses, Shapes, fill_nodes, fill_spheres, fill_terminals
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables
 from forestgen.core.threads import parallel_for
@@ -127,7 +119,7 @@ def terminal_pose(
 def node_positions(tables: Tables, modules: Modules, type_of_plant: Types) -> Nodes:
     """Nodes of all modules."""
     shapes, poses = _packed(tables), _poses(modules, type_of_plant)
-    start = np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype], dtype=np.int64)])
+    start = _node_starts(tables, modules)
     position, length = np.empty((start[-1], 3), dtype=np.float32), np.empty(start[-1], dtype=np.float32)
     parallel_for(len(modules), lambda first, end: fill_nodes(shapes, poses, start, first, end, position, length))
     return Nodes(start, position, length)
@@ -135,22 +127,25 @@ def node_positions(tables: Tables, modules: Modules, type_of_plant: Types) -> No
 
 def diameters(tables: Tables, modules: Modules, type_of_plant: Types) -> NDArray[np.float32]:
     """(M,) diameter of each module's root node, metres, by the pipe model over the whole plant."""
-    return _diameters(tables, modules, type_of_plant, np.zeros(0, dtype=np.int64), 0)[0]
+    return _diameters(tables, modules, type_of_plant, np.zeros(1, dtype=np.int64))[0]
 
 
 def node_diameters(tables: Tables, modules: Modules, type_of_plant: Types) -> NDArray[np.float32]:
     """(.,) diameter at each node of all modules, metres: that of the segment it ends; in the order of `Nodes`."""
-    start = np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype], dtype=np.int64)])
-    return _diameters(tables, modules, type_of_plant, start, int(start[-1]))[1]
+    return _diameters(tables, modules, type_of_plant, _node_starts(tables, modules))[1]
 
 
 def _diameters(
-    tables: Tables, modules: Modules, type_of_plant: Types, start: NDArray[np.int64], nodes: int
+    tables: Tables, modules: Modules, type_of_plant: Types, start: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    root, node = np.empty(len(modules), dtype=np.float32), np.empty(nodes, dtype=np.float32)
+    root, node = np.empty(len(modules), dtype=np.float32), np.empty(start[-1], dtype=np.float32)
     shapes, plants = _packed(tables), _graphs(modules, type_of_plant)
-    over_plants(modules, lambda first, end: fill_diameters(shapes, plants, first, end, start, root, node))
+    over_plants(modules, lambda first, end: kernels.fill_diameters(shapes, plants, first, end, start, root, node))
     return root, node
+
+
+def _node_starts(tables: Tables, modules: Modules) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype], dtype=np.int64)])
 
 
 def over_plants(modules: Modules, work: Any) -> None:
@@ -188,7 +183,7 @@ def plant_sizes(tables: Tables, modules: Modules, type_of_plant: Types) -> Plant
     """Sizes of all plants; `type_of_plant` (P,) indexes the tables' plant types."""
     shapes, plants = _packed(tables), _graphs(modules, type_of_plant)
     sizes, leaf_area = np.zeros((modules.plants, 6)), terminal_leaf_area_m2(tables)
-    over_plants(modules, lambda first, end: fill_sizes(shapes, plants, leaf_area, first, end, sizes))
+    over_plants(modules, lambda first, end: kernels.fill_sizes(shapes, plants, leaf_area, first, end, sizes))
     height, crown, trunk, foot = sizes[:, :4].astype(np.float32).T
     return PlantSizes(height, crown, trunk, foot, sizes[:, 4].copy(), sizes[:, 5].copy(), np.diff(modules.first))
 

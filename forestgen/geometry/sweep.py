@@ -34,8 +34,6 @@ from forestgen.geometry.mesh import Floats, Ints, Mesh
 from forestgen.geometry.sweep_kernel import Surface, Tubes, Turns, fill
 from forestgen.geometry.sweep_points import frames, keep, starts
 
-MOST_SIDES = 256
-
 
 @dataclass(frozen=True)
 class Polylines:
@@ -44,14 +42,6 @@ class Polylines:
     points_m: Floats  # (P, 3) metres, the owner's frame
     radius_m: Floats  # (P,) tube radius at each point
     offset: Ints  # (A + 1,) offset[0] = 0, offset[A] = P
-
-    def __post_init__(self) -> None:
-        if self.points_m.shape != (len(self.radius_m), 3):
-            raise ValueError(f"points_m must be ({len(self.radius_m)}, 3), got {self.points_m.shape}")
-        if self.offset[0] != 0 or self.offset[-1] != len(self.radius_m) or np.any(np.diff(self.offset) < 2):
-            raise ValueError("offset must run from 0 to P in steps of at least two points")
-        if not (np.all(np.isfinite(self.points_m)) and np.all(np.isfinite(self.radius_m))):
-            raise ValueError("points_m and radius_m must be finite")
 
     @property
     def lengths(self) -> Ints:
@@ -100,7 +90,7 @@ def sweep_tubes(
     Parameters
     ----------
     lines : the A polylines.
-    sides : (A,) sides of each tube, 3 to 256.
+    sides : (A,) sides of each tube, at least 3.
     pointed : (A,) or for all: a tube ends in a point at its last point, whose radius does not count; otherwise in a
         flat cap. It begins with a flat cap.
     radial_factor : (P, S) factor on the radius of each ring's vertices (bark, root flare), S at least the most sides.
@@ -117,11 +107,7 @@ def sweep_tubes(
     """
     count, points = len(lines.offset) - 1, np.ascontiguousarray(lines.points_m, dtype=np.float64)
     sides = _each(sides, count, np.int64)
-    if count and not 3 <= sides.min() <= sides.max() <= MOST_SIDES:
-        raise ValueError(f"a tube must have 3 to {MOST_SIDES} sides, got {sides.min()} to {sides.max()}")
     factor = np.zeros((0, 0)) if radial_factor is None else np.ascontiguousarray(radial_factor, dtype=np.float64)
-    if radial_factor is not None and (len(factor) != len(points) or factor.shape[1] < sides.max(initial=0)):
-        raise ValueError(f"radial_factor must be ({len(points)}, {sides.max(initial=0)}), got {factor.shape}")
     tubes = _tubes(
         lines, points, sides, _each(pointed, count, np.bool_), _each(height_ratio, len(points), np.float64), factor
     )

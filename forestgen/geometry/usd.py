@@ -54,19 +54,27 @@ def _identifier(name: str) -> str:
     return f"_{cleaned}" if cleaned[0].isdigit() else cleaned
 
 
-def _stage(model: Model, textures: dict[tuple[str, str], str]) -> Any:
-    """The layer of a new stage in memory."""
-    from pxr import Sdf, Usd, UsdGeom, UsdShade
+def new_stage(root: str) -> tuple[Any, Any, Any]:
+    """A layer in memory, its stage in metres with z up, and the stage's default prim, an Xform at `root`."""
+    from pxr import Sdf, Usd, UsdGeom
 
     layer = Sdf.Layer.CreateAnonymous(".usda")
     stage = Usd.Stage.Open(layer)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    prim = UsdGeom.Xform.Define(stage, root).GetPrim()
+    stage.SetDefaultPrim(prim)
+    return layer, stage, prim
+
+
+def _stage(model: Model, textures: dict[tuple[str, str], str]) -> Any:
+    """The layer of a model's stage."""
+    from pxr import Usd, UsdGeom, UsdShade
+
     root = f"/{_identifier(model.name)}"
-    plant = UsdGeom.Xform.Define(stage, root).GetPrim()
+    layer, stage, plant = new_stage(root)
     Usd.ModelAPI(plant).SetKind("component")
     plant.SetCustomDataByKey("forestgen", dict(model.properties))
-    stage.SetDefaultPrim(plant)
     UsdGeom.Scope.Define(stage, f"{root}/materials")
     materials = {
         surface.name: _material(stage, f"{root}/materials/{_identifier(surface.name)}", surface, textures)
@@ -98,15 +106,10 @@ def _mesh(stage: Any, path: str, piece: Piece) -> Any:
         place = variables.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
         place.Set(Vt.Vec2fArray.FromNumpy(flipped))
     usd.CreateDisplayColorAttr([Gf.Vec3f(*piece.surface.reflectance)])
-    custom = {"part": piece.part.name.lower(), "transmittance": list(piece.surface.transmittance), **piece.properties}
-    usd.GetPrim().SetCustomDataByKey("forestgen", {key: _value(value) for key, value in custom.items()})
+    transmittance = Vt.DoubleArray(list(piece.surface.transmittance))
+    custom = {"part": piece.part.name.lower(), "transmittance": transmittance, **piece.properties}
+    usd.GetPrim().SetCustomDataByKey("forestgen", custom)
     return usd
-
-
-def _value(value: Any) -> Any:
-    from pxr import Vt
-
-    return Vt.DoubleArray(value) if isinstance(value, list) else value
 
 
 def _material(stage: Any, path: str, surface: Surface, textures: dict[tuple[str, str], str]) -> Any:

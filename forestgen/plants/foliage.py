@@ -100,8 +100,8 @@ class _Axes:
         self.start = self.end[parent]
         segment = np.linalg.norm(self.end - self.start, axis=1)
         total = np.cumsum(segment)
-        first = np.flatnonzero(np.diff(skeleton.axis, prepend=-1))
-        last = np.append(first[1:], len(parent)) - 1
+        first, beyond = skeleton.axes()
+        last = beyond - 1
         chosen = np.isin(skeleton.order[first], orders)
         self.segment, self.total = segment, total
         self.begin = (total[first] - segment[first])[chosen]

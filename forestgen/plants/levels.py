@@ -160,9 +160,9 @@ def _enlarged(
 
 def _pruned_twigs(skeleton: Skeleton, pixel_m: float, rng: np.random.Generator) -> Skeleton:
     """A share of the thin axes that bear no other, widened so that the area they show stays."""
-    parent, axis = skeleton.parent, skeleton.axis
-    first = np.flatnonzero(np.diff(axis, prepend=-1))
-    number = np.cumsum(np.diff(axis, prepend=-1) != 0) - 1  # of each node's axis, 0, 1, 2, ...
+    parent = skeleton.parent
+    first, last = skeleton.axes()
+    number = np.repeat(np.arange(len(first)), last - first)  # of each node's axis, 0, 1, 2, ...
     radius = np.maximum.reduceat(skeleton.radius_m, first).astype(np.float64)
     begins = first[parent[first] >= 0]
     bears = np.zeros(len(first), dtype=bool)
@@ -172,7 +172,9 @@ def _pruned_twigs(skeleton: Skeleton, pixel_m: float, rng: np.random.Generator) 
         thin[number[[column.argmin(), column.argmax()]]] = False
     if not thin.any():
         return skeleton
-    shown = np.bincount(number, weights=_shown_area(skeleton))
+    way = skeleton.position_m - skeleton.position_m[np.maximum(parent, 0)]
+    segment = np.asarray(np.linalg.norm(way, axis=1) * skeleton.radius_m, dtype=np.float64)
+    shown = np.bincount(number, weights=segment)
     width = float(np.sum(shown[thin] * 2.0 * radius[thin]) / np.sum(shown[thin]))
     share = max(width / (_TWIG_PIXELS * pixel_m), _LEAST_TWIGS)
     kept = thin.copy()
@@ -182,12 +184,6 @@ def _pruned_twigs(skeleton: Skeleton, pixel_m: float, rng: np.random.Generator) 
     growth = np.where(kept, shown[thin].sum() / shown[kept].sum(), 1.0)
     widened = replace(skeleton, radius_m=(skeleton.radius_m * growth[number]).astype(np.float32))
     return _without(widened, (thin & ~kept)[number])
-
-
-def _shown_area(skeleton: Skeleton) -> Floats:
-    """(N,) length times radius of the segment that each node ends."""
-    way = skeleton.position_m - skeleton.position_m[np.maximum(skeleton.parent, 0)]
-    return np.asarray(np.linalg.norm(way, axis=1) * skeleton.radius_m, dtype=np.float64)
 
 
 def _straightened(skeleton: Skeleton, pixel_m: float) -> Skeleton:

@@ -17,6 +17,7 @@ average.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ def wood_mesh(
     plain : tubes as measured: no flare, relief, collars or domes.
     foot_m : of the branches, those alone whose diameter at the foot is within (first included, second not).
     """
-    first, last = _axis_ranges(skeleton)
+    first, last = skeleton.axes()
     standing = (skeleton.order[first] == 0) & (skeleton.parent[first] <= 0)
     bears = _bears_at_its_end(skeleton, first, last) & (not plain)
     # Meshes of tubes, where each tube's vertices begin, and the polylines and their nodes that the tubes follow.
@@ -80,7 +81,11 @@ def wood_mesh(
         own = branch_lines(skeleton, first[chosen], last[chosen])
         lines = _domed(own, bears[chosen])
         ratio = 1.0 if trunk else height_ratio
-        mesh, start = _limbs(skeleton, lines, skeleton.parent[first[chosen]], ratio, tile_m, plain)
+        look: dict[str, Any] = {"pointed": _is_pointed(lines), "height_ratio": ratio, "tile_m": tile_m}
+        if plain:
+            mesh, start = sweep_tubes(lines, sides_for_radius(lines.radius_m[lines.offset[:-1]]), **look)
+        else:
+            mesh, start = sweep_with_collars(skeleton, lines, skeleton.parent[first[chosen]], **look)
         tubes.append((mesh, start, own, _branch_nodes(skeleton, first[chosen], last[chosen])))
     if tubes:
         mesh = concatenate([one for one, _, _, _ in tubes])
@@ -209,23 +214,6 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
     waves = 0.03 * np.sin(3.0 * angle + 1.7 * height[:, None]) + 0.025 * np.sin(2.0 * angle - 2.9 * height[:, None])
     factor = 1.0 + flare * near_ground * ridges + waves
     return sweep_tubes(line, sides, pointed=pointed, radial_factor=factor, tile_m=tile_m)[0]
-
-
-def _limbs(
-    skeleton: Skeleton, lines: Polylines, bearer: Ints, height_ratio: float, tile_m: tuple[float, float], plain: bool
-) -> tuple[Mesh, Ints]:
-    """Axes that other axes bear; `bearer` (A,) is the node that bears each. And where each tube's vertices begin."""
-    pointed = _is_pointed(lines)
-    if not plain:
-        return sweep_with_collars(skeleton, lines, bearer, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
-    sides = sides_for_radius(lines.radius_m[lines.offset[:-1]])
-    return sweep_tubes(lines, sides, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
-
-
-def _axis_ranges(skeleton: Skeleton) -> tuple[Ints, Ints]:
-    """First node, and one beyond the last, of each axis."""
-    first = np.flatnonzero(np.diff(skeleton.axis, prepend=-1))
-    return first, np.append(first[1:], len(skeleton.axis))
 
 
 def _bears_at_its_end(skeleton: Skeleton, first: Ints, last: Ints) -> NDArray[np.bool_]:

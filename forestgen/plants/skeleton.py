@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.geometry.mesh import Ints
+
 _LEAST_SINE = 0.3  # of the angle between a branch and its bearer: a narrower fork leaves it no deeper than this
 _THREAD_M = 2e-5  # axes no thicker than this join pieces that do not touch, and are not wood
 _THREAD_SHARE = 1e-4  # the same as a share of the plant's greatest radius
@@ -68,10 +70,14 @@ class Skeleton:
             mark=mark,
         )
 
+    def axes(self) -> tuple[Ints, Ints]:
+        """(A,) first node of each axis, and (A,) one beyond its last."""
+        first = np.flatnonzero(np.diff(self.axis, prepend=self.axis[:1] - 1))
+        return first, np.append(first[1:], len(self.axis))
+
     def is_thread(self) -> NDArray[np.bool_]:
         """(A,) which axes only join pieces that do not touch: nothing grows there, and nothing is to be seen."""
-        first = np.flatnonzero(np.diff(self.axis, prepend=-1))
-        thickest = np.maximum.reduceat(self.radius_m.astype(np.float64), first)
+        thickest = np.maximum.reduceat(self.radius_m.astype(np.float64), self.axes()[0])
         return np.asarray(thickest <= max(_THREAD_M, _THREAD_SHARE * float(thickest.max())), dtype=np.bool_)
 
     def volume_m3(self) -> float:

@@ -58,7 +58,6 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from forestgen.geometry.mesh import Floats
 from forestgen.plants.auxin import AuxinModel, Zone, simulate
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import Skeleton
@@ -125,24 +124,14 @@ class AuxinRootGenerator:
             points[:, 2] -= points[:, 2].min()
         size = height_m / max(float(points[:, 2].max()), 1e-3 * parameters.length_mm)
         radius = 0.5 * parameters.diameter_mm * evaluate(parameters.taper, np.linspace(0.0, 1.0, len(points)))
-        return (_shoot if model.is_shoot else _hanging)(points * size, radius * size, height_m)
-
-
-def _shoot(points_m: Floats, radius_m: Floats, height_m: float) -> Skeleton:
-    count = len(points_m)
-    return Skeleton.of(np.arange(-1, count - 1), points_m, radius_m, np.zeros(count), np.zeros(count))
-
-
-def _hanging(points_m: Floats, radius_m: Floats, height_m: float) -> Skeleton:
-    """A root's axis on a thread that cannot be seen."""
-    x, y, z = points_m[0]
-    foot = np.array([[x, y, min(0.0, z - 1e-3 * height_m)]])
-    thin = np.full(2, _THREAD * height_m)
-    count = len(points_m) + 1
-    order = np.arange(count) > 1
-    return Skeleton.of(
-        np.arange(-1, count - 1), np.concatenate([foot, points_m]), np.concatenate([thin, radius_m[1:]]), order, order
-    )
+        points, radius = points * size, radius * size
+        if not model.is_shoot:  # hangs on a thread that cannot be seen
+            x, y, z = points[0]
+            points = np.concatenate([[[x, y, min(0.0, z - 1e-3 * height_m)]], points])
+            radius = np.concatenate([np.full(2, _THREAD * height_m), radius[1:]])
+        count = len(points)
+        order = np.zeros(count) if model.is_shoot else np.arange(count) > 1
+        return Skeleton.of(np.arange(-1, count - 1), points, radius, order, order)
 
 
 GENERATOR = AuxinRootGenerator()

@@ -163,12 +163,7 @@ class BranchModulesGenerator:
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """Refuse: its branches take more than a height and a width."""
-        raise RecipeError(
-            "plants of branch modules grow by their species' modules",
-            where="plant.generator",
-            expected="forestgen.plants.growing.grow_exemplar",
-            got="a plant without modules",
-        )
+        raise RecipeError("plants of branch modules grow by their species' modules", where="plant.generator")
 
     def clothe(self, parameters: _Parameters, wood: ModuleWood, height_m: float, rng: np.random.Generator) -> Skeleton:
         """The plant's wood with its twigs and leaves; see `plants.parameters.ClothesModules`."""

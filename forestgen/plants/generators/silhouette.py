@@ -187,7 +187,11 @@ class SilhouetteGenerator:
             rules = orders[order - 1]
             sites = lateral_sites(grown, rules, rng)
             if order == 1:
-                full = _crown_length(parameters, grown, shoots, sites, height_m, width_m)
+                stem = grown.axis[sites.node]
+                rise = 1.0 - grown.remaining_m[sites.node] / shoots.length_m[stem]
+                low = evaluate_one(parameters.crown_base, height_m)
+                crown = (rise - low) / (1.0 - low), sites.angle_rad, (1.0 - low) * height_m, width_m
+                full = silhouette_length(parameters.silhouette, *crown)
             else:
                 full = np.full(len(sites.node), orders[order].longest_m)
             length = _branch_length(rules, grown, sites, full, rng)
@@ -216,16 +220,6 @@ def _stems(trunk: Trunk, height_m: float, rng: np.random.Generator) -> Shoots:
     length = height_m * evaluate_one(trunk.length_ratio, height_m) * np.ones(count)
     length[1:] *= rng.uniform(0.7, 0.95, count - 1)
     return Shoots(np.zeros((count, 3)), direction, length, np.zeros(count, np.int64))
-
-
-def _crown_length(
-    parameters: Parameters, grown: Grown, stems: Shoots, sites: Sites, height_m: float, width_m: float
-) -> Floats:
-    base = evaluate_one(parameters.crown_base, height_m)
-    height = 1.0 - grown.remaining_m[sites.node] / stems.length_m[grown.axis[sites.node]]
-    foot = (height - base) / (1.0 - base)
-    crown_m = (1.0 - base) * height_m
-    return silhouette_length(parameters.silhouette, foot, sites.angle_rad, crown_m, width_m)
 
 
 def _branch_length(rules: Order, grown: Grown, sites: Sites, full: Floats, rng: np.random.Generator) -> Floats:

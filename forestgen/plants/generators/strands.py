@@ -326,19 +326,15 @@ class StrandGenerator:
         placed = parameters.place_foliage(at_rest, height_m, foliage_rng)
         at_rest = replace(at_rest, organs=(*at_rest.organs, *placed))
         fitted = fit(at_rest, parameters.templates(), parameters.fit, height_m, width_m)
+        stretch = _largest(fitted.position_m) / np.maximum(_largest(at_rest.position_m), 1e-9)
         for time_s in times_s:
-            yield _pose_at(time_s, parameters, plant, at_rest, fitted)
-
-
-def _pose_at(time_s: float, parameters: Parameters, plant: Rest, at_rest: Skeleton, fitted: Skeleton) -> Skeleton:
-    wind = parameters.wind.model_copy(update={"time_s": time_s})
-    stance = pose(plant.branching, wind, parameters.stiffness, plant.phases_rad)
-    stretch = _largest(fitted.position_m) / np.maximum(_largest(at_rest.position_m), 1e-9)
-    organs = tuple(
-        moved(carried(placement, plant.pose, stance), stretch, _size(at_its_size) / max(_size(placement), 1e-12))
-        for placement, at_its_size in zip(at_rest.organs, fitted.organs, strict=True)
-    )
-    return replace(fitted, position_m=(stance.position_m * stretch).astype(np.float32), organs=organs)
+            wind = parameters.wind.model_copy(update={"time_s": time_s})
+            stance = pose(plant.branching, wind, parameters.stiffness, plant.phases_rad)
+            organs = tuple(
+                moved(carried(placement, plant.pose, stance), stretch, _size(final) / max(_size(placement), 1e-12))
+                for placement, final in zip(at_rest.organs, fitted.organs, strict=True)
+            )
+            yield replace(fitted, position_m=(stance.position_m * stretch).astype(np.float32), organs=organs)
 
 
 def _largest(position_m: NDArray[np.float32]) -> Floats:

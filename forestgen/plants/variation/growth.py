@@ -53,10 +53,7 @@ class Tables(NamedTuple):
 
 def axes_of(skeleton: Skeleton, position: Floats) -> Axes:
     """The axes of a skeleton whose (N, 3) places are given in double precision."""
-    first = np.flatnonzero(np.diff(skeleton.axis, prepend=-1))
-    if len(first) and first[0] != 0:  # axis -1 is as good a number as any
-        first = np.insert(first, 0, 0)
-    last = np.append(first[1:], len(position))
+    first, last = skeleton.axes()
     parent = np.maximum(skeleton.parent, 0)
     way = position - position[parent]
     length = np.linalg.norm(way, axis=1)

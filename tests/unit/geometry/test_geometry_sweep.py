@@ -321,17 +321,6 @@ def test_thick_tubes_have_more_sides() -> None:
     assert sides.tolist() == [3, 4, 5, 6, 8, 12, 16, 24]
 
 
-def test_malformed_input_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least two points"):
-        Polylines(np.zeros((3, 3)), np.ones(3), np.array([0, 1, 3]))
-    with pytest.raises(ValueError, match="finite"):
-        one(np.array([[0, 0, 0], [0, 0, np.nan]]), np.ones(2))
-    with pytest.raises(ValueError, match="3 to 256 sides"):
-        sweep(straight(), np.array([2]))
-    with pytest.raises(ValueError, match="radial_factor"):
-        sweep(straight(), np.array([8]), radial_factor=np.ones((7, 4)))
-
-
 def test_no_tubes_make_an_empty_mesh() -> None:
     mesh = sweep(Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64)), np.zeros(0, np.int64))
     assert mesh.triangles == 0
