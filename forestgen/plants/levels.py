@@ -1,25 +1,19 @@
 """Far versions of a plant: fewer and larger organs, fewer twigs, straighter axes, the same leaf area and silhouette.
 
 A level is chosen by what a pixel covers of the plant. Organs are pruned until one that remains is about as long as a
-pixel, and enlarged so that their area stays exactly the same; thin twigs likewise, so that the area that they show
-stays. Which organs remain is random, a part of every stretch of the plant, and nested: a coarser level's are among a
-finer level's. The box around the plant stays: the outermost organs always remain, and none grows beyond it.
+pixel, and enlarged so that their area stays exactly the same; thin twigs likewise. Which organs remain is random, a
+part of every stretch of the plant, and nested: a coarser level's are among a finer level's. The box around the plant
+stays: the outermost organs always remain, and none grows beyond it (Cook, R. L., Halstead, J., Planck, M., Ryu, D.
+(2007). Stochastic simplification of aggregate detail. ACM Transactions on Graphics 26(3), article 79, section 3; its
+correction of contrast, section 5, is for elements that differ in colour; ours share a material).
 
-References
-----------
-Cook, R. L., Halstead, J., Planck, M., Ryu, D. (2007). Stochastic simplification of aggregate detail. ACM Transactions
-on Graphics 26(3), article 79: pruning in random order, and areas enlarged by one over the share that remains
-(section 3). Its correction of contrast (section 5) is for elements that differ in colour; ours share a material.
+What remains of an organ that is much smaller than a pixel shows its area, its attitude and its place: each sheet
+becomes one triangle along its longest extent, across its mean normal. Where an organ has many sheets, as a twig has
+needles, some stand for the rest, wider by what is left out.
 
-What remains of an organ that is much smaller than a pixel shows its area, its attitude and its place, not its outline:
-each sheet becomes one triangle along its longest extent, across its mean normal. Where an organ has many sheets, as a
-twig has needles, some stand for the rest, wider by what is left out, so that the area stays.
-
-Decisions
----------
-- Wood is simplified as a skeleton, before it is meshed, which makes a far version cheaper to grow than a full one.
-  Edge collapse (geometry/simplify.py) keeps its form as well, and took ten times as long as growing the plant; it
-  serves mesh files for real-time programs (plants/light_wood.py).
+Wood is simplified as a skeleton, before it is meshed, which makes a far version cheaper to grow than a full one. Edge
+collapse (geometry/simplify.py) took ten times as long as growing the plant; it serves mesh files for real-time programs
+(plants/light_wood.py).
 """
 
 from __future__ import annotations

@@ -40,14 +40,13 @@ Recipe
 Decisions
 ---------
 - Numbers are those of a maize root, millimetres and hours. The fit scales the finished axis to the plant's height.
-- x is measured along the centre line. Measured along each side, a bent zone would straighten again: the sides of one
-  segment would leave the growth zone at different times. Barlow's RELELs, which belong to a point of a flank, are
-  measured along the flank; so Eq. 1 holds exactly (`AuxinModel.on_flank`).
+- x is measured along the centre line: measured along each side, the sides of a segment would leave the growth zone at
+  different times and a bent zone would straighten. Barlow's RELELs belong to points of a flank and are measured along
+  it; so Eq. 1 holds exactly (`AuxinModel.on_flank`).
 - g . n is the sine of the tip's angle from the target. A tip that points exactly away from it does not bend.
-- Shoots bend by the same inhibition with the target above. In nature auxin promotes their lower side's growth.
+- Shoots bend by the same inhibition with the target above; in nature auxin promotes their lower side's growth.
 - The last segment is the cap: it senses, and does not grow.
-- Transport is solved upwind and implicitly: stable for every time step, and what was supplied is in the root, has left
-  at its base or has decayed.
+- Transport is solved upwind and implicitly: stable for every time step, and auxin is conserved.
 - A root hangs from its base, its lowest point on the ground.
 """
 

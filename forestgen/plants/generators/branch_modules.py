@@ -44,13 +44,12 @@ Decisions
 - Module prototypes have about ten segments, a metre long each; trees have thousands of twigs. So twigs are drawn on all
   wood that is thin enough, and one goes on from every free terminal. By the pipe model a segment's diameter counts the
   terminals beyond it, and with them its foliage: thick wood is old and bare.
-- Twigs are no part of a plant's size: a plant is as tall as its modules. They reach beyond by at most their length.
+- Twigs are no part of a plant's size: a plant is as tall as its modules.
 - What the twigs look like is random, of the plant's own number, and stays with it through time.
 - In communities of other models, and for `forestgen plant`, a plant grows by its species' `modules` as in community
-  model branch_modules, without a community, in the climate that it likes best, on a torus as wide as the crown that its
-  species' allometry gives it: its neighbours are its own copies, so it has the form of a tree in a closed stand. Its
-  wood is taken when it is as high as the allometry has it, and scaled to that height. A plant that never becomes so
-  high is shown at its greatest. Its crown is as wide as it grew.
+  model branch_modules, alone, in the climate that it likes best, on a torus as wide as its allometric crown: its
+  neighbours are its own copies, so it has the form of a tree in a closed stand. Its wood is taken when it is as high as
+  the allometry has it, or at its greatest, and scaled to that height. Its crown is as wide as it grew.
 """
 
 from __future__ import annotations
@@ -77,17 +76,15 @@ if TYPE_CHECKING:
 
 
 # For who writes a species' file: what matters most, in this order.
-#   bearing.thinner_than_m   which wood bears twigs. A grown terminal segment has PlantType.thickening_cm (0.01 m) times
-#                            the root of its shoots_per_terminal; where n terminals lie beyond, sqrt(n) times that.
-#                            3 to 5 times a terminal is a good start.
+#   bearing.thinner_than_m   which wood bears twigs: 3 to 5 times a grown terminal segment's diameter, which is
+#                            PlantType.thickening_cm times the root of shoots_per_terminal (of n terminals: sqrt(n)).
 #   bearing.spacing_m        between twigs along it; 0.1 to 0.25 m. Every free terminal bears one more along its axis.
 #   twigs[0].longest_m       length of a full twig: about 0.6 of a grown segment's length fills the space between.
 #   twigs[1]                 side twigs on the twigs: branch_angle_deg and branch_length of twigs[0] rule where they go.
 #   foliage.orders           [8, 9] are these two; needles on the wood itself: 1 to 7 with thinner_than_m: 0.02.
-#   foliage.shape            a large tree has some 50,000 to 300,000 leaves: draw them twice as long and a quarter as
-#                            many, or needle_twig shapes (spruce.yaml). Aim at 50,000 to 200,000 triangles a tree.
+#   foliage.shape            aim at 50,000 to 200,000 triangles a tree: leaves twice as long and a quarter as many, or
+#                            needle_twig shapes (spruce.yaml).
 #   size_by_height           a seedling's leaves are small: [[0, 0.3], [0.5, 0.6], [3, 1.0]].
-# scenes/species/spruce.yaml and oak.yaml have working `modules_plant:` blocks.
 
 FIRST_TWIG_ORDER = 8  # branch orders below are wood of the modules
 MOST_TWIG_ORDERS = 4

@@ -46,36 +46,33 @@ Recipe
 
 Decisions
 ---------
-- The paper's text refers to Eqs. 3, 4, 5 and 6 for m, M, k_l and alpha_m; the equations themselves give alpha_m, M,
-  k_l and m. The equations and their ranges count.
-- L_0 starts at 1 and l_0 is a length of its own: the trunk's base is 5 m long, the segments above it about 1 m. So the
-  paper's beech stands 27 m high and its pine 23 m.
+- The paper's text refers to Eqs. 3, 4, 5 and 6 for m, M, k_l and alpha_m; the equations themselves and their ranges
+  count: alpha_m, M, k_l and m.
+- L_0 starts at 1 and l_0 is a length of its own: a trunk's base of 5 m, segments of about 1 m above it. So the paper's
+  beech stands 27 m high and its pine 23 m.
 - Algorithm 1 turns both sub-branches by a positive angle about z. alpha is the angle between them (section II.B), so
   the minor one turns by -alpha_2 here.
-- Matrices are printed for row vectors. Here they multiply columns, in the same frames. The inverse matrices, whose
+- Matrices are printed for row vectors; here they multiply columns, in the same frames. The inverse matrices, whose
   printed order fits neither, are the inverses.
-- The paper does not say where y_m points. Here it is down, the way gravity pulls, so a positive alpha_m droops: the
-  pine's negative ones raise its branches' tips, as a pine's are. A turn ends where down (or up) is reached. It counts
-  as if there were no directed wind, as printed.
-- With k_c = 0.98 as printed the pine's trunk turns by 27 degrees at every division, a screw that leans by some 19
-  degrees; its name, and the pine of Figure 4, ask for a straight one at k_c near 1. So alpha_1 = (1 - k_c) ... is
-  offered as `gravicentralism_as: upright`, and the recipe of Figure 4 uses it with the printed 0.98.
-- The wind's turn is about w in the plant frame: the printed place of R_w0 would turn it about an axis of the
-  sub-branch that is known in its bearer's frame only. Angles of the wind are in degrees, since sliders end at 10.
+- The paper does not say where y_m points. Here it is down, so a positive alpha_m droops; the pine's negative ones raise
+  its branches' tips. A turn ends where down (or up) is reached, counted without directed wind, as printed.
+- With k_c = 0.98 as printed the pine's trunk turns by 27 degrees at every division, a screw that leans by 19 degrees;
+  its name and Figure 4 ask for a straight one. So alpha_1 = (1 - k_c) ... is offered as `gravicentralism_as: upright`,
+  which the recipe of Figure 4 uses with the printed 0.98.
+- The wind's turn is about w in the plant frame: the printed place of R_w0 would turn it about an axis that is known in
+  the bearer's frame only. Angles of the wind are in degrees, since sliders end at 10.
 - alpha_w = S_0/S w_g, as printed, bends a trunk most. Drag on a branch grows with its leaves, S_0, its stiffness with
-  d^4, S_0^2, so thin branches bend more: (1 - S_0/S) w_g is the default (`bends`). The paper's w = [0 1 0] is the
-  trunk's own direction: [0, 0, 1] here, which turns without bending.
+  d^4, S_0^2: (1 - S_0/S) w_g is the default (`bends`). The paper's w = [0 1 0] is the trunk's own direction: [0, 0, 1]
+  here, which turns without bending.
 - The pine has 6000 strands where the slider ends at 5000: the bound here is 200,000. rho_l is the number of leaves on
   a branch of one strand: 5000 leaves on the paper's beech.
 - l_LOD is 0 in both models and not explained. Here a branch of at most `lod` strands is one segment, with the leaves
   of one strand, larger by the root of its strands.
 - The curve of the pine's k_s^w has two points at 42.89; positions must ascend, so write 42.89 and 42.8901.
-- Where 2000 strands make a trunk of half a metre, the square root makes a twig of a centimetre. A larger
-  `thickness_exponent` gives a library's tree thinner twigs; sections then shrink from bearer to sub-branches.
-- A young tree is not an old one's miniature: `strands` and `scale_by_height` say how many branches it has and how large
-  they are. 1, the default, is the paper's.
-- Jitters are not in the paper. The plant's phases in the wind and its form come from separate random streams, so wind
-  does not alter the form.
+- By the square root, 2000 strands that make a trunk of half a metre make a twig of a centimetre. A larger
+  `thickness_exponent` gives thinner twigs; sections then shrink from bearer to sub-branches.
+- A young tree is no miniature: `strands` and `scale_by_height` say how many branches it has and how large they are.
+- Jitters are not in the paper. Phases in the wind and the form come from separate random streams.
 """
 
 from __future__ import annotations

@@ -12,9 +12,9 @@ Equations
     word(0) = axiom,   word(n + 1) = word(n) rewritten,   n = round(steps(height))
     plant   = the turtle's drawing of the first word of word(n)
 
-A program has derivation steps; a plant of a community has a height. The curve `steps` maps height to derivation steps.
-Without it, every plant has the program's ``derivation length``, and small plants are small copies of large ones. A
-program that defines ``height_m`` or ``width_m`` receives the plant's value.
+The curve `steps` maps a plant's height to derivation steps. Without it, every plant has the program's ``derivation
+length``, and small plants are small copies of large ones. A program that defines ``height_m`` or ``width_m`` receives
+the plant's value.
 
 Parameters: see `Parameters`; wood, shapes, foliage and so on as for every generator.
 
@@ -38,9 +38,9 @@ Around it stands a species' file like any other: see the page of every generator
 
 Decisions
 ---------
-- ``~K(s)`` is s times the shape's size in metres, whatever unit the program draws in: a leaf does not become longer
-  because a segment does. So the default fit is ``scale``: the wood as a whole until the height fits, organs as they
-  are. ``fit: scale_all`` keeps the program's own proportions, ``fit: none`` its own size.
+- ``~K(s)`` is s times the shape's size in metres, whatever unit the program draws in. So the default fit is ``scale``:
+  the wood as a whole until the height fits, organs as they are. ``fit: scale_all`` keeps the program's own proportions,
+  ``fit: none`` its own size.
 - A surface that `surfaces` does not name is the shape of that name; one that is neither is an error.
 - A polygon is a fan of triangles around its first vertex, so it must be seen whole from there, as a leaf from its foot.
   It follows the wood's scale whatever the fit.

@@ -16,14 +16,10 @@ Equations
     H_tar(n) = T_M b(n), bent by a function, or (1 - weight) T_M b(n) + weight up
 
 b(n) is the base skeleton's own direction at growth step n; T_M is the identity (`reference: global`) or the rotation
-of the axis' bearer where it begins (`local`). One displacement alone decays as E(n) = E(n-1) - kappa E(n-1-lag). With
-a lag of l steps that is stable for
-
-    kappa < 2 sin(pi / (2 (2 l + 1))),
-
-which for long lags is kappa l < pi/2: a compensation ratio (kappa l)^-1 above 0.64. For short lags the limit is
-higher: 1.0 for one step, 0.81 for two, 0.75 for three, 0.72 for four, 0.70 for five. So the ratio 0.7 that the paper
-found by experiment is stable from six steps on.
+of the axis' bearer where it begins (`local`). One displacement alone decays as E(n) = E(n-1) - kappa E(n-1-lag), which
+with a lag of l steps is stable for kappa < 2 sin(pi / (2 (2 l + 1))). For long lags that is kappa l < pi/2, a
+compensation ratio (kappa l)^-1 above 0.64; above 1.0 for one step, 0.81 for two, 0.75 for three, 0.72 for four, 0.70
+for five. So the ratio 0.7 that the paper found by experiment is stable from six steps on.
 
 Parameters: see `Variation`.
 
@@ -42,23 +38,23 @@ Recipe
 
 Decisions
 ---------
-- The loop works on the rotation between the base's course and the varied one. So bends and kinks of the base stay
-  where they are, lengths too, and where nothing disturbs an axis the skeleton comes back as it was, to the bit. Nodes
-  are inserted where a growth step turns; thickness is interpolated there. Organs follow their node stiffly.
+- The loop works on the rotation between the base's course and the varied one: bends and kinks of the base stay where
+  they are, lengths too, and where nothing disturbs an axis the skeleton comes back to the bit. Nodes are inserted where
+  a growth step turns, with thickness interpolated. Organs follow their node stiffly.
 - An axis begins at its bearer's new place and in its rotated frame; it then keeps its direction in that frame (local),
   or corrects its direction in space as it grows (global).
-- Lifetime counts growth steps: all that the form depends on is how much has grown between sensing and response. The
-  growth zone is at a fixed distance behind the tip. In a step the tip goes up by one step and the signal down by
-  `transmission` steps, and the signal loses `decay`; so it ages by decay (1 + transmission) / 2 steps, and for Fig. 7,
-  where all rates are equal, its lifetime is the lag. Where rates vary along the axis, signals catch up with one
-  another and several may act in one step. The response turns what grows from then on, not what has grown.
+- Lifetime counts growth steps: the form depends on how much has grown between sensing and response. The growth zone is
+  at a fixed distance behind the tip. In a step the tip goes up by one step and the signal down by `transmission` steps,
+  and the signal loses `decay`; so it ages by decay (1 + transmission) / 2 steps: for Fig. 7, of equal rates, its
+  lifetime is the lag. Where rates vary, signals catch up with one another and several may act in one step. The response
+  turns what grows from then on, not what has grown.
 - The lag is rounded to whole steps, to one at least if kappa comes from a compensation ratio. The default ratio of
   1.1 is stable for every lag.
 - A signal runs down a flank of the stem. So its turn is kept in the frame of the tip, which turns along.
-- Only a direction is sensed: errors are at most 180 degrees and wrap beyond, where the recurrence would go on. Straight
-  backwards, the shoot turns about an arbitrary axis.
+- Only a direction is sensed: errors are at most 180 degrees and wrap beyond. Straight backwards, the shoot turns about
+  an arbitrary axis.
 - Radial: the angle is Gaussian (uniform), its azimuth uniform. Random disturbances are per growth step, as in the
-  paper, and so depend on their number; an `Influence` is per length of axis, and does not.
+  paper, and depend on their number; an `Influence` is per length of axis, and does not.
 - What lies within the bearer's thickness does not grow: steps and positions begin at its surface.
 - Axes thinner than 20 micrometres are joints between parts that do not touch, and stay straight.
 - `Displacement.turns: plant` turns a potted plant: what has grown by then lies turned, and grew towards a target
