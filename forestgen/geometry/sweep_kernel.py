@@ -141,18 +141,9 @@ def _factor(factor: Any, i: int, j: int) -> Any:
 
 
 @fma_njit
-def _ring(
-    out: Surface,
-    vertex: int,
-    sides: int,
-    ring: Ring,
-    m: Any,
-    size: Any,
-    factor: Any,
-    near: Any,
-    turns: Any,
-    texture: Any,
-) -> None:
+def _ring(  # type: ignore[no-untyped-def]
+    out, vertex, sides, ring, m, size, factor, near, turns, texture
+):
     """Vertices of one ring, the first once more at the end for the texture's seam.
 
     Parameters

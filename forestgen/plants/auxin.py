@@ -123,13 +123,9 @@ def simulate(
     longest = model.young_mm + fastest * steps * model.step_h if length_mm is None else max(length_mm, model.young_mm)
     room = young + int(min(4.0 * longest / model.segment_mm, 1e12)) + 16
     if room * model.sectors > MOST_SIDES:
-        raise RecipeError(
-            "the root would have too many segments",
-            where="plant",
-            expected=f"at most {MOST_SIDES:,} sides of segments",
-            got=f"{room * model.sectors:,}",
-            hint="a longer segment_mm, or a shorter root",
-        )
+        expected, got = f"at most {MOST_SIDES:,} sides of segments", f"{room * model.sectors:,}"
+        hint = "a longer segment_mm, or a shorter root"
+        raise RecipeError("the root would have too many segments", where="plant", expected=expected, got=got, hint=hint)
     side, auxin = np.zeros((room, model.sectors)), np.zeros((room, model.sectors))
     side[:young] = model.young_mm / young
     angle = model.azimuth_rad
@@ -142,13 +138,10 @@ def simulate(
     )  # fmt: skip
     unfinished = length_mm is not None and duration_h is None and done == steps
     if n < 0 or unfinished:
-        raise RecipeError(
-            "the root does not grow to its length",
-            where="plant",
-            expected=f"{longest:g} mm within {MOST_STEPS:,} time steps, and {MOST_WORK:g} steps of sides",
-            got="more segments than its length has" if n == -1 else f"less after {done:,} time steps",
-            hint="less inhibition or supply, a longer step_h or segment_mm",
-        )
+        expected = f"{longest:g} mm within {MOST_STEPS:,} time steps, and {MOST_WORK:g} steps of sides"
+        got = "more segments than its length has" if n == -1 else f"less after {done:,} time steps"
+        hint = "less inhibition or supply, a longer step_h or segment_mm"
+        raise RecipeError("the root does not grow to its length", where="plant", expected=expected, got=got, hint=hint)
     return Root(model, side[:n].copy(), auxin[:n].copy(), tip[: done + 1].copy(), *sums)
 
 

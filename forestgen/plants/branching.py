@@ -104,12 +104,9 @@ def _check_size(shoots: Shoots, rules: Order) -> None:
     )
     longest = float(shoots.length_m.max())
     if longest > _MOST_INTERNODES * shortest:
-        raise RecipeError(
-            f"an axis of {longest:g} m would have {longest / shortest:,.0f} internodes",
-            where="plant",
-            expected=f"at most {_MOST_INTERNODES:,}",
-            hint="longer internode_m",
-        )
+        problem = f"an axis of {longest:g} m would have {longest / shortest:,.0f} internodes"
+        expected = f"at most {_MOST_INTERNODES:,}"
+        raise RecipeError(problem, where="plant", expected=expected, hint="longer internode_m")
 
 
 def _internodes(s: Floats, rules: Order, rng: np.random.Generator) -> Floats:
@@ -138,15 +135,10 @@ def _by_axis(rows: list[tuple[Ints, int, Floats, Floats, Floats]], count: int, l
     step = np.concatenate([np.full(len(row[0]), row[1]) for row in rows])
     order = np.lexsort((step, axis))
     s = np.concatenate([row[4] for row in rows])[order]
-    return Grown(
-        axis=axis[order],
-        step=step[order],
-        position_m=np.concatenate([row[2] for row in rows])[order],
-        direction=np.concatenate([row[3] for row in rows])[order],
-        remaining_m=np.maximum(longest_m - s, 0.0),
-        relative=np.clip(s / longest_m, 0.0, 1.0),
-        first=np.searchsorted(axis[order], np.arange(count)),
-    )
+    position, direction = (np.concatenate([row[k] for row in rows])[order] for k in (2, 3))
+    remaining, relative = np.maximum(longest_m - s, 0.0), np.clip(s / longest_m, 0.0, 1.0)
+    first = np.searchsorted(axis[order], np.arange(count))
+    return Grown(axis[order], step[order], position, direction, remaining, relative, first)
 
 
 @dataclass(frozen=True)

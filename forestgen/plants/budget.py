@@ -14,27 +14,17 @@ _OF_A_LARGE_PLANT, _OF_A_LARGE_PLANT_PER_M2 = 240_000, 550
 def check_budget(what: str, count: float, bytes_each: int, hint: str) -> None:
     """Refuse a plant of `count` things, before they are made.
 
-    Parameters
-    ----------
-    what : plural name of the things, such as "leaves".
-    count : how many; a float may be infinite.
-    bytes_each : memory that one takes while it is made and meshed.
-    hint : which keys to change.
+    `what`: plural name of the things, such as "leaves". `count`: may be infinite. `bytes_each`: memory that one takes
+    while it is made and meshed. `hint`: which keys to change.
 
-    Raises
-    ------
-    RecipeError : more than `LARGEST_PLANT`, or more than half of the memory that is free.
+    Raises `RecipeError`: more than `LARGEST_PLANT`, or more than half of the memory that is free.
     """
     room = min(float(LARGEST_PLANT), _SHARE_OF_FREE * free_bytes() / bytes_each)
     if not count <= room:
-        raise RecipeError(
-            f"the plant would have {count:,.0f} {what}",
-            where="plant",
-            expected=f"at most {room:,.0f} {what} (half of the memory that is free)"
-            if room < LARGEST_PLANT
-            else f"at most {room:,.0f} {what}",
-            hint=hint,
-        )
+        expected = f"at most {room:,.0f} {what}"
+        if room < LARGEST_PLANT:
+            expected += " (half of the memory that is free)"
+        raise RecipeError(f"the plant would have {count:,.0f} {what}", where="plant", expected=expected, hint=hint)
 
 
 def most_triangles(height_m: float, width_m: float) -> float:

@@ -32,6 +32,8 @@ _LEAST_ORGAN_M = 5e-5  # single precision at a tree's top tells no points of a s
 _FITTED = (0.5, 2.0)  # height over the height asked for; beyond, the fit did not reach the plant
 _LARGEST_M = 1e4  # plant that keeps the size at which it grows
 _TRIANGLES_PER_NODE = 10  # of wood: twigs have three to five sides, stems more
+_ROUNDS = 12  # of the fit
+_STRETCH = (0.3, 3.0)
 _FARTHEST = 1e15  # a grown point, in the generator's own unit; single precision squares no more
 
 
@@ -53,16 +55,11 @@ def build_exemplar(
 ) -> Exemplar:
     """Grow and mesh one plant.
 
-    Parameters
-    ----------
-    plant : the generator's own `Parameters`; their `generator` names it in `GENERATORS`.
-    radius_m : community radius.
-    pixel_m : what a pixel covers of the plant, metres, which sets the detail; 0: all. The plant is the same one.
-    wood : branches that it has grown already: the generator clothes them, and they give its height.
+    `plant`: the generator's own `Parameters`; their `generator` names it in `GENERATORS`. `radius_m`: community radius.
+    `pixel_m`: what a pixel covers of the plant, metres, which sets the detail; 0: all. The plant is the same one.
+    `wood`: branches that it has grown already: the generator clothes them, and they give its height.
 
-    Raises
-    ------
-    RecipeError : a plant too large for memory, or a material that the species does not have.
+    Raises `RecipeError`: a plant too large for memory, or a material that the species does not have.
     """
     if wood is None:
         height_m, width_m = size_m(species, radius_m)
@@ -109,11 +106,8 @@ def _check_grown(species_name: str, skeleton: Skeleton) -> None:
     """Refuse what is too large for the numbers that it is written in, before it is meshed."""
     arrays = [skeleton.position_m, skeleton.radius_m, *(organs.frame for organs in skeleton.organs)]
     if not all(np.all(np.abs(array) < _FARTHEST) for array in arrays):  # NaN too
-        raise RecipeError(
-            "the plant grows beyond all measure",
-            where=f"species {species_name}: plant",
-            hint="look for lengths, or factors of lengths, that are far too large",
-        )
+        hint = "look for lengths, or factors of lengths, that are far too large"
+        raise RecipeError("the plant grows beyond all measure", where=f"species {species_name}: plant", hint=hint)
 
 
 def _with_visible_organs(skeleton: Skeleton, templates: Mapping[str, Mesh]) -> Skeleton:
@@ -137,11 +131,8 @@ def leaf_area_m2(organs: Iterable[OrganMesh], shapes: Mapping[str, OrganForm]) -
 
 def _box(organs: tuple[OrganMesh, ...], species_name: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     if not organs:
-        raise RecipeError(
-            "nothing of the plant is large enough to be seen",
-            where=f"species {species_name}: plant",
-            hint="thicker stems or larger organs",
-        )
+        where, hint = f"species {species_name}: plant", "thicker stems or larger organs"
+        raise RecipeError("nothing of the plant is large enough to be seen", where=where, hint=hint)
     low = np.min([organ.mesh.vertices_m.min(axis=0) for organ in organs], axis=0)
     return low, np.max([organ.mesh.vertices_m.max(axis=0) for organ in organs], axis=0)
 
@@ -150,27 +141,20 @@ def _check_fitted(species_name: str, how: Fit, made_m: float, wanted_m: float) -
     """Refuse a plant that has no size, or nothing like the one that it is fitted to."""
     least, most = (0.0, _LARGEST_M) if how == "none" else (_FITTED[0] * wanted_m, _FITTED[1] * wanted_m)
     if not least <= made_m <= most:
-        raise RecipeError(
-            f"the plant grows to {made_m:.3g} m" + ("" if how == "none" else " and cannot be fitted to its height"),
-            where=f"species {species_name}: plant",
-            expected=f"at most {most:.3g} m" if how == "none" else f"about {wanted_m:.3g} m",
-            hint="lengths and organs in proportion to the height, or fit: scale_all, or fit: none",
+        problem = f"the plant grows to {made_m:.3g} m" + (
+            "" if how == "none" else " and cannot be fitted to its height"
         )
+        expected = f"at most {most:.3g} m" if how == "none" else f"about {wanted_m:.3g} m"
+        hint = "lengths and organs in proportion to the height, or fit: scale_all, or fit: none"
+        raise RecipeError(problem, where=f"species {species_name}: plant", expected=expected, hint=hint)
 
 
 def _check_materials(species_name: str, organs: tuple[OrganMesh, ...], materials: Mapping[str, object]) -> None:
     for organ in organs:
         if organ.material not in materials:
-            raise RecipeError(
-                "the plant names a material that the species does not have",
-                where=f"species {species_name}: plant",
-                expected="one of " + ", ".join(materials),
-                got=repr(organ.material),
-            )
-
-
-_ROUNDS = 12
-_STRETCH = (0.3, 3.0)
+            where, expected = f"species {species_name}: plant", "one of " + ", ".join(materials)
+            problem = "the plant names a material that the species does not have"
+            raise RecipeError(problem, where=where, expected=expected, got=repr(organ.material))
 
 
 def fit(skeleton: Skeleton, templates: Mapping[str, Mesh], how: Fit, height_m: float, width_m: float) -> Skeleton:
@@ -263,13 +247,11 @@ def check_sways(species_name: str, parameters: Any) -> None:
     """Raise `RecipeError` if the plant's generator has no poses."""
     if parameters.variation is not None or not isinstance(GENERATORS.load(parameters.generator), Sways):
         able = " or ".join(name for name, generator in GENERATORS.parts() if isinstance(generator, Sways))
-        raise RecipeError(
-            "plants of this species cannot sway",
-            parameter="frames",
-            expected=f"a species of the generator {able}, without variation",
-            got=f"{species_name}, of the generator {parameters.generator}",
-            hint="`forestgen plant --list` shows generators; or leave `frames` out",
-        )
+        got = f"{species_name}, of the generator {parameters.generator}"
+        hint = "`forestgen plant --list` shows generators; or leave `frames` out"
+        expected = f"a species of the generator {able}, without variation"
+        problem = "plants of this species cannot sway"
+        raise RecipeError(problem, parameter="frames", expected=expected, got=got, hint=hint)
 
 
 def sway(

@@ -134,15 +134,10 @@ def grow_exemplars(
 ) -> tuple[Exemplar, ...]:
     """All exemplars, in the order of the requests.
 
-    Parameters
-    ----------
-    store : where exemplars are kept from run to run; None: nowhere.
-    workers : threads; None: as many as there are cores.
-    advance : called, in the calling thread, with how many more are done.
+    `store`: where exemplars are kept from run to run; None: nowhere. `workers`: threads; None: as many as there are
+    cores. `advance` is called, in the calling thread, with how many more are done.
 
-    Raises
-    ------
-    RecipeError : a plant that cannot be grown: of several, the one that is asked for first.
+    Raises `RecipeError`: a plant that cannot be grown: of several, the one that is asked for first.
     """
     threads = max(1, min(workers or cores(), len(requests)))
     written: list[bool] = []  # whether each exemplar that grew is on disk now

@@ -61,13 +61,13 @@ class Skeleton:
     ) -> Skeleton:
         """The skeleton of arrays of any number type; higher orders than 255 become 255."""
         return cls(
-            parent=np.asarray(parent, dtype=np.int32),
-            position_m=np.asarray(position_m, dtype=np.float32),
-            radius_m=np.asarray(radius_m, dtype=np.float32),
-            order=np.minimum(order, 255).astype(np.uint8),
-            axis=np.asarray(axis, dtype=np.int32),
-            organs=organs,
-            mark=mark,
+            np.asarray(parent, dtype=np.int32),
+            np.asarray(position_m, dtype=np.float32),
+            np.asarray(radius_m, dtype=np.float32),
+            np.minimum(order, 255).astype(np.uint8),
+            np.asarray(axis, dtype=np.int32),
+            organs,
+            mark,
         )
 
     def axes(self) -> tuple[Ints, Ints]:

@@ -186,12 +186,8 @@ class Parameters(PlantParameters):
         """Derivation steps of a plant of this height."""
         steps = float(program.derivation_length or 0) if self.steps is None else evaluate_one(self.steps, height_m)
         if not 0 <= steps <= MOST_STEPS:
-            raise RecipeError(
-                "the plant's age is out of range",
-                where="plant.steps",
-                expected=f"0 to {MOST_STEPS:,} derivation steps",
-                got=f"{steps:g} at a height of {height_m:g} m",
-            )
+            expected, got = f"0 to {MOST_STEPS:,} derivation steps", f"{steps:g} at a height of {height_m:g} m"
+            raise RecipeError("the plant's age is out of range", where="plant.steps", expected=expected, got=got)
         return round(steps)
 
 
@@ -219,28 +215,21 @@ class TurtleGenerator:
         program = parameters.program_for(height_m, width_m)
         steps = parameters.steps_at(height_m, program)
         names = {name: name for name in parameters.shapes} | parameters.surfaces
-        seed = int(rng.integers(0, 2**63))
+        seed, where = int(rng.integers(0, 2**63)), f"plant.program {parameters.program.name}"
         try:
             drawing, scale = draw_program(
                 program, steps, seed, unit_m=parameters.unit_m, surfaces=names, most_modules=parameters.most_modules
             )
         except TooManyModulesError as error:
-            raise RecipeError(
-                "the plant's word grows too long",
-                where=f"plant.program {parameters.program.name}",
-                expected=f"at most {parameters.most_modules:,} modules",
-                got=f"more of them within {steps} steps",
-                hint="fewer steps, or a higher plant.most_modules",
-            ) from error
+            expected, got = f"at most {parameters.most_modules:,} modules", f"more of them within {steps} steps"
+            hint = "fewer steps, or a higher plant.most_modules"
+            problem = "the plant's word grows too long"
+            raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint) from error
         check_budget("segments", len(drawing.parent), _BYTES_PER_NODE, "fewer steps, or plant.steps by height")
         faces = parameters.polygons and len(drawing.polygons.offset) > 1
         if not np.any(drawing.is_drawn) and not len(drawing.surfaces.node) and not faces:
-            raise RecipeError(
-                "the program draws nothing",
-                where=f"plant.program {parameters.program.name}",
-                expected="F, or a surface",
-                got=f"a word without them after {steps} steps",
-            )
+            got = f"a word without them after {steps} steps"
+            raise RecipeError("the program draws nothing", where=where, expected="F, or a surface", got=got)
         skeleton = skeleton_of(drawing, names, POLYGON if parameters.polygons else None)
         placed = (one if one.shape == POLYGON else _unscaled(one, scale) for one in skeleton.organs)
         skeleton = replace(skeleton, organs=tuple(placed))
@@ -313,15 +302,10 @@ def draw_program(
 ) -> tuple[Drawing, float]:
     """What the turtle draws of a program's first word after some derivation steps, and metres a unit.
 
-    Parameters
-    ----------
-    unit_m : metres a unit; None: the program's.
-    surfaces : names that may follow ~; None: all.
+    `unit_m`: metres a unit; None: the program's. `surfaces`: names that may follow ~; None: all.
 
-    Raises
-    ------
-    LsystemError : the program is wrong, or its word has died out.
-    TooManyModulesError : its words grow longer than `most_modules`.
+    Raises `LsystemError`: the program is wrong, or its word has died out; `TooManyModulesError`: its words grow longer
+    than `most_modules`.
     """
     listing = program.ast
     *_, last = derive(program, steps, seed, most_modules=most_modules)

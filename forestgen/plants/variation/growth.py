@@ -66,17 +66,9 @@ def axes_of(skeleton: Skeleton, position: Floats) -> Axes:
     index = np.where(apart, np.arange(len(position)), len(position))
     leads = np.minimum.reduceat(index, first)
     foot = unit(np.append(way, [UP], axis=0)[np.minimum(leads, len(position))])
-    return Axes(
-        first=first,
-        last=last,
-        bearer=skeleton.parent[first].astype(np.int64),
-        order=skeleton.order[first].astype(np.int64),
-        length_m=arc[last - 1],
-        hidden_m=np.minimum(within, length[first]),
-        foot=foot,
-        thread=skeleton.is_thread(),
-        arc_m=arc,
-    )
+    bearer, order = skeleton.parent[first].astype(np.int64), skeleton.order[first].astype(np.int64)
+    hidden = np.minimum(within, length[first])
+    return Axes(first, last, bearer, order, arc[last - 1], hidden, foot, skeleton.is_thread(), arc)
 
 
 def tables(axes: Axes, variation: Variation, rng: np.random.Generator) -> Tables:
@@ -100,20 +92,9 @@ def tables(axes: Axes, variation: Variation, rng: np.random.Generator) -> Tables
     turn, whole, until = _turns(axes, variation, steps, begin, middle, axis, azimuth)
     target, weight = _targets(axes, variation, share, axis, azimuth)
     of_order = axes.order[axis]
-    return Tables(
-        steps=steps,
-        begin=begin,
-        life=life,
-        kappa=kappa,
-        age=age,
-        sensor=_radial(variation.sensor_error_deg, "gaussian", of_order, sensor_rng),
-        disturbance=_radial(variation.disturbance_deg, variation.distribution, of_order, disturbance_rng),
-        turn=turn,
-        target=target,
-        weight=weight,
-        whole=whole,
-        until=until,
-    )
+    sensor = _radial(variation.sensor_error_deg, "gaussian", of_order, sensor_rng)
+    disturbance = _radial(variation.disturbance_deg, variation.distribution, of_order, disturbance_rng)
+    return Tables(steps, begin, life, kappa, age, sensor, disturbance, turn, target, weight, whole, until)
 
 
 def _growth_steps(axes: Axes, variation: Variation, grows: NDArray[np.bool_]) -> Ints:
@@ -130,18 +111,16 @@ def _growth_steps(axes: Axes, variation: Variation, grows: NDArray[np.bool_]) ->
 
 def _gains(variation: Variation, steps: Ints) -> tuple[Floats, Floats]:
     """Lifetime of a signal in growth steps, and kappa, of each axis."""
-    lag, kappa, ratio = variation.lag, variation.kappa, variation.compensation_ratio
-    if lag is None:
-        assert kappa is not None  # Variation settles two of the three
-        assert ratio is not None
-        lag_steps = np.full(len(steps), np.rint(min(1.0 / (kappa * ratio), _MOST_LAG_STEPS)))
-        return lag_steps, np.full(len(steps), kappa)
-    lag_steps = np.rint(lag * steps)
-    if kappa is not None:
-        return lag_steps, np.full(len(steps), kappa)
-    assert ratio is not None
-    lag_steps = np.maximum(lag_steps, 1.0)
-    return lag_steps, 1.0 / (ratio * lag_steps)
+    lag, kappa, ratio = (
+        variation.lag,
+        variation.kappa,
+        variation.compensation_ratio or 1.0,
+    )  # two of the three are given
+    if lag is not None:
+        lag_steps = np.rint(lag * steps) if kappa is not None else np.maximum(np.rint(lag * steps), 1.0)
+        return lag_steps, 1.0 / (ratio * lag_steps) if kappa is None else np.full(len(steps), kappa)
+    assert kappa is not None
+    return np.full(len(steps), np.rint(min(1.0 / (kappa * ratio), _MOST_LAG_STEPS))), np.full(len(steps), kappa)
 
 
 def _radial(size_deg: Function, distribution: str, order: Ints, rng: np.random.Generator) -> Floats:
