@@ -112,19 +112,13 @@ class PrototypeFile(Section):
         births = [0.0]
         for number, node in enumerate(self.nodes, 1):
             if node.parent >= number:
-                raise violation(
-                    f"0 (the root) to {number - 1}: the first entry is node 1",
-                    problem=f"node {number} grows from a node that stands after it, or from itself",
-                    got=str(node.parent),
-                    at=("nodes", number - 1, "parent"),
-                )
+                problem = f"node {number} grows from a node that stands after it, or from itself"
+                expected, at = f"0 to {number - 1}: the first entry is node 1", ("nodes", number - 1, "parent")
+                raise violation(expected, problem=problem, got=str(node.parent), at=at)
             if node.birth < births[node.parent]:
-                raise violation(
-                    f"at least its parent's: {births[node.parent]:g}",
-                    problem=f"node {number} is born before the node it grows from",
-                    got=f"{node.birth:g}",
-                    at=("nodes", number - 1, "birth"),
-                )
+                problem = f"node {number} is born before the node it grows from"
+                expected, at = f"at least its parent's: {births[node.parent]:g}", ("nodes", number - 1, "birth")
+                raise violation(expected, problem=problem, got=f"{node.birth:g}", at=at)
             births.append(node.birth)
         return self
 
@@ -134,16 +128,10 @@ class PrototypeFile(Section):
         for node in self.nodes:
             directions.append(_direction(node, directions[node.parent]))
         numbers = [(0.0, 0.0, 1.0), *((node.length, node.birth, node.thickness) for node in self.nodes)]
-        length, birth, thickness = np.array(numbers, dtype=np.float32).T
+        parent = np.array([-1, *(node.parent for node in self.nodes)], dtype=np.int16)
+        columns = np.array(numbers, dtype=np.float32).T.copy()
         return Prototype(
-            name,
-            self.apical_control,
-            self.determinacy,
-            np.array([-1, *(node.parent for node in self.nodes)], dtype=np.int16),
-            np.array(directions, dtype=np.float32),
-            length.copy(),
-            birth.copy(),
-            thickness.copy(),
+            name, self.apical_control, self.determinacy, parent, np.array(directions, dtype=np.float32), *columns
         )
 
 
@@ -193,19 +181,12 @@ def choose_prototype(
 
     The points are lambda and D', 0 to 1, of one shape (...); `allowed` (..., S) says which prototypes each may choose.
     """
-    control, determinate = np.broadcast_arrays(
-        np.asarray(apical_control, dtype=np.float64), np.asarray(determinacy, dtype=np.float64)
-    )
-    nearest = np.full(control.shape, np.inf)
-    chosen = np.zeros(control.shape, dtype=np.uint8)
-    for index, prototype in enumerate(prototypes):  # one pass a prototype: no (..., S) array
-        distance = (control - prototype.apical_control) ** 2 + (determinate - prototype.determinacy) ** 2
-        closer = distance < nearest
-        if allowed is not None:
-            closer &= allowed[..., index]
-        chosen[closer] = index
-        nearest = np.where(closer, distance, nearest)
-    return chosen
+    control, determinate = np.asarray(apical_control, np.float64), np.asarray(determinacy, np.float64)
+    place = np.array([(one.apical_control, one.determinacy) for one in prototypes])
+    distance = (control[..., None] - place[:, 0]) ** 2 + (determinate[..., None] - place[:, 1]) ** 2
+    if allowed is not None:
+        distance = np.where(allowed, distance, np.inf)
+    return np.asarray(distance.argmin(axis=-1), dtype=np.uint8)
 
 
 @dataclass(frozen=True)

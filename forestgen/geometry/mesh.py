@@ -94,6 +94,13 @@ def concatenate(meshes: Sequence[Mesh]) -> Mesh:
     )
 
 
+def part_of(mesh: Mesh, faces: NDArray[np.uint32]) -> Mesh:
+    """Some (F, 3) faces of a mesh with the vertices that they need."""
+    used, corners = np.unique(faces, return_inverse=True)
+    normals, uv = (None if one is None else one[used] for one in (mesh.normals, mesh.uv))
+    return Mesh(mesh.vertices_m[used], corners.reshape(-1, 3).astype(np.uint32), normals, uv)
+
+
 def unit(vectors: Floats) -> Floats:
     """(..., 3) vectors of length 1; a zero vector stays zero."""
     length = np.sqrt(np.sum(vectors * vectors, axis=-1, keepdims=True))

@@ -24,7 +24,7 @@ from forestgen.plants.parameters import Fit, Sways
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.variation.growth import vary
+from forestgen.plants.variation.model import vary
 from forestgen.recipe.species import Species
 
 _TRIANGLE_BYTES = 150  # of an organ's triangle while it is meshed

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.mesh import Bools, Floats, Ints, Mesh, concatenate
+from forestgen.geometry.mesh import Bools, Floats, Ints, Mesh, concatenate, part_of
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
 PIXEL_STEPS_M = (0.0, 0.2, 0.4)  # pixels for which versions are made; 0: all detail
@@ -264,10 +264,7 @@ def far_piece(mesh: Mesh, pixel_m: float) -> Mesh:
     slivers = _slivers(sheets, chosen, length, width)
     if sheets.faces.all():
         return slivers
-    used, faces = np.unique(mesh.faces[~sheets.faces], return_inverse=True)
-    normals, uv = (None if one is None else one[used] for one in (mesh.normals, mesh.uv))
-    rest = Mesh(mesh.vertices_m[used], faces.reshape(-1, 3).astype(np.uint32), normals, uv)
-    return concatenate([slivers, rest])
+    return concatenate([slivers, part_of(mesh, mesh.faces[~sheets.faces])])
 
 
 def _chosen(sheets: _Sheets) -> tuple[Ints, Floats, Floats]:

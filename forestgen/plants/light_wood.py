@@ -10,7 +10,7 @@ import numpy as np
 from forestgen.core.arguments import whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.export import Piece, Surface, srgb
-from forestgen.geometry.mesh import Mesh, concatenate, surface_area_m2
+from forestgen.geometry.mesh import concatenate, part_of, surface_area_m2
 from forestgen.geometry.simplify import bake, decimate, unwrap
 from forestgen.plants.bark.texture import SurfaceTexture
 
@@ -52,18 +52,7 @@ def with_light_wood(
     ends = np.cumsum([mesh.triangles for mesh in coarse])
     light = {}
     for piece, start, end in zip(wood, [0, *ends], ends, strict=False):
-        mesh = _part_of(atlas, int(start), int(end))
+        mesh = part_of(atlas, atlas.faces[start:end])
         area = {"area_m2": surface_area_m2(mesh)}
         light[piece.name] = replace(piece, mesh=mesh, surface=surface, properties={**piece.properties, **area})
     return tuple(light.get(piece.name, piece) for piece in pieces)
-
-
-def _part_of(mesh: Mesh, start: int, end: int) -> Mesh:
-    """Faces start ... end - 1 with the vertices that they need."""
-    used, faces = np.unique(mesh.faces[start:end], return_inverse=True)
-    return Mesh(
-        mesh.vertices_m[used],
-        faces.reshape(-1, 3).astype(np.uint32),
-        None if mesh.normals is None else mesh.normals[used],
-        None if mesh.uv is None else mesh.uv[used],
-    )

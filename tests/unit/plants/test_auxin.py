@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.plants.auxin import AuxinModel, Root, Zone, simulate
+from forestgen.plants.generators.auxin_root import AuxinModel, Root, Zone, simulate
 
 
 def barlow(upper: Zone, lower: Zone, time_h: float, diameter_mm: float = 1.0, steps: int = 1000) -> Root:
@@ -171,6 +171,6 @@ def test_centre_line_is_as_long_as_the_root():
     ],
 )
 def test_hopeless_roots_are_refused(change, length_mm, monkeypatch):
-    monkeypatch.setattr("forestgen.plants.auxin.MOST_WORK", 1e7)
+    monkeypatch.setattr("forestgen.plants.generators.auxin_root.MOST_WORK", 1e7)
     with pytest.raises(RecipeError, match="root"):
         simulate(AuxinModel(**change), length_mm=length_mm)
