@@ -27,15 +27,13 @@ class Mesh:
     uv: NDArray[np.float32] | None = None  # (V, 2)
 
     def __post_init__(self) -> None:
-        if self.vertices_m.ndim != 2 or self.vertices_m.shape[1] != 3 or self.vertices_m.dtype != np.float32:
-            raise ValueError(f"vertices_m must be (V, 3) float32, got {self.vertices_m.shape} {self.vertices_m.dtype}")
-        if self.faces.ndim != 2 or self.faces.shape[1] != 3 or self.faces.dtype != np.uint32:
-            raise ValueError(f"faces must be (F, 3) uint32, got {self.faces.shape} {self.faces.dtype}")
-        for name, array, width in (("normals", self.normals, 3), ("uv", self.uv, 2)):
-            if array is not None and (array.shape != (len(self.vertices_m), width) or array.dtype != np.float32):
-                raise ValueError(
-                    f"{name} must be ({len(self.vertices_m)}, {width}) float32, got {array.shape} {array.dtype}"
-                )
+        v = len(self.vertices_m)
+        single, whole = np.dtype(np.float32), np.dtype(np.uint32)
+        wanted = {"vertices_m": (v, 3, single), "faces": (len(self.faces), 3, whole)}
+        for name, (*shape, kind) in (wanted | {"normals": (v, 3, single), "uv": (v, 2, single)}).items():
+            array = getattr(self, name)
+            if array is not None and (array.shape != tuple(shape) or array.dtype != kind):
+                raise ValueError(f"{name} must be {tuple(shape)} {kind}, got {array.shape} {array.dtype}")
 
     @property
     def triangles(self) -> int:

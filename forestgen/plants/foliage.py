@@ -23,9 +23,7 @@ class Foliage(Section):
     """Where organs of one shape sit: at even steps along the axes, from each axis' tip towards its base."""
 
     shape: str = Field(description="name of an organ shape")
-    heights_m: tuple[float, float] = Field(
-        (0.0, 1e3), description="heights of the plants that this rule serves, metres; the upper end is excluded"
-    )
+    heights_m: tuple[float, float] = Field((0.0, 1e3), description="heights that it serves, upper end excluded, metres")
     orders: tuple[int, ...] = Field(min_length=1, description="branch orders that bear it; 0 is the stem")
     spacing_m: float | None = Field(None, gt=0, description="distance between nodes along the axis, metres")
     count: int | None = Field(None, ge=1, le=10_000, description="nodes on each axis, in place of spacing_m")

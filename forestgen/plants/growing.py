@@ -104,11 +104,6 @@ def load_exemplar(store: DiskCache, request: ExemplarRequest) -> Exemplar | None
     return None
 
 
-def keep_exemplar(store: DiskCache, request: ExemplarRequest, exemplar: Exemplar) -> bool:
-    """Write the exemplar to disk; False if that is not possible."""
-    return store.write(request.key(), pack(exemplar))
-
-
 def forget_shared() -> None:
     """Keep no exemplar in memory any longer."""
     _shared.clear()
@@ -148,7 +143,7 @@ def grow_exemplars(
         if found is not None:
             return found
         grown = grow_exemplar(request)
-        written.append(own is not None and keep_exemplar(own, request, grown))
+        written.append(own is not None and own.write(request.key(), pack(grown)))
         return grown
 
     def one(request: ExemplarRequest) -> Exemplar:

@@ -31,9 +31,7 @@ class Wood(Section):
     material: str = Field(description="name of one of the species' materials")
     branch_material: str | None = Field(None, description="the same for branches; the trunk's if not given")
     thick_branch_m: float | None = Field(
-        None,
-        ge=0,
-        description="branches of at least this diameter at the foot, metres, have the trunk's material and texture",
+        None, ge=0, description="branches at least so thick at the foot, metres, have the trunk's material and texture"
     )
     dead: bool = Field(False, description="labelled dead_wood rather than trunk and branch")
     flare: float = Field(0.35, ge=0, le=3, description="widening at the root collar, as a share of the radius")
@@ -53,9 +51,7 @@ class PlantParameters(Section):
     wood: Wood = Field(description="surface of stems and branches")
     shapes: dict[str, OrganShape] = Field(default_factory=dict, description="forms of the organs, by name")
     foliage: tuple[Foliage, ...] = Field((), description="where organs sit, beside those that the generator places")
-    variation: Variation | None = Field(
-        None, description="growth responses that make each plant of a base model differ"
-    )
+    variation: Variation | None = Field(None, description="growth responses that make plants of a base model differ")
     fit: Fit = Field(
         "scale",
         description="stretch: height and width apart until both fit, thickness and organs as they are; scale: the wood "

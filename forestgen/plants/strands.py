@@ -45,9 +45,7 @@ class Wind(Section):
     """The wind that a plant stands in."""
 
     speed_directed: float = Field(0.0, ge=0, le=10, description="w_g: greatest bend of one segment, degrees")
-    speed_undirected: float = Field(
-        0.0, ge=0, le=10, description="w_s: sway beyond a 1 m segment, stiffness 0, degrees"
-    )
+    speed_undirected: float = Field(0.0, ge=0, le=10, description="w_s: sway past a 1 m segment, stiffness 0, degrees")
     axis: tuple[float, float, float] = Field(
         (0.0, 1.0, 0.0),
         description="w: the axis that segments turn about, plant frame; [0, 1, 0] is a wind towards +x, [-1, 0, 0] "
@@ -73,15 +71,11 @@ class Leaves(Section):
         "spiral", description="l_type: spiral, stacked, staggered, bunched or coniferous"
     )
     density: PositiveCurve = Field(
-        ((0.0, 5.0),),
-        description="rho_l: leaves on a branch of one strand, by the plant's height in metres; at most 200",
+        ((0.0, 5.0),), description="rho_l: leaves a strand, by height in metres; at most 200"
     )
     up_to_strands: int = Field(1, ge=1, le=100, description="branches of so many strands or fewer bear leaves")
     size_m: float | None = Field(
-        None,
-        gt=0,
-        le=2,
-        description="l_l: length of the leaf with its stalk; its proportions are the shape's. None: the shape's own",
+        None, gt=0, le=2, description="l_l: leaf's length with its stalk, in proportion; null: the shape's own"
     )
     size_by_height: PositiveCurve = Field(((0.0, 1.0),), description="factor on size over height in metres")
     size_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of the size, as a share")

@@ -112,13 +112,11 @@ class Bearing(Section):
     )
     light_length: PositiveCurve = Field(((0.0, 0.6), (0.5, 1.0)), description="share of length over its module's light")
     thick_length: PositiveCurve = Field(
-        ((0.0, 1.0), (0.6, 0.85), (1.0, 0.4)),
-        description="share of a twig's length over its segment's diameter, as a share of thinner_than_m",
+        ((0.0, 1.0), (0.6, 0.85), (1.0, 0.4)), description="share of length over segment diameter / thinner_than_m"
     )
     length_jitter: float = Field(0.15, ge=0, lt=0.5, description="standard deviation of a twig's length, as a share")
     size_by_height: PositiveCurve = Field(
-        ((0.0, 0.15), (0.5, 0.4), (3.0, 1.0)),
-        description="factor on the twigs' length and spacing over the plant's height in metres",
+        ((0.0, 0.15), (0.5, 0.4), (3.0, 1.0)), description="factor on twigs' length and spacing over height in metres"
     )
     missing: float = Field(0.1, ge=0, lt=1, description="share of the places left empty")
     terminal: bool = Field(True, description="one more goes on from every free terminal, along its axis")
@@ -134,9 +132,7 @@ class Parameters(PlantParameters):
         default_factory=lambda: Bearing.model_validate({}), description="where the wood bears twigs; null: nowhere"
     )
     twigs: tuple[Order, ...] = Field(
-        (),
-        max_length=MOST_TWIG_ORDERS,
-        description="twigs on the wood, the twigs on these, and so on: orders 8, 9, ...",
+        (), max_length=MOST_TWIG_ORDERS, description="twigs on the wood, twigs on these, and so on: orders 8, 9, ..."
     )
     fit: Fit = Field("none", description="plants are as large as their modules")
 

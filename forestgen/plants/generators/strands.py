@@ -170,13 +170,9 @@ class Parameters(PlantParameters):
     trunk_length_m: Annotated[PositiveCurve, _within(0.0, 20.0)] = Field(
         ((0.0, 5.0),), description="l_0: length of the trunk's base segment, by the plant's height in metres"
     )
-    scale_by_height: PositiveCurve = Field(
-        ((0.0, 1.0),), description="factor on all lengths and diameters of wood, by the plant's height in metres"
-    )
+    scale_by_height: PositiveCurve = Field(((0.0, 1.0),), description="factor on the wood's size by height in metres")
     thickness_m: float = Field(0.01, gt=0, le=0.05, description="k_d: diameter of a branch of one strand, metres")
-    thickness_exponent: float = Field(
-        0.5, ge=0.3, le=1, description="power of the strands that a diameter grows with; 0.5: sections are conserved"
-    )
+    thickness_exponent: float = Field(0.5, ge=0.3, le=1, description="diameter's power of strands; 0.5 keeps sections")
     gravicentralism: float = Field(0.3, ge=0, le=1, description="k_c, see `gravicentralism_as`")
     gravicentralism_as: Literal["printed", "upright"] = Field(
         "printed",
@@ -189,9 +185,7 @@ class Parameters(PlantParameters):
     shortest: Shortest = Field(Shortest(), description="m: least ratio of a sub-branch's length to its bearer's")
     longest: Longest = Field(Longest(), description="M: greatest ratio of a sub-branch's length to its bearer's")
     length: Length = Field(Length(), description="k_l: a segment's length over its relative length, metres")
-    gravimorphism_deg: Gravimorphism = Field(
-        Gravimorphism(), description="alpha_m: turn to the ground at a division, degrees; negative: to the sky"
-    )
+    gravimorphism_deg: Gravimorphism = Field(Gravimorphism(), description="alpha_m: turn down at a division, degrees")
     lod: int = Field(0, ge=0, le=10_000, description="branches of so many strands or fewer are not divided further")
     stiffness: float = Field(1.0, ge=0, le=1, description="k_f: 1: no sway in the undirected wind")
     wind: Wind = Field(Wind(), description="the wind that the plant stands in")

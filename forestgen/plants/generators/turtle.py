@@ -129,10 +129,7 @@ class Parameters(PlantParameters):
         description="values of the program's #defines (numbers, or curves over the plant's height in metres), arrays "
         "(lists) and functions (control points)",
     )
-    surfaces: dict[str, str] = Field(
-        default_factory=dict,
-        description="organ shape of each of the turtle's surfaces, ~K; by default that of its name",
-    )
+    surfaces: dict[str, str] = Field(default_factory=dict, description="organ shape of each surface, ~K; else its name")
     polygons: PolygonFace | None = Field(None, description="part and material of polygons; null: they are not drawn")
     unit_m: float | None = Field(None, gt=0, le=1e4, description="metres a unit; null: the program's scale")
     most_modules: int = Field(2_000_000, ge=1, le=50_000_000, description="longest word that may be drawn")

@@ -10,6 +10,7 @@ from pydantic import AfterValidator, Field
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.patches import Patch, to_mesh
+from forestgen.plants.exemplar import OrganMesh
 from forestgen.recipe.fields import Section
 
 _LEAST_M = 1e-4  # triangles that are smaller vanish in single precision
@@ -32,16 +33,8 @@ Detail = Annotated[
 PartName = Literal["leaf", "flower", "fruit", "trunk", "branch", "dead_wood"]
 
 
-class OrganPiece(NamedTuple):
-    """What of an organ has one label and one material."""
-
-    part: Part
-    material: str
-    mesh: Mesh  # the organ's frame: foot at the origin, y along it, z its upper side, metres; with normals and uv
-
-
 class OrganPatch(NamedTuple):
-    """Triangles of one material on the way to an `OrganPiece`."""
+    """Triangles of one material, in the organ's frame: foot at the origin, y along it, z its upper side, metres."""
 
     material: str
     patch: Patch
@@ -58,7 +51,7 @@ class OrganForm(Section):
         """The organ's triangles, in its own frame."""
         raise NotImplementedError
 
-    def pieces(self) -> tuple[OrganPiece, ...]:
+    def pieces(self) -> tuple[OrganMesh, ...]:
         """The organ's surfaces, one for each of its labels and materials."""
         return _pieces(self)
 
@@ -68,13 +61,13 @@ class OrganForm(Section):
 
 
 @lru_cache(maxsize=512)
-def _pieces(form: OrganForm) -> tuple[OrganPiece, ...]:
+def _pieces(form: OrganForm) -> tuple[OrganMesh, ...]:
     joined: dict[tuple[Part, str], list[Patch]] = {}
     for material, patch, part in form.patches():
         if len(patch.faces):
             part = Part[form.part.upper()] if part is None else part
             joined.setdefault((part, material), []).append(patch)
-    return tuple(OrganPiece(part, material, to_mesh(*patches)) for (part, material), patches in joined.items())
+    return tuple(OrganMesh(part, material, to_mesh(*patches)) for (part, material), patches in joined.items())
 
 
 @lru_cache(maxsize=512)
