@@ -63,25 +63,19 @@ def _packed(tables: Tables) -> Shapes:
     shapes = np.concatenate([tables.direction, tables.length[..., None], tables.birth[..., None]], axis=-1)
     lengths_m = tables.length_per_age_m, tables.longest_segment_m
     columns = tables.mature_age, *lengths_m, tables.tropism_strength, tables.tropism_decay
-    return Shapes(
-        np.ascontiguousarray(shapes), np.ascontiguousarray(np.stack(columns, axis=-1)), tables.parent, tables.nodes,
-        tables.birth, tables.thickness, tables.disused_node, tables.first_child, tables.next_sibling,
-        tables.terminal_index, tables.mature_age, tables.thickening_m, tables.most_terminals,
-    )  # fmt: skip
+    shape, kind = np.ascontiguousarray(shapes), np.ascontiguousarray(np.stack(columns, axis=-1))
+    return Shapes(shape, kind, *(getattr(tables, name) for name in Shapes._fields[2:]))
 
 
 def _graphs(modules: Modules, type_of_plant: Types) -> Graphs:
     """The plants as kernels read them."""
     kind = np.ascontiguousarray(type_of_plant, dtype=np.uint16)
-    return Graphs(
-        kind, modules.first, modules.parent, modules.node, modules.prototype, modules.age, modules.disused_m2,
-        modules.base_m, modules.rotation,
-    )  # fmt: skip
+    return Graphs(kind, *(getattr(modules, name) for name in Graphs._fields[1:]))
 
 
 def _poses(modules: Modules, type_of_plant: Types) -> Poses:
     kind = type_of_module(modules, type_of_plant)
-    return Poses(kind, modules.prototype, modules.age, modules.base_m, modules.rotation)
+    return Poses(kind, *(getattr(modules, name) for name in Poses._fields[1:]))
 
 
 def type_of_module(modules: Modules, type_of_plant: Types) -> NDArray[np.uint16]:

@@ -17,31 +17,32 @@ class Shapes(NamedTuple):
 
     shape: Any  # (S, N, 5) of the prototypes: direction x, y, z, length, birth
     kind: Any  # (T, 5) of the plant types: mature age, length per age, longest segment, tropism's strength and decay
-    parent: Any  # (S, N), as what follows is a column of `Tables`
-    count: Any  # (S,) nodes
+    # What follows are columns of `Tables`.
+    parent: Any
+    nodes: Any
     birth: Any
     thickness: Any
     disused_node: Any
     first_child: Any
     next_sibling: Any
     terminal_index: Any
-    mature: Any  # (T,)
-    thickening: Any
+    mature_age: Any
+    thickening_m: Any
     most_terminals: Any
 
 
 class Poses(NamedTuple):
-    """M modules; columns as in `Modules`."""
+    """M modules; columns as in `Modules` but for the first."""
 
     kind: Any  # (M,) index of the plant type
     prototype: Any
     age: Any
-    base: Any
+    base_m: Any
     rotation: Any
 
 
 class Graphs(NamedTuple):
-    """P plants of M modules; columns as in `Modules`."""
+    """P plants of M modules; columns as in `Modules` but for the first."""
 
     kind: Any  # (P,) index of the plant type
     first: Any
@@ -49,8 +50,8 @@ class Graphs(NamedTuple):
     node: Any
     prototype: Any
     age: Any
-    disused: Any
-    base: Any
+    disused_m2: Any
+    base_m: Any
     rotation: Any
 
 
@@ -71,7 +72,7 @@ def place_nodes(shapes, s, type_, age, turned, place, metres):  # type: ignore[n
     `s` and `type_` are the index of the prototype and of the plant type. What of `age` passes the mature age does not
     count.
     """
-    shape, parent, count, kind = shapes.shape[s], shapes.parent[s], shapes.count[s], shapes.kind[type_]
+    shape, parent, count, kind = shapes.shape[s], shapes.parent[s], shapes.nodes[s], shapes.kind[type_]
     grown = min(age, kind[0])
     place[0, 0] = place[0, 1] = place[0, 2] = 0.0
     metres[0] = 0.0
@@ -109,11 +110,11 @@ def place_module(shapes, modules, row, turned, place, metres):  # type: ignore[n
 def fill_spheres(shapes, modules, scale, first, end, centre, radius):  # type: ignore[no-untyped-def]
     """Fill `centre` (M, 3) and `radius` (M,) of modules `first` to `end`."""
     shapes, modules = unowned_view(shapes), unowned_view(modules)
-    base = modules.base
+    base = modules.base_m
     n = shapes.parent.shape[1]
     turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
     for row in range(first, end):
-        count = shapes.count[modules.prototype[row]]
+        count = shapes.nodes[modules.prototype[row]]
         place_module(shapes, modules, row, turned, place, metres)
         x = y = z = total = 0.0
         for node in range(1, count):
@@ -145,7 +146,7 @@ def fill_terminals(shapes, modules, wanted, first, end, position, direction):  #
         node = wanted[row]
         bearer = shapes.parent[modules.prototype[row], node]
         for axis in range(3):
-            position[row, axis] = modules.base[row, axis] + place[node, axis]
+            position[row, axis] = modules.base_m[row, axis] + place[node, axis]
             direction[row, axis] = (place[node, axis] - place[bearer, axis]) / metres[node]
 
 
@@ -157,10 +158,10 @@ def fill_nodes(shapes, modules, start, first, end, position, length):  # type: i
     turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
     for row in range(first, end):
         place_module(shapes, modules, row, turned, place, metres)
-        for node in range(shapes.count[modules.prototype[row]]):
+        for node in range(shapes.nodes[modules.prototype[row]]):
             length[start[row] + node] = metres[node]
             for axis in range(3):
-                position[start[row] + node, axis] = modules.base[row, axis] + place[node, axis]
+                position[start[row] + node, axis] = modules.base_m[row, axis] + place[node, axis]
 
 
 @compiled
@@ -170,25 +171,25 @@ def fill_pipes(shapes, plants, plant, joint, borne, squared):  # type: ignore[no
     Scratch: `joint` (modules, terminals), the root node of the module that each terminal bears; `borne` (N,).
     """
     begin, size, kind = plants.first[plant], plants.first[plant + 1] - plants.first[plant], plants.kind[plant]
-    mature = shapes.mature[kind]
+    mature = shapes.mature_age[kind]
     joint[:size] = -1.0
     for own in range(size - 1, -1, -1):
         row = begin + own
         s = plants.prototype[row]
         grown = min(plants.age[row], mature)
         pipes = squared[own]
-        for node in range(shapes.count[s]):
+        for node in range(shapes.nodes[s]):
             slot = shapes.terminal_index[s, node]
             borne[node] = joint[own, slot] if slot >= 0 else -1.0
             pipes[node] = -1.0  # of no child yet
-        for node in range(shapes.count[s] - 1, -1, -1):
+        for node in range(shapes.nodes[s] - 1, -1, -1):
             if pipes[node] < 0.0:  # a terminal
                 birth = shapes.birth[s, node]
                 share = min(1.0, max(0.0, grown / mature - birth) / (1.0 - birth))
-                thick = shapes.thickening[kind] * shapes.thickness[s, node] * share
+                thick = shapes.thickening_m[kind] * shapes.thickness[s, node] * share
                 pipes[node] = max(thick * thick, borne[node])
             if node == shapes.disused_node[s]:
-                pipes[node] += plants.disused[row]
+                pipes[node] += plants.disused_m2[row]
             if node > 0:
                 bearer = shapes.parent[s, node]
                 pipes[bearer] = max(pipes[bearer], 0.0) + pipes[node]
@@ -215,7 +216,7 @@ def fill_diameters(shapes, plants, first, end, start, root_m, node_m):  # type: 
             row = begin + own
             root_m[row] = np.sqrt(squared[own, 0])
             if len(node_m):
-                for node in range(shapes.count[plants.prototype[row]]):
+                for node in range(shapes.nodes[plants.prototype[row]]):
                     node_m[start[row] + node] = np.sqrt(squared[own, node])
 
 
@@ -223,9 +224,9 @@ def fill_diameters(shapes, plants, first, end, start, root_m, node_m):  # type: 
 def fill_sizes(shapes, plants, leaf_area, first, end, sizes):  # type: ignore[no-untyped-def]
     """Fill `sizes` (P, 6) of plants `first` to `end`, in the order of `PlantSizes`, less the number of modules."""
     shapes, plants = unowned_view(shapes), unowned_view(plants)
-    parents, counts, births, first_child = shapes.parent, shapes.count, shapes.birth, shapes.first_child
+    parents, counts, births, first_child = shapes.parent, shapes.nodes, shapes.birth, shapes.first_child
     terminal_index, most_terminals = shapes.terminal_index, shapes.most_terminals
-    parent_of, node_of, prototype, age, base = plants.parent, plants.node, plants.prototype, plants.age, plants.base
+    parent_of, node_of, prototype, age, base = plants.parent, plants.node, plants.prototype, plants.age, plants.base_m
     n = parents.shape[1]
     turned, place, metres, borne = np.empty((3, 3)), np.empty((n, 3)), np.empty(n), np.empty(n)
     joint, squared = np.empty((0, most_terminals)), np.empty((0, n))
@@ -250,7 +251,7 @@ def fill_sizes(shapes, plants, leaf_area, first, end, sizes):  # type: ignore[no
         for own in range(size - 1, -1, -1):
             row = begin + own
             s = prototype[row]
-            grown = min(1.0, age[row] / shapes.mature[kind])
+            grown = min(1.0, age[row] / shapes.mature_age[kind])
             for node in range(counts[s]):
                 slot = terminal_index[s, node]
                 if slot >= 0:
@@ -305,7 +306,7 @@ def _trunk(shapes, plants, kind, begin, squared, child, turned, place, metres): 
                     thickest = other
                 other = shapes.next_sibling[s, other]
             node = thickest
-            if plants.base[row, 2] + place[node, 2] >= 1.3:
+            if plants.base_m[row, 2] + place[node, 2] >= 1.3:
                 return np.sqrt(squared[own, node])
         own = child[own, shapes.terminal_index[s, node]]
     return np.sqrt(squared[0, 0])

@@ -37,7 +37,7 @@ def decimate(mesh: Mesh, target_triangles: int) -> Mesh:
     many bodies for it.
     """
     vertices, faces = merged(mesh)
-    body = _bodies(len(vertices), faces)
+    body = bodies(len(vertices), faces)
     if target_triangles < len(faces):
         before = np.where(_closed(faces, body), _volumes(vertices, faces, body), np.nan)
         vertices, faces, body = _collapsed(vertices, faces, body, max(target_triangles, 4))
@@ -61,7 +61,7 @@ def merged(mesh: Mesh) -> tuple[Floats, Ints]:
     return mesh.vertices_m[first[order]].astype(np.float64), faces[whole]
 
 
-def _bodies(count: int, faces: Ints) -> Ints:
+def bodies(count: int, faces: Ints) -> Ints:
     """(V,) number of the connected body that each vertex belongs to."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components

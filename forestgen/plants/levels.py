@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Bools, Floats, Ints, Mesh, concatenate, part_of
+from forestgen.geometry.simplify import bodies
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
 PIXEL_STEPS_M = (0.0, 0.2, 0.4)  # pixels for which versions are made; 0: all detail
@@ -282,15 +283,11 @@ def _chosen(sheets: _Sheets) -> tuple[Ints, Floats, Floats]:
 
 
 def _sheets(mesh: Mesh, longest_m: float) -> _Sheets:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     faces = mesh.faces.astype(np.int64)
     points = mesh.vertices_m.astype(np.float64)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(points), len(points)))
-    count, found = connected_components(graph, directed=False)
-    of_vertex = found.astype(np.int64)
+    of_vertex = bodies(len(points), faces)
+    count = int(of_vertex.max(initial=-1)) + 1
     _, which, times = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
     open_edge = times[which.reshape(-1)] == 1
     has_edge = np.zeros(count, dtype=bool)

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from forestgen.core.arguments import whole_of
-from forestgen.core.errors import RecipeError
 from forestgen.geometry.export import Piece, Surface, srgb
 from forestgen.geometry.mesh import concatenate, part_of, surface_area_m2
 from forestgen.geometry.simplify import bake, decimate, unwrap
@@ -22,11 +21,8 @@ _NAME = "wood"
 
 def check_wood_triangles(number: int | None) -> None:
     """Raise `RecipeError` for a number that no trunk can be made of."""
-    if number is None:
-        return
-    if whole_of(number, "wood_triangles", -_MOST_TRIANGLES, _MOST_TRIANGLES) < FEWEST_TRIANGLES:
-        expected = f"at least {FEWEST_TRIANGLES}"
-        raise RecipeError("too few triangles", parameter="wood_triangles", expected=expected, got=str(number))
+    if number is not None:
+        whole_of(number, "wood_triangles", FEWEST_TRIANGLES, _MOST_TRIANGLES)
 
 
 def with_light_wood(

@@ -23,13 +23,12 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.build import estimate_triangles, size_m
-from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.exemplar import Exemplar, as_solids
 from forestgen.plants.growing import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store, grow_exemplars
 from forestgen.plants.grown import woods_of
 from forestgen.plants.levels import PIXEL_STEPS_M, level_for
 from forestgen.plants.parameters import CrownProfile, PlantParameters
 from forestgen.plants.registry import GENERATORS
-from forestgen.plants.solids import as_solids
 from forestgen.recipe.buildings import Building
 from forestgen.recipe.species import Material, Species
 from forestgen.scene.building import exemplar_of, plan_buildings

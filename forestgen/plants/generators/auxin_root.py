@@ -82,12 +82,6 @@ class Zone:
     centre_mm: float = 3.0  # mu
     width_mm: float = 1.0  # sigma, where RELEL = 0.607 M
 
-    @property
-    def elongation_mm_per_h(self) -> float:
-        """alpha M: the integral of RELEL over a flank that is longer than the zone, from the tip on."""
-        before_tip = 0.5 * (1.0 + math.erf(-self.centre_mm / (math.sqrt(2.0) * self.width_mm)))
-        return self.peak_per_h * self.width_mm * math.sqrt(2.0 * math.pi) * (1.0 - before_tip)
-
 
 class AuxinModel(NamedTuple):
     """Parameters of the simulation, as compiled loops read them too; those of `Parameters` of these names.
@@ -141,11 +135,6 @@ class Root:
     out: float  # through the base
     decayed: float
 
-    @property
-    def length_mm(self) -> float:
-        """Length along the centre line."""
-        return float(self.side_mm.mean(axis=1).sum())
-
     def points_mm(self) -> Floats:
         """(N + 1, 3) centres of the segments' faces, base in the origin, z up."""
         angle, points = self.model.azimuth_rad, np.zeros((len(self.side_mm) + 1, 3))
@@ -155,11 +144,7 @@ class Root:
 
 
 def simulate(
-    model: AuxinModel,
-    zones: tuple[Zone, ...] = (Zone(),),
-    *,
-    length_mm: float | None = None,
-    duration_h: float | None = None,
+    model: AuxinModel, length_mm: float, zones: tuple[Zone, ...] = (Zone(),), duration_h: float | None = None
 ) -> Root:
     """Grow a root to a length or for a time, whichever is first. `zones`: one for all sides, or one for each.
 
@@ -167,9 +152,7 @@ def simulate(
     """
     steps = MOST_STEPS if duration_h is None else min(round(duration_h / model.step_h), MOST_STEPS)
     zones = zones if len(zones) == model.sectors else zones * model.sectors
-    fastest = sum(zone.elongation_mm_per_h for zone in zones) / len(zones)
-    young = max(2, int(np.ceil(model.young_mm / (0.75 * model.segment_mm))))
-    longest = model.young_mm + fastest * steps * model.step_h if length_mm is None else max(length_mm, model.young_mm)
+    young, longest = max(2, int(np.ceil(model.young_mm / (0.75 * model.segment_mm)))), max(length_mm, model.young_mm)
     room = young + int(min(4.0 * longest / model.segment_mm, 1e12)) + 16
     if room * model.sectors > MOST_SIDES:
         expected, got = f"at most {MOST_SIDES:,} sides of segments", f"{room * model.sectors:,}"
@@ -180,13 +163,11 @@ def simulate(
     angle = model.azimuth_rad
     tip, sums = np.zeros((steps + 1, 3)), np.zeros(3)
     numbers = np.array([(zone.peak_per_h, zone.centre_mm, zone.width_mm) for zone in zones])
-    until_mm = np.inf if length_mm is None else length_mm
     done, n = _grow(
-        side, auxin, young, model, numbers, until_mm, MOST_WORK, model.first_frame(), model.target, np.cos(angle),
+        side, auxin, young, model, numbers, length_mm, MOST_WORK, model.first_frame(), model.target, np.cos(angle),
         np.sin(angle), tip, sums,
     )  # fmt: skip
-    unfinished = length_mm is not None and duration_h is None and done == steps
-    if n < 0 or unfinished:
+    if n < 0 or (duration_h is None and done == steps):
         expected = f"{longest:g} mm within {MOST_STEPS:,} time steps, and {MOST_WORK:g} steps of sides"
         got = "more segments than its length has" if n == -1 else f"less after {done:,} time steps"
         hint = "less inhibition or supply, a longer step_h or segment_mm"
@@ -408,7 +389,7 @@ class AuxinRootGenerator:
         compass_deg = drawn if parameters.tilt_azimuth_deg is None else parameters.tilt_azimuth_deg
         model = parameters.model(abs(tilt_deg), 90.0 - compass_deg)
         zone = Zone(parameters.rate_per_h, parameters.zone_centre_mm, parameters.zone_width_mm)
-        root = simulate(model, (zone,), length_mm=parameters.length_mm)
+        root = simulate(model, parameters.length_mm, (zone,))
         points = root.points_mm()
         if not model.is_shoot:
             points[:, 2] -= points[:, 2].min()
