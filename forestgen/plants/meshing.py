@@ -7,7 +7,7 @@ and flare. An axis that ends where others of like thickness begin ends in a dome
 
 What is measured
 ----------------
-`wood_mesh(..., plain=True)` leaves out flare, relief, collars and domes. The signed volume of its closed tubes is the
+`wood_meshes(..., plain=True)` leaves out flare, relief, collars and domes. The signed volume of its closed tubes is the
 sum of the frusta of the polylines meshed (`branch_lines`, `stem_line`), within 2%: tips of twigs end in points, bends
 above 120 degrees are pinched. Those polylines reach into the bearer and below the ground, which `Skeleton.volume_m3`
 does not count. Flare and collars add to that what a real root collar and branch collars do; relief adds nothing on
@@ -32,6 +32,8 @@ from forestgen.plants.organs.shapes import OrganShape
 from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
 
+MarkedMesh = tuple[Mesh, NDArray[np.uint32] | None]  # and (F,) marks of its triangles
+
 _FOOT_M = 0.3  # stems reach this far below the ground, so that none hangs over a slope
 _STANDS = 0.3  # least z of a stem's direction at its foot: one that lies on the ground gets no foot
 _MESHED_FLARE_RADIUS_M = 0.012  # thinner stems get no flare and no bark relief
@@ -41,7 +43,7 @@ _POINTED = 0.15  # the same as a share of the radius before
 _DOMED = 0.4  # an axis that ends where another of this share of its radius begins gets a dome
 
 
-def wood_mesh(
+def wood_meshes(
     skeleton: Skeleton,
     trunk: bool,
     flare: float,
@@ -50,7 +52,7 @@ def wood_mesh(
     tile_m: tuple[float, float] = (1.0, 1.0),
     plain: bool = False,
     foot_m: tuple[float, float] = (0.0, np.inf),
-) -> tuple[Mesh, NDArray[np.uint32] | None]:
+) -> list[MarkedMesh]:
     """Closed tubes of the stems (`trunk`) or of all branches, and (F,) marks if the skeleton has some.
 
     Parameters
@@ -61,18 +63,23 @@ def wood_mesh(
     plain : tubes as measured: no flare, relief, collars or domes.
     foot_m : of the branches, those alone whose diameter at the foot is within (first included, second not).
     """
+    made: list[MarkedMesh] = []
+
+    def add(mesh: Mesh, start: Ints, line: Polylines, node: Ints) -> None:
+        """A mesh of tubes, where each tube's vertices begin, and the polylines and their nodes that they follow."""
+        mark = skeleton.mark
+        made.append((mesh, None if mark is None else tube_marks(mesh, start, line, mark[node], tile_m[1])))
+
     first, last = skeleton.axes()
     standing = (skeleton.order[first] == 0) & (skeleton.parent[first] <= 0)
     bears = _bears_at_its_end(skeleton, first, last) & (not plain)
-    # Meshes of tubes, where each tube's vertices begin, and the polylines and their nodes that the tubes follow.
-    tubes: list[tuple[Mesh, Ints, Polylines, Ints]] = []
     if trunk:
         for a, b, forks in zip(first[standing], last[standing], bears[standing], strict=True):
             own = stem_line(skeleton, int(a), int(b))
             ringed = own if plain else stem_line(skeleton, int(a), int(b), rings=True)
             if own is not None and ringed is not None:
                 mesh = _stem(_domed(ringed, np.array([forks])), flare, tile_m, plain)
-                tubes.append((mesh, np.array([0, len(mesh.vertices_m)]), own, _stem_nodes(skeleton, int(a), own)))
+                add(mesh, np.array([0, len(mesh.vertices_m)]), own, _stem_nodes(skeleton, int(a), own))
     chosen = ~standing & ((skeleton.order[first] == 0) == trunk) & ~skeleton.is_thread()
     if not trunk:
         foot = 2.0 * skeleton.radius_m[first]
@@ -86,15 +93,8 @@ def wood_mesh(
             mesh, start = sweep_tubes(lines, sides_for_radius(lines.radius_m[lines.offset[:-1]]), **look)
         else:
             mesh, start = sweep_with_collars(skeleton, lines, skeleton.parent[first[chosen]], **look)
-        tubes.append((mesh, start, own, _branch_nodes(skeleton, first[chosen], last[chosen])))
-    if tubes:
-        mesh = concatenate([one for one, _, _, _ in tubes])
-    else:
-        mesh = sweep_tubes(Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64)), np.zeros(0, np.int64))[0]
-    if skeleton.mark is None:
-        return mesh, None
-    marks = [tube_marks(one, start, line, skeleton.mark[node], tile_m[1]) for one, start, line, node in tubes]
-    return mesh, np.concatenate([np.zeros(0, dtype=np.uint32), *marks])
+        add(mesh, start, own, _branch_nodes(skeleton, first[chosen], last[chosen]))
+    return made
 
 
 def organ_meshes(
@@ -104,17 +104,17 @@ def organ_meshes(
 
     `pixel_m`: what a pixel covers of the plant, metres; 0 is all detail.
     """
-    parts: dict[tuple[Part, str], list[tuple[Mesh, NDArray[np.uint32] | None]]] = {}
+    parts: dict[tuple[Part, str], list[MarkedMesh]] = {}
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
-    parts[stem, wood.material] = [wood_mesh(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)]
+    parts[stem, wood.material] = wood_meshes(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)
     thick = np.inf if wood.thick_branch_m is None else wood.thick_branch_m
     for foot_m, material, tile_m in (
         ((0.0, thick), wood.branch_material or wood.material, wood.branch_tile_m),
         ((thick, np.inf), wood.material, wood.bark_tile_m),
     ):
         ratio, plain = wood.branch_height_ratio, pixel_m > 0.0  # collars do not show from far
-        branches = wood_mesh(skeleton, False, 0.0, height_ratio=ratio, tile_m=tile_m, plain=plain, foot_m=foot_m)
-        parts.setdefault((limb, material), []).append(branches)
+        branches = wood_meshes(skeleton, False, 0.0, height_ratio=ratio, tile_m=tile_m, plain=plain, foot_m=foot_m)
+        parts.setdefault((limb, material), []).extend(branches)
     for placement in skeleton.organs:
         organ_pixel_m = pixel_m / mean_size(placement.frame) if pixel_m else 0.0
         for piece in shapes[placement.shape].pieces():
@@ -123,9 +123,10 @@ def organ_meshes(
             parts.setdefault((piece.part, piece.material), []).append((instance(mesh, placement.frame), mark))
     made = []
     for (part, material), found in parts.items():
+        if not any(mesh.triangles for mesh, _ in found):
+            continue
         mesh, marks = concatenate([one for one, _ in found]), [mark for _, mark in found if mark is not None]
-        if mesh.triangles:
-            made.append(OrganMesh(part, material, mesh, np.concatenate(marks) if len(marks) == len(found) else None))
+        made.append(OrganMesh(part, material, mesh, np.concatenate(marks) if len(marks) == len(found) else None))
     return tuple(made)
 
 

@@ -6,13 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Mesh, concatenate
 from forestgen.geometry.sweep import Polylines, sweep_tubes
+from forestgen.plants.meshing import wood_meshes
 
 
 def sweep(*arguments: Any, **options: Any) -> Mesh:
     """The mesh of `sweep_tubes`."""
     return sweep_tubes(*arguments, **options)[0]
+
+
+def wood_mesh(*arguments: Any, **options: Any) -> Mesh:
+    """The tubes of `wood_meshes` as one mesh."""
+    none = sweep(Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64)), np.zeros(0, np.int64))
+    return concatenate([none, *(mesh for mesh, _ in wood_meshes(*arguments, **options))])
 
 
 def volume_m3(lines: Polylines) -> float:
