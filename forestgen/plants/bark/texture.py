@@ -37,7 +37,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,10 +135,7 @@ def with_mean(colour: Image, mean: Colour) -> Image:
     return out
 
 
-AnyPlant = TypeVar("AnyPlant", bound=PlantParameters)
-
-
-def with_bark_tiles(parameters: AnyPlant, materials: Mapping[str, Material]) -> AnyPlant:
+def with_bark_tiles(parameters: PlantParameters, materials: Mapping[str, Material]) -> PlantParameters:
     """The plant's parameters with the tiles of its wood's materials, which its meshes' uv count in."""
     wood = parameters.wood
     tiles = {}

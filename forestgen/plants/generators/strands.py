@@ -78,7 +78,7 @@ Decisions
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -254,18 +254,10 @@ def skeleton_of(
     return Skeleton.of(branching.parent, stance.position_m, radius, branching.gravelius, branching.axis, organs=organs)
 
 
-@dataclass(frozen=True)
-class Rest:
-    """A plant without wind, and what it needs to stand in one."""
-
-    branching: Branching
-    pose: Pose
-    organs: tuple[OrganPlacements, ...]  # the leaves that the generator places
-    phases_rad: Floats  # (N, 2) R_x and R_z of every segment
-
-
-def grow_at_rest(parameters: Parameters, height_m: float, rng: np.random.Generator) -> Rest:
-    """The tree without wind, in metres as Algorithm 1 gives them."""
+def grow_at_rest(
+    parameters: Parameters, height_m: float, rng: np.random.Generator
+) -> tuple[Branching, Pose, tuple[OrganPlacements, ...], Floats]:
+    """The tree without wind, in metres as Algorithm 1 gives them, and its leaves; (N, 2) R_x and R_z of its segments."""
     form_rng, leaf_rng, wind_rng = rng.spawn(3)
     branching = branching_of(parameters, height_m, form_rng)
     phases_rad = wind_rng.uniform(0.0, 2.0 * np.pi, (len(branching.parent), 2))
@@ -274,7 +266,7 @@ def grow_at_rest(parameters: Parameters, height_m: float, rng: np.random.Generat
     if parameters.leaves is not None:
         template = parameters.shapes[parameters.leaves.shape].template()
         organs = (leaf_places(parameters.leaves, template, branching, rest, height_m, leaf_rng),)
-    return Rest(branching, rest, organs, phases_rad)
+    return branching, rest, organs, phases_rad
 
 
 class StrandGenerator:
@@ -285,10 +277,9 @@ class StrandGenerator:
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """The tree in its wind, with its leaves; `width_m` is for the fit that follows."""
-        plant = grow_at_rest(parameters, height_m, rng)
-        stance = pose(plant.branching, parameters.wind, parameters.stiffness, plant.phases_rad)
-        organs = tuple(carried(placement, plant.pose, stance) for placement in plant.organs)
-        return skeleton_of(parameters, plant.branching, stance, organs)
+        branching, rest, organs, phases_rad = grow_at_rest(parameters, height_m, rng)
+        stance = pose(branching, parameters.wind, parameters.stiffness, phases_rad)
+        return skeleton_of(parameters, branching, stance, tuple(carried(one, rest, stance) for one in organs))
 
     def in_wind(self, parameters: _Parameters) -> _Parameters:
         """See `plants.parameters.Sways`."""
@@ -312,17 +303,17 @@ class StrandGenerator:
         if parameters.variation is not None:
             raise RecipeError("a plant with a variation has no poses in the wind", where="plant.variation")
         wood_rng, foliage_rng = rng.spawn(2)
-        plant = grow_at_rest(parameters, height_m, wood_rng)
-        at_rest = skeleton_of(parameters, plant.branching, plant.pose, plant.organs)
+        branching, rest, organs, phases_rad = grow_at_rest(parameters, height_m, wood_rng)
+        at_rest = skeleton_of(parameters, branching, rest, organs)
         placed = parameters.place_foliage(at_rest, height_m, foliage_rng)
         at_rest = replace(at_rest, organs=(*at_rest.organs, *placed))
         fitted = fit(at_rest, parameters.templates(), parameters.fit, height_m, width_m)
         stretch = _largest(fitted.position_m) / np.maximum(_largest(at_rest.position_m), 1e-9)
         for time_s in times_s:
             wind = parameters.wind.model_copy(update={"time_s": time_s})
-            stance = pose(plant.branching, wind, parameters.stiffness, plant.phases_rad)
+            stance = pose(branching, wind, parameters.stiffness, phases_rad)
             organs = tuple(
-                moved(carried(placement, plant.pose, stance), stretch, _size(final) / max(_size(placement), 1e-12))
+                moved(carried(placement, rest, stance), stretch, _size(final) / max(_size(placement), 1e-12))
                 for placement, final in zip(at_rest.organs, fitted.organs, strict=True)
             )
             yield replace(fitted, position_m=(stance.position_m * stretch).astype(np.float32), organs=organs)
