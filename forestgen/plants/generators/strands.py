@@ -257,7 +257,7 @@ def skeleton_of(
 def grow_at_rest(
     parameters: Parameters, height_m: float, rng: np.random.Generator
 ) -> tuple[Branching, Pose, tuple[OrganPlacements, ...], Floats]:
-    """The tree without wind, in metres as Algorithm 1 gives them, and its leaves; (N, 2) R_x and R_z of its segments."""
+    """The tree without wind, in metres as Algorithm 1 gives them; its leaves; (N, 2) R_x and R_z of its segments."""
     form_rng, leaf_rng, wind_rng = rng.spawn(3)
     branching = branching_of(parameters, height_m, form_rng)
     phases_rad = wind_rng.uniform(0.0, 2.0 * np.pi, (len(branching.parent), 2))
