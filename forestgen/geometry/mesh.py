@@ -54,9 +54,7 @@ def surface_area_m2(mesh: Mesh) -> float:
 def instance(template: Mesh, frames: NDArray[np.float32]) -> Mesh:
     """One mesh of the template, which has normals, under M transforms.
 
-    Parameters
-    ----------
-    frames : (M, 3, 4) organ frame -> plant frame: rotation times uniform scale, and translation in metres.
+    `frames`: (M, 3, 4) organ frame -> plant frame: rotation times uniform scale, and translation in metres.
     """
     if template.normals is None:
         raise ValueError("the template needs normals")

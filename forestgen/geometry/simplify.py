@@ -151,12 +151,8 @@ def unwrap(mesh: Mesh) -> Mesh:
 def bake(coarse: Mesh, fine: Sequence[tuple[Mesh, Image]], size_px: int) -> Image:
     """(size_px, size_px, 3) colours of a coarse mesh's atlas, linear, row 0 at v = 0.
 
-    Texels between the charts have the nearest chart's colour.
-
-    Parameters
-    ----------
-    coarse : its uv is an atlas, see `unwrap`.
-    fine : meshes near it, each with the texture that its uv repeat: (H, W, 3) linear, row 0 at v = 0.
+    Texels between the charts have the nearest one's colour. `coarse`: its uv is an atlas, see `unwrap`. `fine`: meshes
+    near it, each with the texture that its uv repeat: (H, W, 3) linear, row 0 at v = 0.
     """
     from scipy.ndimage import distance_transform_edt
     from scipy.spatial import cKDTree

@@ -146,12 +146,9 @@ def _ring(  # type: ignore[no-untyped-def]
 ):
     """Vertices of one ring, the first once more at the end for the texture's seam.
 
-    Parameters
-    ----------
-    size : radius here, before and after; distance from the ring before to the ring after; circumradius; least radius.
-    near : point index here, of the ring before and of the ring after, for `factor`.
-    turns : first row of the ring's cosines and sines, and these.
-    texture : repeats round the tube, and v.
+    `size`: radius here, before and after; distance from the ring before to the ring after; circumradius; least radius.
+    `near`: point index here, of the ring before and of the ring after, for `factor`. `turns`: first row of the ring's
+    cosines and sines, and these. `texture`: repeats round the tube, and v.
     """
     vertices, normals, uv, _ = out
     centre, t, n, o = ring

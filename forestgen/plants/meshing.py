@@ -256,13 +256,9 @@ def tube_marks(
     A tube's texture runs along it by arc length, which tells the segment; caps have a texture of their own, and are
     their ends'.
 
-    Parameters
-    ----------
-    mesh : tubes, see `geometry.sweep.sweep_tubes`.
-    vertex_start : (A + 1,) where each tube's vertices begin.
-    lines : the A polylines that the tubes follow; they may be finer, and go on beyond the ends.
-    mark : (P,) of the segment that each point of `lines` ends; a line's first is that of its second.
-    tile_m : metres along a tube for which the texture runs from 0 to 1.
+    `vertex_start`: (A + 1,) where each tube's vertices begin, see `sweep_tubes`. `lines`: the A polylines that tubes
+    follow; they may be finer, and go on beyond the ends. `mark`: (P,) of the segment that each point of `lines` ends; a
+    line's first is that of its second. `tile_m`: metres along a tube for which the texture runs from 0 to 1.
     """
     if not mesh.triangles or mesh.uv is None:
         return np.zeros(mesh.triangles, dtype=np.uint32)

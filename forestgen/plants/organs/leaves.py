@@ -25,16 +25,14 @@ from __future__ import annotations
 from typing import Annotated, Literal, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.geometry import patches
-from forestgen.geometry.mesh import Floats
+from forestgen.geometry.mesh import Floats, Ints
 from forestgen.geometry.patches import Patch
 from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, OrganPatch, Size
 from forestgen.recipe.fields import Section
 
-_Vertex = tuple[str, int]  # "r" and a number on the midrib, or "m" and one on the margin
 Sharpness = Annotated[float, Field(ge=0.15, le=3.0)]
 Widest = Annotated[float, Field(ge=0.1, le=0.9)]
 
@@ -84,7 +82,7 @@ class _Blade(Section):
             sheet = shape.sheet(detail)
         return sheet
 
-    def _raised(self, flat: Floats, z: Floats, x: Floats, faces: NDArray[np.int64]) -> Patch:
+    def _raised(self, flat: Floats, z: Floats, x: Floats, faces: Ints) -> Patch:
         """The (V, 2) flat outline's triangles, moved to x and raised to z, with its curl."""
         low, high = flat[:, 1].min(), flat[:, 1].max()
         half = max(float(np.abs(flat[:, 0]).max()), 1e-12)
@@ -114,21 +112,17 @@ class _Waved(_Blade):
         flat = np.concatenate([np.column_stack([np.zeros(ribs), midrib]), inner, inner * [-1.0, 1.0], outer])
         tip = ribs + 2 * count
 
-        def at(vertex: _Vertex, side: int) -> int:
-            kind, k = vertex
-            if kind == "r":
-                return k
-            return tip if k == count else ribs + side * count + k
+        def half(offset: int) -> Ints:
+            return np.where(fans >= 0, fans, np.where(~fans == count, tip, ribs + offset + ~fans))
 
-        faces = [tuple(at(vertex, 0) for vertex in fan) for fan in fans]
-        faces += [tuple(at(vertex, 1) for vertex in fan[::-1]) for fan in fans]
+        faces = np.concatenate([half(0), half(count)[:, ::-1]])
         fold = np.radians(self.fold_deg)
         away = np.abs(flat[:, 0])
         share = np.clip(flat[:, 1] / self.length_m, 0.0, 1.0)
         phase = 2.0 * np.pi * self.waves * share + np.where(flat[:, 0] > 0.0, 0.0, 0.5 * np.pi)
         wave = (self.wave_height if self.waves else 0.0) * away * np.sin(phase)
         z = away * np.sin(fold) + wave * np.cos(fold)
-        return self._raised(flat, z, flat[:, 0] * np.cos(fold), np.array(faces, np.int64))
+        return self._raised(flat, z, flat[:, 0] * np.cos(fold), faces)
 
 
 class SimpleBlade(_Waved):
@@ -323,14 +317,14 @@ def _stations(widest: float, counts: tuple[int, int]) -> Floats:
     return np.concatenate([low, high])
 
 
-def _fans(margin: Margin, right: Floats, length_m: float, detail: int) -> tuple[Floats, list[tuple[_Vertex, ...]]]:
-    """Heights of the midrib's vertices, and the right half's triangles.
+def _fans(margin: Margin, right: Floats, length_m: float, detail: int) -> tuple[Floats, Ints]:
+    """Heights of the midrib's vertices, and the right half's triangles: of vertices r of the midrib, ~k of the margin.
 
     A fan about one midrib vertex goes on while the margin turns about it; then the midrib goes on to the height at
     which the side vein of the present margin point starts, which works for any graph over the midrib.
     """
     midrib: list[float] = [0.0]
-    faces: list[tuple[_Vertex, ...]] = []
+    faces: list[tuple[int, int, int]] = []
     origin = margin.origin * length_m
     last = len(right) - 1
     for k in range(last):
@@ -340,9 +334,9 @@ def _fans(margin: Margin, right: Floats, length_m: float, detail: int) -> tuple[
         ):
             midrib.append(own)
             here = len(midrib) - 1
-            faces.append((("r", here - 1), ("m", k), ("r", here)))
-        faces.append((("r", len(midrib) - 1), ("m", k), ("m", k + 1)))
-    return np.array(midrib), faces
+            faces.append((here - 1, ~k, here))
+        faces.append((len(midrib) - 1, ~k, ~(k + 1)))
+    return np.array(midrib), np.array(faces, np.int64)
 
 
 def _turns(origin_y: float, a: Floats, b: Floats) -> bool:
