@@ -1,4 +1,4 @@
-"""Fewer triangles for far views, and the fine mesh's textures drawn into the coarse one's.
+"""Fewer triangles for programs that draw in real time, and the fine mesh's textures drawn into the coarse one's.
 
 A coarse mesh gets an atlas: texture coordinates without overlap. Each of its texels is a place on the coarse mesh and
 takes the colour of the nearest place on the fine one.
@@ -12,16 +12,19 @@ xatlas, https://github.com/jpcy/xatlas: charts are grown over nearly flat region
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.threads import cores
-from forestgen.geometry.mesh import Floats, Ints, Mesh, triangle_areas, vertex_normals
+from forestgen.geometry.export import Piece, Surface, srgb
+from forestgen.geometry.mesh import Floats, Ints, Mesh, concatenate, part_of, triangle_areas, vertex_normals
 
 Image = NDArray[np.float32]
 
+ATLAS_PX = 2048
 _ROUNDS = 20
 _MOST_PLACES = 2_000_000  # on the fine mesh, among which the nearest is looked for
 _AT_ONCE = 4_000_000  # texels of triangles' boxes
@@ -237,3 +240,30 @@ def _reduced(image: Image, tile_px: float) -> Image:
         even = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
         image = (even[0::2, 0::2] + even[1::2, 0::2] + even[0::2, 1::2] + even[1::2, 1::2]) / np.float32(4)
     return image
+
+
+def with_light_wood(pieces: Sequence[Piece], textures: Mapping[str, Image], triangles: int) -> tuple[Piece, ...]:
+    """The pieces; those with a bark decimated to about `triangles` in all, with one atlas of their barks' colours.
+
+    The relief is left out: from as far as such a plant is seen it does not show. Every twig keeps four triangles, so
+    that a plant of many twigs keeps more than asked for.
+
+    `textures`: (H, W, 3) linear, row 0 at v = 0, by the names of the pieces' surfaces; pieces of other surfaces stay.
+    """
+    wood = [piece for piece in pieces if piece.surface.name in textures]
+    if not wood:
+        return tuple(pieces)
+    share = min(triangles / sum(piece.mesh.triangles for piece in wood), 1.0)
+    coarse = [decimate(piece.mesh, round(share * piece.mesh.triangles)) for piece in wood]
+    atlas = unwrap(concatenate(coarse))
+    fine = [(piece.mesh, textures[piece.surface.name]) for piece in wood]
+    image = srgb(bake(atlas, fine, ATLAS_PX))
+    first = wood[0].surface
+    surface = Surface("wood", first.reflectance, roughness=first.roughness, colour_image=image)
+    ends = np.cumsum([mesh.triangles for mesh in coarse])
+    light = {}
+    for piece, start, end in zip(wood, [0, *ends], ends, strict=False):
+        mesh = part_of(atlas, atlas.faces[start:end])
+        area = {"area_m2": float(triangle_areas(mesh.vertices_m, mesh.faces).sum())}
+        light[piece.name] = replace(piece, mesh=mesh, surface=surface, properties={**piece.properties, **area})
+    return tuple(light.get(piece.name, piece) for piece in pieces)

@@ -131,22 +131,23 @@ def _material(stage: Any, path: str, surface: Surface, textures: dict[tuple[str,
     reader.CreateInput("varname", kinds.String).Set("st")
     reader.CreateOutput("result", kinds.Float2)
 
-    def connect(kind: str, target: Any, space: str, scale: tuple[float, ...], bias: tuple[float, ...]) -> None:
+    # Values of 0 to 1 of a normal map stand for -1 to 1.
+    normal = shader.CreateInput("normal", kinds.Normal3f)
+    for kind, target, space, scale, bias in (("colour", diffuse, "sRGB", 1, 0), ("normal", normal, "raw", 2, -1)):
         if (surface.name, kind) not in textures:
-            return
+            continue
         texture = UsdShade.Shader.Define(stage, f"{path}/{kind}")
         texture.CreateIdAttr("UsdUVTexture")
-        texture.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{textures[surface.name, kind]}"))
         texture.CreateInput("st", kinds.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
-        texture.CreateInput("sourceColorSpace", kinds.Token).Set(space)
-        for name in ("wrapS", "wrapT"):
-            texture.CreateInput(name, kinds.Token).Set("repeat")
-        texture.CreateInput("scale", kinds.Float4).Set(Gf.Vec4f(*scale))
-        texture.CreateInput("bias", kinds.Float4).Set(Gf.Vec4f(*bias))
+        for name, value_type, value in (
+            ("file", kinds.Asset, Sdf.AssetPath(f"./{textures[surface.name, kind]}")),
+            ("sourceColorSpace", kinds.Token, space),
+            ("wrapS", kinds.Token, "repeat"),
+            ("wrapT", kinds.Token, "repeat"),
+            ("scale", kinds.Float4, Gf.Vec4f(scale, scale, scale, 1)),
+            ("bias", kinds.Float4, Gf.Vec4f(bias, bias, bias, 0)),
+        ):
+            texture.CreateInput(name, value_type).Set(value)
         texture.CreateOutput("rgb", kinds.Float3)
         target.ConnectToSource(texture.ConnectableAPI(), "rgb")
-
-    connect("colour", diffuse, "sRGB", (1, 1, 1, 1), (0, 0, 0, 0))
-    # Values of 0 to 1 stand for -1 to 1.
-    connect("normal", shader.CreateInput("normal", kinds.Normal3f), "raw", (2, 2, 2, 1), (-1, -1, -1, 0))
     return material

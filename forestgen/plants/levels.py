@@ -12,8 +12,7 @@ becomes one triangle along its longest extent, across its mean normal. Where an 
 needles, some stand for the rest, wider by what is left out.
 
 Wood is simplified as a skeleton, before it is meshed, which makes a far version cheaper to grow than a full one. Edge
-collapse (geometry/simplify.py) took ten times as long as growing the plant; it serves mesh files for real-time programs
-(plants/light_wood.py).
+collapse (geometry/simplify.py) took ten times as long as growing the plant; it serves mesh files.
 """
 
 from __future__ import annotations
