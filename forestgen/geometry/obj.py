@@ -19,13 +19,8 @@ class Obj(MeshExporter):
 
     def files(self, model: Model, file_name: str) -> dict[str, bytes]:
         (library,) = self.companions(file_name)
-        textures = texture_files(model, file_name)
-        names = {key: name for key, (name, _) in textures.items()}
-        return {
-            file_name: _obj(model, library).encode(),
-            library: _mtl(model, names).encode(),
-            **dict(textures.values()),
-        }
+        names, textures = texture_files(model, file_name)
+        return {file_name: _obj(model, library).encode(), library: _mtl(model, names).encode(), **textures}
 
     def companions(self, file_name: str) -> tuple[str, ...]:
         return (f"{file_name[: -len('.obj')]}.mtl",)

@@ -4,16 +4,10 @@ Rings are carried along each polyline by rotation-minimising frames (the double 
 without twisting. Each ring lies in the plane that halves the bend at its point, and is stretched there as a mitre joint
 is, so that the tube keeps its section through the bend. Every tube is closed.
 
-Area of a section
------------------
-A ring is a regular polygon of n sides whose area is that of the section: pi r^2. Its circumradius is therefore
-r sqrt(2 pi / (n sin(2 pi / n))), and volumes are those of round tubes. The mean width of such a polygon, seen from all
-sides, is sqrt(n tan(pi / n) / pi) times the circle's (Cauchy's formula: perimeter over pi):
-
-===== ===== ===== ===== ===== ===== ===== =====
-sides 3     4     5     6     8     12    16
-width 1.286 1.128 1.075 1.050 1.027 1.012 1.006
-===== ===== ===== ===== ===== ===== ===== =====
+A ring is a regular polygon of n sides with the area of the section, pi r^2: its circumradius is r sqrt(2 pi / (n sin(2
+pi / n))), and volumes are those of round tubes. The mean width of such a polygon, seen from all sides, is sqrt(n tan(pi
+/ n) / pi) times the circle's (Cauchy's formula: perimeter over pi): 1.286 for 3 sides, 1.128 for 4, 1.075 for 5, 1.050
+for 6, 1.027 for 8, 1.012 for 12, 1.006 for 16.
 
 References
 ----------

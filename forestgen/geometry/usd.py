@@ -25,12 +25,11 @@ class Usd(MeshExporter):
     def files(self, model: Model, file_name: str) -> dict[str, bytes]:
         from pxr import Sdf, UsdUtils
 
-        textures = texture_files(model, file_name)
-        names = {key: name for key, (name, _) in textures.items()}
+        names, textures = texture_files(model, file_name)
         stem, _, suffix = file_name.rpartition(".")
         packed = suffix.lower() == "usdz"
         with tempfile.TemporaryDirectory(prefix="forestgen-usd-") as folder:
-            for name, content in textures.values():
+            for name, content in textures.items():
                 (Path(folder) / name).write_bytes(content)
             written = Path(folder) / (f"{_identifier(stem)}.usdc" if packed else f"plant.{suffix.lower()}")
             layer = _stage(model, names)
@@ -42,7 +41,7 @@ class Usd(MeshExporter):
                 if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(written)), str(package)):
                     raise RuntimeError("OpenUSD could not write the .usdz package")
                 return {file_name: package.read_bytes()}
-            return {file_name: written.read_bytes(), **dict(textures.values())}
+            return {file_name: written.read_bytes(), **textures}
 
 
 EXPORTER = Usd()

@@ -76,7 +76,11 @@ def _pruned_organs(
     for one, (lowest, highest), own in zip(skeleton.organs, boxes, rng.spawn(len(boxes)), strict=True):
         template = templates[one.shape]
         size = _sizes(one.frame)
-        share = _organ_share(template, size, pixel_m)
+        if not len(size):
+            pruned.append(one)
+            continue
+        length = float(np.ptp(template.vertices_m, axis=0).max()) * float(np.sqrt(np.mean(size**2)))
+        share = max((length / (_ORGAN_PIXELS * pixel_m)) ** 2, _LEAST_ORGANS, _FEWEST_ORGANS / len(size))
         if share > _NOT_WORTH:
             pruned.append(one)
             continue
@@ -107,15 +111,6 @@ def _support(template: Mesh) -> Floats:
     radius = np.sqrt(1.0 - z * z)
     direction = np.stack([radius * np.cos(turn), radius * np.sin(turn), z])
     return points[np.unique(np.argmax(points @ direction, axis=0))] if len(points) else np.zeros((1, 3))
-
-
-def _organ_share(template: Mesh, size: Floats, pixel_m: float) -> float:
-    """Share of the organs that remains, so that an enlarged one is about a pixel long."""
-    if not len(size):
-        return 1.0
-    length = float(np.ptp(template.vertices_m, axis=0).max()) * float(np.sqrt(np.mean(size**2)))
-    share = (length / (_ORGAN_PIXELS * pixel_m)) ** 2
-    return max(share, _LEAST_ORGANS, _FEWEST_ORGANS / len(size))
 
 
 def _keys(count: int, rng: np.random.Generator) -> Floats:

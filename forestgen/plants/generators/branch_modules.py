@@ -61,7 +61,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.mesh import Floats, Ints, unit
+from forestgen.geometry.mesh import Ints, unit
 from forestgen.plants.branching import Assembly, Grown, Order, Shoots, around, grow, lateral_sites
 from forestgen.plants.budget import check_budget
 from forestgen.plants.grown import ClothedWood, ModuleWood, wood_skeleton, woods_of
@@ -245,7 +245,11 @@ def _first_shoots(
     if bearing.terminal:
         ends = np.flatnonzero(clothed.free)
         node, direction = np.concatenate([node, ends]), np.concatenate([direction, tangent[ends]])
-    length = _lengths(clothed, bearing, node, rng) * min(growth, 1.0) * longest_m
+    thick = np.clip(2.0 * wood.radius_m[node] / bearing.thinner_than_m, 0.0, 1.0)
+    share = evaluate(bearing.age_length, clothed.age_share[node]) * evaluate(bearing.light_length, clothed.light[node])
+    share = share * evaluate(bearing.thick_length, thick)
+    share = share * np.clip(1.0 + bearing.length_jitter * rng.normal(size=len(node)), 0.3, 1.4)
+    length = share * min(growth, 1.0) * longest_m
     if left < 1.0:
         stays = rng.random(len(node)) < left
         node, direction, length = node[stays], direction[stays], length[stays]
@@ -259,14 +263,6 @@ def _rank_on_axis(axis: Ints) -> Ints:
     rank = np.empty(len(axis), dtype=np.int64)
     rank[order] = np.arange(len(axis)) - np.searchsorted(ordered, ordered)
     return rank
-
-
-def _lengths(clothed: ClothedWood, bearing: Bearing, node: Ints, rng: np.random.Generator) -> Floats:
-    """Share of the longest twig's length."""
-    thick = 2.0 * clothed.skeleton.radius_m[node] / bearing.thinner_than_m
-    share = evaluate(bearing.age_length, clothed.age_share[node]) * evaluate(bearing.light_length, clothed.light[node])
-    share = share * evaluate(bearing.thick_length, np.clip(thick, 0.0, 1.0))
-    return share * np.clip(1.0 + bearing.length_jitter * rng.normal(size=len(node)), 0.3, 1.4)
 
 
 def _side_shoots(grown: Grown, rules: Order, longest_m: float, index: Ints, rng: np.random.Generator) -> Shoots:
