@@ -12,14 +12,13 @@ continuation of the axis (main), the others are lateral. The files are ``scenes/
       - {parent: 1, angle_deg: 55, azimuth_deg: 137.5, length: 0.7, birth: 0.3, thickness: 0.8}
 
 A node's segment leaves its parent in a `direction` [x, y, z] of the module's frame, whose z is the module's axis; or at
-`angle_deg` from the segment that its parent ends, on the side `azimuth_deg`. The azimuth counts about that segment,
-from the frame's x axis turned by the least rotation that takes z to the segment. `length` is a factor on the plant
-type's lengths, `birth` the share of the mature age at which the segment begins to grow: a grown segment is
+`angle_deg` from the segment that its parent ends, on the side `azimuth_deg`, which counts about that segment from the
+frame's x axis turned by the least rotation that takes z to the segment. `length` is a factor on the plant type's
+lengths, `birth` the share of the mature age at which the segment begins to grow: a grown segment is
 ``length * (1 - birth)`` long in these units.
 
 Prototypes and plant types become padded arrays, for compiled loops over modules. Physiological ages are those of the
-plant type, 0 to its mature age. A module's frame has its root node at the origin and its axis along z. What depends on
-a module's attitude to the vertical (Eq. 12) is not in the tables.
+plant type, 0 to its mature age. What depends on a module's attitude to the vertical (Eq. 12) is not in the tables.
 
 Makowski, M. (2023), chapter 2 (Synthetic Silviculture), sections 2.5.2 and 2.5.3.
 """

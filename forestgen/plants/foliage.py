@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -64,13 +64,12 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     growth = evaluate_one(rule.size_by_height, height_m)
     axes = _Axes(skeleton, rule.orders)
     spacing_m = (rule.spacing_m or 0.0) * growth * evaluate_one(rule.spacing_by_height, height_m)
-    station = _stations(rule, axes, spacing_m)
-    axis, rank = station.axis, station.rank
-    node, foot, tangent = axes.at(axis, station.distance_m)
+    axis, distance_m, share, rank, member = _stations(rule, axes, spacing_m)
+    node, foot, tangent = axes.at(axis, distance_m)
     keep = rng.random(len(axis)) >= rule.missing
     keep &= 2.0 * skeleton.radius_m[node] < rule.thinner_than_m
-    node, foot, tangent, axis, rank = node[keep], foot[keep], tangent[keep], axis[keep], rank[keep]
-    share, member = station.share[keep], station.member[keep]
+    kept = (one[keep] for one in (node, foot, tangent, axis, share, rank, member))
+    node, foot, tangent, axis, share, rank, member = kept
     phase = rng.uniform(0.0, 2.0 * np.pi, len(axes.length))[axis]
     azimuth = np.where(rule.planar, np.round(phase / (2.0 * np.pi)) * np.pi, phase)
     azimuth = azimuth + np.radians(rule.divergence_deg) * rank + 2.0 * np.pi * member
@@ -117,17 +116,9 @@ class _Axes:
         return node, self.start[node] + np.clip(share, 0.0, 1.0)[:, None] * way, unit(way)
 
 
-class _Stations(NamedTuple):
-    """Where organs sit, (M,) each."""
-
-    axis: Ints
-    distance_m: Floats  # from the axis' base
-    share: Floats  # position within the zone
-    rank: Ints  # number of the node from the tip; -1: terminal
-    member: Floats  # place of an organ about its node, share of a turn
-
-
-def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> _Stations:
+def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> tuple[Ints, Floats, Floats, Ints, Floats]:
+    """Where organs sit, (M,) each: axis; distance from its base; position within the zone; number of the node from the
+    tip, -1: terminal; place of an organ about its node, share of a turn."""
     top = axes.length * rule.zone[1]
     bottom = np.maximum(axes.length * rule.zone[0], axes.hidden)
     if rule.end == "tip":
@@ -157,7 +148,7 @@ def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> _Stations:
         distance = np.concatenate([distance, axes.length[every]])
         share = np.concatenate([share, np.ones(len(every))])
         member = np.concatenate([member, np.zeros(len(every))])
-    return _Stations(axis, distance, share, rank, member)
+    return axis, distance, share, rank, member
 
 
 def droop(along: Floats, angle_rad: Floats | float) -> Floats:

@@ -56,7 +56,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, TypeAdapter, WithJsonSchema
 
 from forestgen.geometry.mesh import Floats
-from forestgen.plants.branching import Assembly, Grown, Order, Shoots, Sites, grow, lateral_sites
+from forestgen.plants.branching import Assembly, Order, Shoots, grow, lateral_sites
 from forestgen.plants.budget import check_budget
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton
@@ -194,7 +194,9 @@ class SilhouetteGenerator:
                 full = silhouette_length(parameters.silhouette, *crown)
             else:
                 full = np.full(len(sites.node), orders[order].longest_m)
-            length = _branch_length(rules, grown, sites, full, rng)
+            jitter = np.clip(1.0 + rules.branch_length_jitter * rng.normal(size=len(full)), 0.3, 1.4)
+            between = np.where(sites.in_whorl, 1.0, rules.between_length * rng.uniform(0.6, 1.0, len(full)))
+            length = full * evaluate(rules.branch_length, grown.relative[sites.node]) * jitter * between
             chosen = (length >= rules.shortest_m) & (rng.random(len(length)) >= rules.missing)
             node = sites.node[chosen]
             shoots = Shoots(grown.position_m[node], sites.direction[chosen], length[chosen], index[node])
@@ -220,13 +222,6 @@ def _stems(trunk: Trunk, height_m: float, rng: np.random.Generator) -> Shoots:
     length = height_m * evaluate_one(trunk.length_ratio, height_m) * np.ones(count)
     length[1:] *= rng.uniform(0.7, 0.95, count - 1)
     return Shoots(np.zeros((count, 3)), direction, length, np.zeros(count, np.int64))
-
-
-def _branch_length(rules: Order, grown: Grown, sites: Sites, full: Floats, rng: np.random.Generator) -> Floats:
-    share = evaluate(rules.branch_length, grown.relative[sites.node])
-    jitter = np.clip(1.0 + rules.branch_length_jitter * rng.normal(size=len(share)), 0.3, 1.4)
-    between = np.where(sites.in_whorl, 1.0, rules.between_length * rng.uniform(0.6, 1.0, len(share)))
-    return full * share * jitter * between
 
 
 GENERATOR = SilhouetteGenerator()
