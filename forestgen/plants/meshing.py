@@ -5,8 +5,6 @@ out through a collar: close rings that swell towards the bearer's surface, by ea
 the collar follows the bearer's curve and reaches further up in the axil. Stems that begin at the ground reach below it,
 and flare. An axis that ends where others of like thickness begin ends in a dome.
 
-What is measured
-----------------
 `wood_meshes(..., plain=True)` leaves out flare, relief, collars and domes. The signed volume of its closed tubes is the
 sum of the frusta of the polylines meshed (`branch_lines`, `stem_line`), within 2%: tips of twigs end in points, bends
 above 120 degrees are pinched. Those polylines reach into the bearer and below the ground, which `Skeleton.volume_m3`

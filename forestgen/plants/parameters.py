@@ -38,8 +38,7 @@ class Wood(Section):
     branch_height_ratio: float = Field(1.0, ge=0.3, le=3, description="a branch's height over width; the area stays")
     bark_tile_m: tuple[Tile, Tile] = Field(
         (0.5, 0.5),
-        description="width round the stem and height of one repeat of the bark's texture, metres; where the material "
-        "has a `bark`, its `tile_m` counts",
+        description="repeat of the bark's texture, round the stem and up, metres; a `bark`'s `tile_m` counts",
     )
     branch_tile_m: tuple[Tile, Tile] = Field((0.25, 0.5), description="the same for branches")
 

@@ -44,7 +44,7 @@ Decisions
   a sapling is the top of a tree and not its miniature. Only the silhouette is relative to the plant's own height.
 - branch_len(0, rel) is the length at which a branch that leaves under branch_ang meets the silhouette.
 - Real branches bend: `upturn_deg_per_m` turns an axis to the sky (or the ground) as a torque, `wander_deg` bends it
-  at random with memory. The grown plant is then stretched, height and width apart, to fit H and W (`fit`).
+  at random with memory. `fit` then stretches the plant, height and width apart, to H and W.
 - The tip carries organs by rules of spacing (`Foliage`) rather than one K, since K grows on several internodes.
 """
 
