@@ -31,8 +31,8 @@ def most_triangles(height_m: float, width_m: float) -> float:
     """Upper estimate of a plant's triangles at full detail, from its height and the width of its crown, if it has one.
 
     It holds for all shipped species (docs/species.md; a birch's seeds differ by a tenth). Slender plants have up to 420
-    triangles a cubic metre, `height_m` times the square of `width_m`: birch; low and wide ones up to 50,000: bracken and
-    bramble, whose leaves are divided. Of either kind large ones have fewer: beech 67, oak 68.
+    triangles a cubic metre, `height_m` times the square of `width_m`: birch. Low and wide ones have up to 50,000:
+    bracken and bramble, whose leaves are divided. Of either kind large ones have fewer: beech 67, oak 68.
     """
     per_m3 = _OF_A_SLENDER_PLANT_PER_M3 if width_m < 0.5 * height_m else _OF_A_WIDE_PLANT_PER_M3
     small = _OF_A_SMALL_PLANT + per_m3 * height_m * width_m**2

@@ -83,9 +83,9 @@ class Skeleton:
     def volume_m3(self) -> float:
         """Volume of the wood: sum of the segments' frusta above the ground.
 
-        An axis' first segment counts from the surface of the axis that bears it: its centre line leaves a round bearer of
-        radius R at R / sin(angle) from the bearer's middle. It is as thick there as at its own first node. Not counted
-        are the stem's foot below the ground, flare, bark and collars, which the mesh adds.
+        An axis' first segment counts from the surface of the axis that bears it: its centre line leaves a round bearer
+        of radius R at R / sin(angle) from the bearer's middle. It is as thick there as at its own first node. Not
+        counted are the stem's foot below the ground, flare, bark and collars, which the mesh adds.
         """
         child = np.flatnonzero(self.parent >= 0)
         bearer = self.parent[child]
