@@ -18,6 +18,7 @@ import base64
 import io
 import json
 import struct
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -56,8 +57,7 @@ def write_graph(path: Path, graph: SkeletalGraph, *, foot_m: Any = None, columns
     elif suffix == ".obj":
         content = _obj(graph, position).encode()
     else:
-        _write_usd(path, graph, position, known)
-        return
+        content = _usd(graph, position, known, suffix)
     try:
         path.write_bytes(content)
     except OSError as cause:
@@ -172,10 +172,8 @@ def _gltf(
     return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(tail), len(text), b"JSON") + text + tail
 
 
-def _write_usd(
-    path: Path, graph: SkeletalGraph, position: NDArray[np.float32], known: Mapping[str, NDArray[Any]]
-) -> None:
-    from pxr import Sdf, Tf, UsdGeom, Vt
+def _usd(graph: SkeletalGraph, position: NDArray[np.float32], known: Mapping[str, NDArray[Any]], suffix: str) -> bytes:
+    from pxr import Sdf, UsdGeom, Vt
 
     layer, stage, _ = new_stage("/plants")
     for plant, first, end in _plants(graph):
@@ -203,9 +201,7 @@ def _write_usd(
             "physiologicalAge", Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex
         )
         ages.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(graph.age[points])))
-    try:
-        written = path.parent.is_dir() and layer.Export(str(path))
-    except Tf.ErrorException as cause:
-        raise OutputError("the graph cannot be written", where=str(path), got=str(cause)[:200]) from cause
-    if not written:
-        raise OutputError("the graph cannot be written", where=str(path), expected="a folder that can be written to")
+    with tempfile.TemporaryDirectory(prefix="forestgen-usd-") as folder:
+        written = Path(folder) / f"graph{suffix}"
+        layer.Export(str(written))
+        return written.read_bytes()
