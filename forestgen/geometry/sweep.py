@@ -100,12 +100,16 @@ def sweep_tubes(
     vertex_start : (A + 1,) tube a has vertices ``vertex_start[a]:vertex_start[a + 1]``.
     """
     count, points = len(lines.offset) - 1, np.ascontiguousarray(lines.points_m, dtype=np.float64)
-    sides = _each(sides, count, np.int64)
+    sides, pointed = _each(sides, count, np.int64), _each(pointed, count, np.bool_)
+    ratio = _each(height_ratio, len(points), np.float64)
     factor = np.zeros((0, 0)) if radial_factor is None else np.ascontiguousarray(radial_factor, dtype=np.float64)
-    tubes = _tubes(
-        lines, points, sides, _each(pointed, count, np.bool_), _each(height_ratio, len(points), np.float64), factor
-    )
-    vertices, faces = int(tubes.vertex_start[-1]), int(tubes.face_start[-1])
+    kept, length, least = np.empty(len(points), dtype=np.int64), np.empty(count, dtype=np.int64), np.empty(count)
+    keep(points, lines.radius_m, lines.offset, kept, length, least)
+    vertex_start, face_start = np.empty(count + 1, dtype=np.int64), np.empty(count + 1, dtype=np.int64)
+    starts(sides, pointed, length, vertex_start, face_start)
+    shape = (points, lines.radius_m, ratio, factor)
+    tubes = Tubes(*shape, lines.offset, kept, length, least, sides, pointed, vertex_start, face_start)
+    vertices, faces = int(vertex_start[-1]), int(face_start[-1])
     surface = Surface(*(np.empty((vertices, k), np.float32) for k in (3, 3, 2)), np.empty((faces, 3), np.uint32))
     turns, tile = _ring_tables(sides), np.array(tile_m, dtype=np.float64)
 
@@ -115,26 +119,12 @@ def sweep_tubes(
     position, normals, uv, face = surface
     if sum(map_ranges(count, part)):  # neighbouring rings touched: a triangle without area is not one
         face = face[face[:, 0] != face[:, 1]]
-    return Mesh(position, face, normals, uv), tubes.vertex_start
-
-
-def _tubes(
-    lines: Polylines, points: Floats, sides: Ints, pointed: NDArray[np.bool_], ratio: Floats, factor: Floats
-) -> Tubes:
-    """The points that are meshed, and where each tube begins in the mesh."""
-    count = len(sides)
-    kept, length, least = np.empty(len(points), dtype=np.int64), np.empty(count, dtype=np.int64), np.empty(count)
-    keep(points, lines.radius_m, lines.offset, kept, length, least)
-    vertex_start, face_start = np.empty(count + 1, dtype=np.int64), np.empty(count + 1, dtype=np.int64)
-    starts(sides, pointed, length, vertex_start, face_start)
-    shape = (points, lines.radius_m, ratio, factor)
-    return Tubes(*shape, lines.offset, kept, length, least, sides, pointed, vertex_start, face_start)
+    return Mesh(position, face, normals, uv), vertex_start
 
 
 def _each(given: object, count: int, kind: type) -> NDArray[Any]:
     """One value each, from one for all or as many as there are."""
-    values: NDArray[Any] = np.asarray(given, dtype=kind)
-    return np.ascontiguousarray(values) if values.shape == (count,) else np.full(count, values)
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(given, dtype=kind), count))
 
 
 def _ring_tables(sides: Ints) -> Turns:

@@ -85,14 +85,13 @@ def solid_of_revolution(height_m: Floats, radius_m: Floats) -> Mesh:
     beyond = np.roll(around, -1)
     start = np.arange(len(radius) - 1)[:, None] * _SIDES
     bottom, top, last = len(walls), len(walls) + 1, (len(radius) - 1) * _SIDES
-    faces = np.concatenate(
-        [
-            np.stack([start + around, start + beyond, start + _SIDES + beyond], axis=-1).reshape(-1, 3),
-            np.stack([start + around, start + _SIDES + beyond, start + _SIDES + around], axis=-1).reshape(-1, 3),
-            np.stack([beyond, around, np.full(_SIDES, bottom)], axis=-1),
-            np.stack([last + around, last + beyond, np.full(_SIDES, top)], axis=-1),
-        ]
+    corners = (
+        (start + around, start + beyond, start + _SIDES + beyond),
+        (start + around, start + _SIDES + beyond, start + _SIDES + around),
+        (beyond, around, np.full(_SIDES, bottom)),
+        (last + around, last + beyond, np.full(_SIDES, top)),
     )
+    faces = np.concatenate([np.stack(one, axis=-1).reshape(-1, 3) for one in corners])
     normals = vertex_normals(vertices, faces)
     return Mesh(vertices.astype(np.float32), faces.astype(np.uint32), normals.astype(np.float32))
 
