@@ -2,10 +2,10 @@
 
 A segment of age a_b, counted from its own birth, is ``length * min(longest, length per age * a_b)`` long (Eqs. 9, 11).
 Tropism (Eq. 12) adds ``g_1 g_2 / (a_b + g_1)`` along the world's up to its unit direction, which is made a unit vector
-again: lengths stay those of Eq. 11, and a segment of no length moves nothing. As a module's age ends at the mature age,
-a grown module is rigid. Squared diameters add at forks (Eq. 10) and across joints: a terminal that bears a module is as
-thick as that module's root node, but no thinner than it was before it bore one. The pipes of what a module has shed run
-down its main axis, from the last node that is no terminal.
+again: lengths stay those of Eq. 11. A module's age ends at the mature age: a grown module is rigid. Squared diameters
+add at forks (Eq. 10) and across joints: a terminal that bears a module is as thick as that module's root node, but no
+thinner than it was before. The pipes of what a module has shed run down its main axis, from the last node that is no
+terminal.
 
 A module's sphere has its centre in the mean of its nodes, each with the weight of the segment that it ends, and half
 the reach of the nodes along the line from the module's root through that centre as its radius: so the spheres of a
@@ -18,11 +18,10 @@ Sizes of plants, for populations, statistics and allometries:
 - Trunk diameter: at 1.3 m, along the thickest way up; at the foot of plants that do not reach so high.
 - Foot diameter: of the root node, before any fork.
 - Wood volume: frusta along an axis, from one node's diameter to the next; a lateral's first segment is a cylinder.
-- Leaf area: a layer of leaves that takes the share `opacity` of the light has, by Beer's law for leaves of all angles
-  alike (extinction 1/2), the leaf area index -2 ln(1 - opacity). So much covers the disc of a grown module's sphere.
-  By the pipe model (Shinozaki et al. 1964) a unit of pipes feeds a unit of leaves: the module's terminals have this
-  area in proportion to their squared diameters, which rise from 0 as it grows. Leaves sit on the last shoots: a
-  terminal that bears a module keeps the share that this has still to grow. An opacity over 0.99 counts as 0.99.
+- Leaf area: by Beer's law for leaves of all angles alike (extinction 1/2), a layer that takes the share `opacity` of
+  the light (at most 0.99) has the leaf area index -2 ln(1 - opacity). So much covers the disc of a grown module's
+  sphere. By the pipe model (Shinozaki et al. 1964) the module's terminals have this area in proportion to their squared
+  diameters, which rise from 0 as it grows; a terminal that bears a module keeps the share that this has still to grow.
 
 A skeletal graph has the nodes of chosen plants over all their modules. A module's root node is its bearer's terminal:
 the graph has it once, as the bearer's node, with the terminal's diameter. It has no segments that are not born yet.

@@ -34,10 +34,9 @@ _PADDING = 2  # texels between charts, in an atlas of one to two thousand texels
 def decimate(mesh: Mesh, target_triangles: int) -> Mesh:
     """The mesh with about `target_triangles` triangles, by collapses of edges; new normals, no uv.
 
-    Vertices of equal position are merged first. Closed bodies stay closed, keep at least four triangles each, and keep
-    their volumes: a collapse thins a tube, so every body is widened along its normals until its volume is back. A body
-    is a connected component; tubes that run through one another are several. The target is missed where there are too
-    many bodies for it.
+    Vertices of equal position are merged first. Closed bodies (connected components) stay closed, keep at least four
+    triangles each, and keep their volumes: a collapse thins a tube, so every body is widened along its normals until
+    its volume is back. The target is missed where there are too many bodies for it.
     """
     vertices, faces = merged(mesh)
     body = bodies(len(vertices), faces)

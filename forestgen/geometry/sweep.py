@@ -75,11 +75,11 @@ def sweep_tubes(
 ) -> tuple[Mesh, Ints]:
     """One mesh of all tubes, closed, wound outward, with smooth normals and texture coordinates.
 
-    The vertices along the seam (where u starts again) and round the caps are doubled, so a tube is watertight once
-    vertices of equal position are merged. Points that repeat the one before, and points at which the line turns back
-    on itself (by more than 168 degrees), are left out. A radius below what float32 can hold at a tube's place (a
-    millionth of its greatest coordinate) is raised to that, and a tube that is thinner all along gives no triangles.
-    A mitre stretches a ring at most twofold, which holds for bends up to 120 degrees.
+    The vertices along the seam (where u starts again) and round the caps are doubled: a tube is watertight once
+    vertices of equal position are merged. Left out are points that repeat the one before, and at which the line turns
+    back on itself (by more than 168 degrees). A radius below what float32 can hold at a tube's place (a millionth of
+    its greatest coordinate) is raised to that; a tube that is thinner all along gives no triangles. A mitre stretches a
+    ring at most twofold, which holds for bends up to 120 degrees.
 
     Parameters
     ----------

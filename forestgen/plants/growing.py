@@ -1,12 +1,10 @@
 """Several exemplars at once: from disk where they are kept, otherwise grown, on all cores.
 
-Threads, not processes: most of the time goes to NumPy and to compiled loops, which release Python's lock; and a process
-would first spend seconds on imports, and would run a user's script again. What grows depends on the requests alone,
-never on the number of threads.
+Threads, not processes: most of the time goes to NumPy and to compiled loops, which release Python's lock, and a process
+would first spend seconds on imports. What grows depends on the requests alone, never on the number of threads.
 
-On disk an exemplar is kept by the hash of all that it depends on: the generator's parameters, the allometry, the names
-of the materials, the radius, the level of detail and the seed; and the code that grows it, so that a change of a
-generator never shows an old plant. What comes from disk is the same as what would be grown, to the last bit.
+On disk an exemplar is kept by the hash of all that it depends on: `ExemplarRequest.key`, with the code that grows it,
+so that a change of a generator never shows an old plant. What comes from disk is what would be grown, to the last bit.
 """
 
 from __future__ import annotations

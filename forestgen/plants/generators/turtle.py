@@ -259,10 +259,9 @@ _WIDER = 1.01  # what is less than this times wider than its node needs no colla
 def skeleton_of(drawing: Drawing, shapes: Mapping[str, str] | None = None, polygons: str | None = None) -> Skeleton:
     """The drawing's axes with their thickness, and its surfaces as organs.
 
-    A skeleton's thickness runs evenly from node to node. A segment that begins wider than the node that bears it, on
-    the same axis, gets a node of its own near its foot; pieces between which the turtle moved are joined by a thread
-    of a micrometre. Where all of a plant begins with branches, the first becomes its trunk, the others further stems; a
-    plant that has no wood there gets a trunk that cannot be seen.
+    A segment that begins wider than the node that bears it, on the same axis, gets a node of its own near its foot;
+    pieces between which the turtle moved are joined by a thread of a micrometre. Where all of a plant begins with
+    branches, the first becomes its trunk, the others further stems; without wood there, a trunk that cannot be seen.
 
     `shapes`: name of the organ shape of each surface; None: the surface's own. `polygons`: name of the organ shape, the
     triangle (0, 0), (1, 0), (0, 1), that polygons are made of; None: left out.

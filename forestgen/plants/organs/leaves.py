@@ -1,8 +1,7 @@
 """Leaves: blades from outlines, folded, curled and wavy, on their petioles; compound leaves of such blades.
 
-A blade's area is its flat outline's at the finest detail. Folding or curling alone does not stretch the sheet;
-both at once, pleats and waves would stretch it a little, and coarse levels of detail cut corners: the blade is scaled
-until its area is right.
+A blade's area is its flat outline's at the finest detail. Folding and curling at once, pleats and waves stretch a sheet
+a little, and coarse levels of detail cut corners: the blade is scaled until its area is right.
 
 Outlines
 --------
