@@ -1,4 +1,4 @@
-"""Compiled loops over modules: where nodes are (Eqs. 9, 11, 12) and how thick (Eq. 10). See geometry.py and sizes.py.
+"""Compiled loops over modules: where nodes are (Eqs. 9, 11, 12) and how thick (Eq. 10). See geometry.py.
 
 A module's frame is turned by its unit quaternion. `turned` below is that rotation as a matrix, row by row.
 """

@@ -26,8 +26,7 @@ from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep_tubes
 from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.levels import far_piece, mean_size
-from forestgen.plants.organs.shapes import OrganShape
-from forestgen.plants.parameters import Wood
+from forestgen.plants.parameters import OrganShape, Wood
 from forestgen.plants.skeleton import Skeleton
 
 MarkedMesh = tuple[Mesh, NDArray[np.uint32] | None]  # and (F,) marks of its triangles

@@ -11,7 +11,10 @@ from pydantic import Field, model_validator
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.foliage import Foliage, place
-from forestgen.plants.organs.shapes import OrganShape
+from forestgen.plants.organs.flowers import Acorn, Berry, Bud, Catkin, Cone, Daisy, Disc, FourPetals, Lily
+from forestgen.plants.organs.fronds import FanFrond, FernFrond, GrassBlade, GrassPanicle, PalmFrond
+from forestgen.plants.organs.leaves import CompoundLeaf, LobedLeaf, PalmateLeaf, SimpleLeaf
+from forestgen.plants.organs.needles import Fascicle, NeedleTwig
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.fields import Section
@@ -21,6 +24,13 @@ if TYPE_CHECKING:
     from forestgen.recipe.species import Species
 
 Tile = Annotated[float, Field(ge=0.01, le=10)]
+
+_Leaf = SimpleLeaf | LobedLeaf | PalmateLeaf | CompoundLeaf | Fascicle | NeedleTwig
+_Frond = PalmFrond | FanFrond | FernFrond | GrassBlade | GrassPanicle
+_Flower = Daisy | FourPetals | Lily | Catkin | Bud | Berry | Acorn | Cone
+
+#: The form of one kind of organ, told apart by its key `form`.
+OrganShape = Annotated[_Leaf | _Frond | _Flower | Disc, Field(discriminator="form")]
 
 Fit = Literal["stretch", "scale", "scale_all", "none"]
 

@@ -60,16 +60,8 @@ from forestgen.plants.branching import Assembly, Order, Shoots, grow, lateral_si
 from forestgen.plants.budget import check_budget
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton
-from forestgen.recipe.curves import (
-    CURVE_SCHEMA,
-    Curve,
-    FallingCurve,
-    Function,
-    PositiveCurve,
-    StrictlyPositiveCurve,
-    evaluate,
-    evaluate_one,
-)
+from forestgen.recipe import curves
+from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 
 _STEM_BYTES = 100_000  # of a stem with its branches, at least
@@ -95,11 +87,11 @@ def _read(value: Any) -> Any:
 Silhouette = Annotated[
     Any,
     BeforeValidator(_read),
-    WithJsonSchema({"anyOf": [{"type": "string", "enum": list(_NAMES)}, *CURVE_SCHEMA["anyOf"]]}),
+    WithJsonSchema({"anyOf": [{"type": "string", "enum": list(_NAMES)}, *curves.CURVE_SCHEMA["anyOf"]]}),
 ]
 
 
-def envelope(silhouette: SilhouetteName | Function, height: Floats) -> Floats:
+def envelope(silhouette: SilhouetteName | curves.Function, height: Floats) -> Floats:
     """Crown radius as a share of the greatest, at a height within the crown, 0 its base and 1 its top; 0 outside."""
     u = np.clip(height, 0.0, 1.0)
     match silhouette:
@@ -117,7 +109,7 @@ def envelope(silhouette: SilhouetteName | Function, height: Floats) -> Floats:
 
 
 def silhouette_length(
-    silhouette: SilhouetteName | Function, foot: Floats, angle_rad: Floats, crown_m: float, width_m: float
+    silhouette: SilhouetteName | curves.Function, foot: Floats, angle_rad: Floats, crown_m: float, width_m: float
 ) -> Floats:
     """(M,) length of straight branches from the axis of the crown to its silhouette, metres.
 
