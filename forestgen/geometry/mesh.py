@@ -27,13 +27,12 @@ class Mesh:
     uv: NDArray[np.float32] | None = None  # (V, 2)
 
     def __post_init__(self) -> None:
-        v = len(self.vertices_m)
-        single, whole = np.dtype(np.float32), np.dtype(np.uint32)
-        wanted = {"vertices_m": (v, 3, single), "faces": (len(self.faces), 3, whole)}
-        for name, (*shape, kind) in (wanted | {"normals": (v, 3, single), "uv": (v, 2, single)}).items():
-            array = getattr(self, name)
-            if array is not None and (array.shape != tuple(shape) or array.dtype != kind):
-                raise ValueError(f"{name} must be {tuple(shape)} {kind}, got {array.shape} {array.dtype}")
+        count = len(self.vertices_m)
+        wanted = {"vertices_m": (count, 3), "faces": (len(self.faces), 3), "normals": (count, 3), "uv": (count, 2)}
+        for name, shape in wanted.items():
+            array, kind = getattr(self, name), np.dtype(np.uint32 if name == "faces" else np.float32)
+            if array is not None and (array.shape != shape or array.dtype != kind):
+                raise ValueError(f"{name} must be {shape} {kind}, got {array.shape} {array.dtype}")
 
     @property
     def triangles(self) -> int:

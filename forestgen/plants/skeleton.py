@@ -39,9 +39,8 @@ class Skeleton:
 
     def __post_init__(self) -> None:
         n = len(self.parent)
-        shapes = {"position_m": (n, 3), "radius_m": (n,), "order": (n,), "axis": (n,), "mark": (n,)}
-        for name, shape in shapes.items():
-            column = getattr(self, name)
+        for name in ("position_m", "radius_m", "order", "axis", "mark"):
+            column, shape = getattr(self, name), (n, 3) if name == "position_m" else (n,)
             if column is not None and column.shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {column.shape}")
         if n and (self.parent[0] != -1 or np.any(self.parent >= np.arange(n))):

@@ -81,7 +81,7 @@ if TYPE_CHECKING:
 #   bearing.spacing_m        between twigs along it; 0.1 to 0.25 m. Every free terminal bears one more along its axis.
 #   twigs[0].longest_m       length of a full twig: about 0.6 of a grown segment's length fills the space between.
 #   twigs[1]                 side twigs on the twigs: branch_angle_deg and branch_length of twigs[0] rule where they go.
-#   foliage.orders           [8, 9] are these two; needles on the wood itself: 1 to 7 with thinner_than_m: 0.02.
+#   foliage.orders           needles on the wood itself: 1 to 7 with thinner_than_m: 0.02.
 #   foliage.shape            aim at 50,000 to 200,000 triangles a tree: leaves twice as long and a quarter as many, or
 #                            needle_twig shapes (spruce.yaml).
 #   size_by_height           a seedling's leaves are small: [[0, 0.3], [0.5, 0.6], [3, 1.0]].

@@ -167,10 +167,9 @@ class Variation(Section):
         given = [key for key in ("lag", "kappa", "compensation_ratio") if data.get(key) is not None]
         if len(given) == 3:
             raise ValueError("compensation_ratio is 1 / (kappa lag): give two of lag, kappa, compensation_ratio")
-        if len(given) < 2 and "lag" not in given:
-            data = {**data, "lag": _DEFAULT_LAG}
-        if len(given) < 2 and "kappa" not in given and "compensation_ratio" not in given:
-            data = {**data, "compensation_ratio": _DEFAULT_RATIO}
+        if len(given) < 2:
+            defaults = {"lag": _DEFAULT_LAG} | ({} if "kappa" in given else {"compensation_ratio": _DEFAULT_RATIO})
+            data = {**data, **{key: value for key, value in defaults.items() if key not in given}}
         return data
 
     @model_validator(mode="after")
