@@ -46,9 +46,8 @@ def _bearers(skeleton: Skeleton, node: Ints) -> _Bearers:
     around = np.stack([before, after], axis=1)
     position = skeleton.position_m[node].astype(np.float64)
     way = skeleton.position_m[around] - position[:, None]
-    return _Bearers(
-        position, skeleton.radius_m[node].astype(np.float64), way, skeleton.radius_m[around].astype(np.float64)
-    )
+    radius, end_radius = skeleton.radius_m[node].astype(np.float64), skeleton.radius_m[around].astype(np.float64)
+    return _Bearers(position, radius, way, end_radius)
 
 
 def sweep_with_collars(

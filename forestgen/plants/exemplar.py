@@ -119,9 +119,8 @@ def as_solids(exemplar: Exemplar, profile: tuple[Floats, Floats] | None = None) 
     if not leafy:
         return exemplar
     if profile is None:
-        height_m, radius_m = measured_profile(
-            np.concatenate([organ.mesh.vertices_m for organ in leafy]).astype(np.float64)
-        )
+        vertices_m = np.concatenate([organ.mesh.vertices_m for organ in leafy]).astype(np.float64)
+        height_m, radius_m = measured_profile(vertices_m)
         profile = height_m, radius_m * (0.5 * exemplar.crown_width_m / radius_m.max())
     most = max(leafy, key=lambda organ: organ.mesh.triangles)
     organs = [OrganMesh(Part.LEAF, most.material, solid_of_revolution(*profile))]

@@ -95,21 +95,16 @@ def wood_skeleton(
     position = curves.at(node, share) + _crooked(curves, node, share, crook, rng)
     radius = _radii(wood.diameter_m[at], parent, main[at], node, share)
     ends = part == pieces[node]
-    above = np.where(
-        part == 1, np.where(parent[node] < 0, -1, last[np.maximum(parent[node], 0)]), np.arange(-1, len(node) - 1)
-    )
+    foot = np.where(parent[node] < 0, -1, last[np.maximum(parent[node], 0)])
+    above = np.where(part == 1, foot, np.arange(-1, len(node) - 1))
     axis = np.unique(np.stack([order[at], head[at]], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     skeleton = Skeleton.of(
         above, position, radius, np.minimum(order[at], MOST_ORDER)[node], axis[node], mark=wood.mark[at][node]
     )
     stations = (part * steps[node]) // pieces[node] > ((part - 1) * steps[node]) // pieces[node]
-    return ClothedWood(
-        skeleton=skeleton,
-        age_share=wood.age_share[at][node],
-        light=wood.light[at][node],
-        bears=chosen[node] & stations & ~(ends & free[at][node]) & (parent[node] >= 0),
-        free=ends & free[at][node] & (parent[node] >= 0),
-    )
+    borne, at_end = parent[node] >= 0, ends & free[at][node]
+    bears = chosen[node] & stations & ~at_end & borne
+    return ClothedWood(skeleton, wood.age_share[at][node], wood.light[at][node], bears, at_end & borne)
 
 
 def _seen(wood: ModuleWood, bearing: Bools) -> tuple[ModuleWood, Bools]:

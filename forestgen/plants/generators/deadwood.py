@@ -127,9 +127,8 @@ class DeadwoodGenerator:
         if not lying:
             points *= (height_m - tip_m) / points[-1, 2]
         else:
-            points[:, 2] += diameter * (0.5 - parameters.sunk) - np.interp(
-                points[:, 0], points[[0, -1], 0], points[[0, -1], 2]
-            )
+            slope = np.interp(points[:, 0], points[[0, -1], 0], points[[0, -1], 2])
+            points[:, 2] += diameter * (0.5 - parameters.sunk) - slope
         axes = _Axes(points[0], radius[0])
         axes.add(points[1:], radius[1:], 0, 0)
         if broken:

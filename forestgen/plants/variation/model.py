@@ -374,14 +374,10 @@ def vary(skeleton: Skeleton, variation: Variation, rng: np.random.Generator) -> 
     begins = axes.bearer >= 0
     parent[new.piece_of[axes.first[begins]]] = new.new_of[axes.bearer[begins]]
     position = skeleton.position_m.astype(np.float64)
-    return Skeleton.of(
-        parent,
-        new.point_m + new.shift_m,
-        _radius(skeleton, axes, new),
-        skeleton.order[new.source],
-        skeleton.axis[new.source],
-        organs=tuple(_carried(one, position[np.maximum(skeleton.parent, 0)], position, new) for one in skeleton.organs),
-    )
+    start = position[np.maximum(skeleton.parent, 0)]
+    organs = tuple(_carried(one, start, position, new) for one in skeleton.organs)
+    order, axis = skeleton.order[new.source], skeleton.axis[new.source]
+    return Skeleton.of(parent, new.point_m + new.shift_m, _radius(skeleton, axes, new), order, axis, organs=organs)
 
 
 def varied_nodes(skeleton: Skeleton, variation: Variation, rng: np.random.Generator) -> tuple[Axes, NewNodes]:
