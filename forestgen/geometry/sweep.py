@@ -110,13 +110,14 @@ def sweep_tubes(
     shape = (points, lines.radius_m, ratio, factor)
     tubes = Tubes(*shape, lines.offset, kept, length, least, sides, pointed, vertex_start, face_start)
     vertices, faces = int(vertex_start[-1]), int(face_start[-1])
-    surface = Surface(*(np.empty((vertices, k), np.float32) for k in (3, 3, 2)), np.empty((faces, 3), np.uint32))
+    position, normals, uv = (np.empty((vertices, k), np.float32) for k in (3, 3, 2))
+    face = np.empty((faces, 3), np.uint32)
+    surface = Surface(position, normals, uv, face)
     turns, tile = _ring_tables(sides), np.array(tile_m, dtype=np.float64)
 
     def part(first: int, end: int) -> int:
         return int(fill(first, end, tubes, tile, turns, surface))
 
-    position, normals, uv, face = surface
     if sum(map_ranges(count, part)):  # neighbouring rings touched: a triangle without area is not one
         face = face[face[:, 0] != face[:, 1]]
     return Mesh(position, face, normals, uv), vertex_start

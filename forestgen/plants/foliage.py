@@ -68,8 +68,8 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     node, foot, tangent = axes.at(axis, distance_m)
     keep = rng.random(len(axis)) >= rule.missing
     keep &= 2.0 * skeleton.radius_m[node] < rule.thinner_than_m
-    kept = (one[keep] for one in (node, foot, tangent, axis, share, rank, member))
-    node, foot, tangent, axis, share, rank, member = kept
+    node, axis, rank = node[keep], axis[keep], rank[keep]
+    foot, tangent, share, member = foot[keep], tangent[keep], share[keep], member[keep]
     phase = rng.uniform(0.0, 2.0 * np.pi, len(axes.length))[axis]
     azimuth = np.where(rule.planar, np.round(phase / (2.0 * np.pi)) * np.pi, phase)
     azimuth = azimuth + np.radians(rule.divergence_deg) * rank + 2.0 * np.pi * member

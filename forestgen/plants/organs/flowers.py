@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -91,7 +91,7 @@ class FourPetals(_OnStalk):
     def patches(self) -> list[OrganPatch]:
         """Petals, sepals between them, and stamens with the style."""
         length_m, width_m, detail = self.length_m, self.width_m, self.detail
-        wavy = {"fold_deg": 5.0, "curl_deg": 20.0, "waves": 1.0, "wave_height": 0.12} if detail else {}
+        wavy: dict[str, Any] = {"fold_deg": 5.0, "curl_deg": 20.0, "waves": 1.0, "wave_height": 0.12} if detail else {}
         petal = SimpleBlade.model_construct(
             length_m=length_m, width_m=width_m, widest=0.66, base=0.9, tip=0.45, **wavy
         ).blade(detail)

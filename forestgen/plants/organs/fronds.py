@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -225,7 +225,15 @@ def _pinna(length_m: float, breadth_m: float, pinnules: int, detail: int, broad:
 @lru_cache(maxsize=1)
 def _pinnule() -> Patch:
     """A lobed pinnule of length 1."""
-    form = {"lobes": 3, "sinus": 0.5, "roundness": 2.2, "slant": 0.2, "widest": 0.25, "base": 0.4, "tip": 0.9}
+    form: dict[str, Any] = {
+        "lobes": 3,
+        "sinus": 0.5,
+        "roundness": 2.2,
+        "slant": 0.2,
+        "widest": 0.25,
+        "base": 0.4,
+        "tip": 0.9,
+    }
     return LobedBlade.model_construct(length_m=1.0, width_m=0.40, fold_deg=6.0, curl_deg=18.0, **form).blade(1)
 
 
