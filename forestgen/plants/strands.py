@@ -44,17 +44,21 @@ _LEAF_BYTES = 1500  # a leaf's draws, frame and some ten triangles with their no
 class Wind(Section):
     """The wind that a plant stands in."""
 
-    speed_directed: float = Field(0.0, ge=0, le=10, description="w_g: greatest bend of one segment, degrees")
-    speed_undirected: float = Field(0.0, ge=0, le=10, description="w_s: sway past a 1 m segment, stiffness 0, degrees")
+    speed_directed: float = Field(default=0.0, ge=0, le=10, description="w_g: greatest bend of one segment, degrees")
+    speed_undirected: float = Field(
+        default=0.0, ge=0, le=10, description="w_s: sway past a 1 m segment, stiffness 0, degrees"
+    )
     axis: tuple[float, float, float] = Field(
-        (0.0, 1.0, 0.0),
+        default=(0.0, 1.0, 0.0),
         description="w: the axis that segments turn about, plant frame; [0, 1, 0] is a wind towards +x, [-1, 0, 0] "
         "one towards +y, [0, 0, 1] turns without bending",
     )
     bends: Literal["thin", "thick"] = Field(
-        "thin", description="alpha_w = (1 - S_0/S) w_g: twigs give way; or as printed, alpha_w = S_0/S w_g"
+        default="thin", description="alpha_w = (1 - S_0/S) w_g: twigs give way; or as printed, alpha_w = S_0/S w_g"
     )
-    time_s: float = Field(0.0, ge=-1e6, le=1e6, description="t: time of the pose, seconds; a sway takes 2 pi seconds")
+    time_s: float = Field(
+        default=0.0, ge=-1e6, le=1e6, description="t: time of the pose, seconds; a sway takes 2 pi seconds"
+    )
 
     @model_validator(mode="after")
     def _has_axis(self) -> Self:

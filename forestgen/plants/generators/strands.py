@@ -121,43 +121,47 @@ _OverDepth = Annotated[Curve, _within(0.0, 2.0)]
 class _Local(Section):
     """A local parameter: the product of two curves."""
 
-    weibull: _OverDepth = Field(((0.0, 1.0),), description="factor over the Weibull order w, 0 to 2")
+    weibull: _OverDepth = Field(default=((0.0, 1.0),), description="factor over the Weibull order w, 0 to 2")
 
 
 class Split(_Local):
     """k_s: the share of strands that the major sub-branch keeps."""
 
-    gravelius: Annotated[Curve, _within(0.5, 1.0)] = Field(((0.0, 0.75),), description="over g, 1/2 to 1")
+    gravelius: Annotated[Curve, _within(0.5, 1.0)] = Field(default=((0.0, 0.75),), description="over g, 1/2 to 1")
 
 
 class Angle(_Local):
     """alpha: the angle between the two sub-branches."""
 
-    gravelius: Annotated[Curve, _within(0.0, 180.0)] = Field(((0.0, 45.0),), description="over g, 0 to 180 degrees")
+    gravelius: Annotated[Curve, _within(0.0, 180.0)] = Field(
+        default=((0.0, 45.0),), description="over g, 0 to 180 degrees"
+    )
 
 
 class Shortest(_Local):
     """m: least ratio of a sub-branch's length to its bearer's."""
 
-    gravelius: Annotated[Curve, _within(0.0, 10.0)] = Field(((0.0, 0.0),), description="over g, 0 to 10")
+    gravelius: Annotated[Curve, _within(0.0, 10.0)] = Field(default=((0.0, 0.0),), description="over g, 0 to 10")
 
 
 class Longest(_Local):
     """M: greatest ratio of a sub-branch's length to its bearer's."""
 
-    gravelius: Annotated[Curve, _within(0.0, 10.0)] = Field(((0.0, 1.0),), description="over g, 0 to 10")
+    gravelius: Annotated[Curve, _within(0.0, 10.0)] = Field(default=((0.0, 1.0),), description="over g, 0 to 10")
 
 
 class Length(_Local):
     """k_l: a segment's length over its relative length."""
 
-    gravelius: Annotated[Curve, _within(0.0, 10.0)] = Field(((0.0, 1.0),), description="over g, 0 to 10 metres")
+    gravelius: Annotated[Curve, _within(0.0, 10.0)] = Field(default=((0.0, 1.0),), description="over g, 0 to 10 metres")
 
 
 class Gravimorphism(_Local):
     """alpha_m: turn to the ground (or, negative, to the sky) at a division."""
 
-    gravelius: Annotated[Curve, _within(-180.0, 180.0)] = Field(((0.0, 0.0),), description="over g, within 180 degrees")
+    gravelius: Annotated[Curve, _within(-180.0, 180.0)] = Field(
+        default=((0.0, 0.0),), description="over g, within 180 degrees"
+    )
 
 
 class Parameters(PlantParameters):
