@@ -25,11 +25,12 @@ from time import perf_counter
 import numpy as np
 
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.sweep import Polylines, sweep
+from forestgen.geometry.sweep import Polylines
 from forestgen.plants import build, meshing
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.planning import make_plan
+from support.swept import sweep
 
 ROUNDS, PEER_ROUNDS = 9, 30
 SWEEP_BOUND, PEER_BOUND, PLAIN_BOUND, TREE_BOUND_S = 3e6, 2.0, 1.5, 0.5
@@ -161,7 +162,7 @@ def whole_tree(name: str) -> bool:
     spent: dict[str, float] = {}
     height = next(h for h in range(8, 40, 2) if tree(name, h, spent).triangles >= LEAST_TRIANGLES)
     totals, parts, wood = [], [], []
-    original = meshing.wood_mesh
+    original = meshing.wood_meshes
 
     def timed(*arguments, **options):  # type: ignore[no-untyped-def]
         start = perf_counter()
@@ -169,14 +170,14 @@ def whole_tree(name: str) -> bool:
         wood[-1] += perf_counter() - start
         return mesh
 
-    meshing.wood_mesh = timed
+    meshing.wood_meshes = timed
     for _ in range(ROUNDS):
         wood.append(0.0)
         start = perf_counter()
         triangles = tree(name, height, spent).triangles
         totals.append(perf_counter() - start)
         parts.append(dict(spent))
-    meshing.wood_mesh = original
+    meshing.wood_meshes = original
     detail = ", ".join(f"{key} {1e3 * median(part[key] for part in parts):.0f} ms" for key in spent)
     print(
         f"{name}, {height} m, {triangles:,} triangles: {median(totals):.3f} s from its name (bound {TREE_BOUND_S} s): "

@@ -16,9 +16,9 @@ from forestgen.core.progress import Progress
 from forestgen.dataset.file_set import FileSet, check_writable
 from forestgen.geometry.export import model_files, png
 from forestgen.geometry.mesh import Mesh
+from forestgen.plants.build import check_sways, sway
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.plan import PlantPlan
-from forestgen.plants.sway import check_sways, sway
 from forestgen.render.studio import PictureSettings, camera_of
 from forestgen.runs.single_plant import (
     PICTURE,

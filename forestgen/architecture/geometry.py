@@ -2,10 +2,10 @@
 
 A segment of age a_b, counted from its own birth, is ``length * min(longest, length per age * a_b)`` long (Eqs. 9, 11).
 Tropism (Eq. 12) adds ``g_1 g_2 / (a_b + g_1)`` along the world's up to its unit direction, which is made a unit vector
-again: lengths stay those of Eq. 11, and a segment of no length moves nothing. As a module's age ends at the mature age,
-a grown module is rigid. Squared diameters add at forks (Eq. 10) and across joints: a terminal that bears a module is as
-thick as that module's root node, but no thinner than it was before it bore one. The pipes of what a module has shed run
-down its main axis, from the last node that is no terminal.
+again: lengths stay those of Eq. 11. A module's age ends at the mature age: a grown module is rigid. Squared diameters
+add at forks (Eq. 10) and across joints: a terminal that bears a module is as thick as that module's root node, but no
+thinner than it was before. The pipes of what a module has shed run down its main axis, from the last node that is no
+terminal.
 
 A module's sphere has its centre in the mean of its nodes, each with the weight of the segment that it ends, and half
 the reach of the nodes along the line from the module's root through that centre as its radius: so the spheres of a
@@ -18,11 +18,10 @@ Sizes of plants, for populations, statistics and allometries:
 - Trunk diameter: at 1.3 m, along the thickest way up; at the foot of plants that do not reach so high.
 - Foot diameter: of the root node, before any fork.
 - Wood volume: frusta along an axis, from one node's diameter to the next; a lateral's first segment is a cylinder.
-- Leaf area: a layer of leaves that takes the share `opacity` of the light has, by Beer's law for leaves of all angles
-  alike (extinction 1/2), the leaf area index -2 ln(1 - opacity). So much covers the disc of a grown module's sphere.
-  By the pipe model (Shinozaki et al. 1964) a unit of pipes feeds a unit of leaves: the module's terminals have this
-  area in proportion to their squared diameters, which rise from 0 as it grows. Leaves sit on the last shoots: a
-  terminal that bears a module keeps the share that this has still to grow. An opacity over 0.99 counts as 0.99.
+- Leaf area: by Beer's law for leaves of all angles alike (extinction 1/2), a layer that takes the share `opacity` of
+  the light (at most 0.99) has the leaf area index -2 ln(1 - opacity). So much covers the disc of a grown module's
+  sphere. By the pipe model (Shinozaki et al. 1964) the module's terminals have this area in proportion to their squared
+  diameters, which rise from 0 as it grows; a terminal that bears a module keeps the share that this has still to grow.
 
 A skeletal graph has the nodes of chosen plants over all their modules. A module's root node is its bearer's terminal:
 the graph has it once, as the bearer's node, with the terminal's diameter. It has no segments that are not born yet.
@@ -39,16 +38,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.kernels import (
-    Graphs,
-    Poses,
-    Shapes,
-    fill_diameters,
-    fill_nodes,
-    fill_sizes,
-    fill_spheres,
-    fill_terminals,
-)
+from forestgen.architecture import kernels
+from forestgen.architecture.kernels import Graphs, Poses, Shapes, fill_nodes, fill_spheres, fill_terminals
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables
 from forestgen.core.threads import parallel_for
@@ -71,25 +62,19 @@ def _packed(tables: Tables) -> Shapes:
     shapes = np.concatenate([tables.direction, tables.length[..., None], tables.birth[..., None]], axis=-1)
     lengths_m = tables.length_per_age_m, tables.longest_segment_m
     columns = tables.mature_age, *lengths_m, tables.tropism_strength, tables.tropism_decay
-    return Shapes(
-        np.ascontiguousarray(shapes), np.ascontiguousarray(np.stack(columns, axis=-1)), tables.parent, tables.nodes,
-        tables.birth, tables.thickness, tables.disused_node, tables.first_child, tables.next_sibling,
-        tables.terminal_index, tables.mature_age, tables.thickening_m, tables.most_terminals,
-    )  # fmt: skip
+    shape, kind = np.ascontiguousarray(shapes), np.ascontiguousarray(np.stack(columns, axis=-1))
+    return Shapes(shape, kind, *(getattr(tables, name) for name in Shapes._fields[2:]))
 
 
 def _graphs(modules: Modules, type_of_plant: Types) -> Graphs:
     """The plants as kernels read them."""
     kind = np.ascontiguousarray(type_of_plant, dtype=np.uint16)
-    return Graphs(
-        kind, modules.first, modules.parent, modules.node, modules.prototype, modules.age, modules.disused_m2,
-        modules.base_m, modules.rotation,
-    )  # fmt: skip
+    return Graphs(kind, *(getattr(modules, name) for name in Graphs._fields[1:]))
 
 
 def _poses(modules: Modules, type_of_plant: Types) -> Poses:
     kind = type_of_module(modules, type_of_plant)
-    return Poses(kind, modules.prototype, modules.age, modules.base_m, modules.rotation)
+    return Poses(kind, *(getattr(modules, name) for name in Poses._fields[1:]))
 
 
 def type_of_module(modules: Modules, type_of_plant: Types) -> NDArray[np.uint16]:
@@ -127,7 +112,7 @@ def terminal_pose(
 def node_positions(tables: Tables, modules: Modules, type_of_plant: Types) -> Nodes:
     """Nodes of all modules."""
     shapes, poses = _packed(tables), _poses(modules, type_of_plant)
-    start = np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype], dtype=np.int64)])
+    start = _node_starts(tables, modules)
     position, length = np.empty((start[-1], 3), dtype=np.float32), np.empty(start[-1], dtype=np.float32)
     parallel_for(len(modules), lambda first, end: fill_nodes(shapes, poses, start, first, end, position, length))
     return Nodes(start, position, length)
@@ -135,22 +120,25 @@ def node_positions(tables: Tables, modules: Modules, type_of_plant: Types) -> No
 
 def diameters(tables: Tables, modules: Modules, type_of_plant: Types) -> NDArray[np.float32]:
     """(M,) diameter of each module's root node, metres, by the pipe model over the whole plant."""
-    return _diameters(tables, modules, type_of_plant, np.zeros(0, dtype=np.int64), 0)[0]
+    return _diameters(tables, modules, type_of_plant, np.zeros(1, dtype=np.int64))[0]
 
 
 def node_diameters(tables: Tables, modules: Modules, type_of_plant: Types) -> NDArray[np.float32]:
     """(.,) diameter at each node of all modules, metres: that of the segment it ends; in the order of `Nodes`."""
-    start = np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype], dtype=np.int64)])
-    return _diameters(tables, modules, type_of_plant, start, int(start[-1]))[1]
+    return _diameters(tables, modules, type_of_plant, _node_starts(tables, modules))[1]
 
 
 def _diameters(
-    tables: Tables, modules: Modules, type_of_plant: Types, start: NDArray[np.int64], nodes: int
+    tables: Tables, modules: Modules, type_of_plant: Types, start: NDArray[np.int64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    root, node = np.empty(len(modules), dtype=np.float32), np.empty(nodes, dtype=np.float32)
+    root, node = np.empty(len(modules), dtype=np.float32), np.empty(start[-1], dtype=np.float32)
     shapes, plants = _packed(tables), _graphs(modules, type_of_plant)
-    over_plants(modules, lambda first, end: fill_diameters(shapes, plants, first, end, start, root, node))
+    over_plants(modules, lambda first, end: kernels.fill_diameters(shapes, plants, first, end, start, root, node))
     return root, node
+
+
+def _node_starts(tables: Tables, modules: Modules) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(tables.nodes[modules.prototype], dtype=np.int64)])
 
 
 def over_plants(modules: Modules, work: Any) -> None:
@@ -179,7 +167,7 @@ class PlantSizes:
 def terminal_leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
     """(T, S) one-sided leaf area of a terminal of thickness 1 of a grown module, m2."""
     index = -2.0 * np.log1p(-np.minimum(tables.opacity, _MOST_OPACITY))
-    disc = np.pi * tables.sphere_radius_m**2
+    disc = np.pi * tables.grown_spheres_m[1] ** 2
     pipes = np.where(tables.terminal_index >= 0, tables.thickness**2, 0.0).sum(axis=1)
     return np.asarray(index[:, None] * disc / pipes)
 
@@ -188,7 +176,7 @@ def plant_sizes(tables: Tables, modules: Modules, type_of_plant: Types) -> Plant
     """Sizes of all plants; `type_of_plant` (P,) indexes the tables' plant types."""
     shapes, plants = _packed(tables), _graphs(modules, type_of_plant)
     sizes, leaf_area = np.zeros((modules.plants, 6)), terminal_leaf_area_m2(tables)
-    over_plants(modules, lambda first, end: fill_sizes(shapes, plants, leaf_area, first, end, sizes))
+    over_plants(modules, lambda first, end: kernels.fill_sizes(shapes, plants, leaf_area, first, end, sizes))
     height, crown, trunk, foot = sizes[:, :4].astype(np.float32).T
     return PlantSizes(height, crown, trunk, foot, sizes[:, 4].copy(), sizes[:, 5].copy(), np.diff(modules.first))
 

@@ -15,8 +15,10 @@ All are in metres. The same graph gives the same bytes. `parent` counts the file
 from __future__ import annotations
 
 import base64
+import io
 import json
 import struct
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,7 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import SkeletalGraph
 from forestgen.core.errors import OutputError
+from forestgen.geometry.usd import new_stage
 
 GRAPH_FORMATS = (".parquet", ".csv", ".gltf", ".glb", ".obj", ".usda", ".usdc")
 _NAMES = ("plant", "module", "node", "parent", "x_m", "y_m", "z_m", "diameter_m", "age", "order", "axis", "is_main")
@@ -54,8 +57,7 @@ def write_graph(path: Path, graph: SkeletalGraph, *, foot_m: Any = None, columns
     elif suffix == ".obj":
         content = _obj(graph, position).encode()
     else:
-        _write_usd(path, graph, position, known)
-        return
+        content = _usd(graph, position, known, suffix)
     try:
         path.write_bytes(content)
     except OSError as cause:
@@ -117,15 +119,13 @@ def _obj(graph: SkeletalGraph, position: NDArray[np.float32]) -> str:
 def _gltf(
     graph: SkeletalGraph, position: NDArray[np.float32], known: Mapping[str, NDArray[Any]], *, binary: bool
 ) -> bytes:
-    chunks: list[bytes] = []
+    data = io.BytesIO()
     views: list[dict[str, int]] = []
     accessors: list[dict[str, Any]] = []
 
     def accessor(values: NDArray[Any], kind: str, target: int, *, bounds: bool = False) -> int:
-        offset = sum(view["byteLength"] for view in views[-1:]) + (views[-1]["byteOffset"] if views else 0)
-        content = np.ascontiguousarray(values).tobytes()  # four-byte numbers: aligned as they come
-        views.append({"buffer": 0, "byteOffset": offset, "byteLength": len(content), "target": target})
-        chunks.append(content)
+        views.append({"buffer": 0, "byteOffset": data.tell(), "byteLength": values.nbytes, "target": target})
+        data.write(np.ascontiguousarray(values).tobytes())  # four-byte numbers: aligned as they come
         component = 5126 if values.dtype == np.float32 else 5125
         entry = {"bufferView": len(views) - 1, "componentType": component, "count": len(values), "type": kind}
         if bounds:
@@ -152,7 +152,6 @@ def _gltf(
             meshes.append({"name": f"plant_{plant}", "primitives": [primitive]})
             node["mesh"] = len(meshes) - 1
         nodes.append(node)
-    data = b"".join(chunks)
     document: dict[str, Any] = {
         "asset": {"version": "2.0", "generator": "forestgen"},
         "scene": 0,
@@ -160,30 +159,23 @@ def _gltf(
     }
     parts = {"nodes": nodes, "meshes": meshes, "accessors": accessors, "bufferViews": views}
     document |= {name: entries for name, entries in parts.items() if entries}  # the standard forbids empty lists
-    buffer: dict[str, Any] = {"byteLength": len(data)}
+    buffer: dict[str, Any] = {"byteLength": data.tell()}
     if not binary:
-        buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
-    if data:
+        buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(data.getvalue()).decode()
+    if views:
         document["buffers"] = [buffer]
     text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
     if not binary:
         return text
     text += b" " * (-len(text) % 4)
-    tail = struct.pack("<I4s", len(data), b"BIN\0") + data if data else b""
+    tail = struct.pack("<I4s", data.tell(), b"BIN\0") + data.getvalue() if views else b""
     return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(tail), len(text), b"JSON") + text + tail
 
 
-def _write_usd(
-    path: Path, graph: SkeletalGraph, position: NDArray[np.float32], known: Mapping[str, NDArray[Any]]
-) -> None:
-    from pxr import Sdf, Tf, Usd, UsdGeom, Vt
+def _usd(graph: SkeletalGraph, position: NDArray[np.float32], known: Mapping[str, NDArray[Any]], suffix: str) -> bytes:
+    from pxr import Sdf, UsdGeom, Vt
 
-    layer = Sdf.Layer.CreateAnonymous(".usda")
-    stage = Usd.Stage.Open(layer)
-    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
-    root = UsdGeom.Xform.Define(stage, "/plants").GetPrim()
-    stage.SetDefaultPrim(root)
+    layer, stage, _ = new_stage("/plants")
     for plant, first, end in _plants(graph):
         points, counts = _polylines(graph, first, end)
         curves = UsdGeom.BasisCurves.Define(stage, f"/plants/plant_{plant}")
@@ -209,9 +201,7 @@ def _write_usd(
             "physiologicalAge", Sdf.ValueTypeNames.FloatArray, UsdGeom.Tokens.vertex
         )
         ages.Set(Vt.FloatArray.FromNumpy(np.ascontiguousarray(graph.age[points])))
-    try:
-        written = path.parent.is_dir() and layer.Export(str(path))
-    except Tf.ErrorException as cause:
-        raise OutputError("the graph cannot be written", where=str(path), got=str(cause)[:200]) from cause
-    if not written:
-        raise OutputError("the graph cannot be written", where=str(path), expected="a folder that can be written to")
+    with tempfile.TemporaryDirectory(prefix="forestgen-usd-") as folder:
+        written = Path(folder) / f"graph{suffix}"
+        layer.Export(str(written))
+        return written.read_bytes()

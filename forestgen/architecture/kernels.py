@@ -1,4 +1,4 @@
-"""Compiled loops over modules: where nodes are (Eqs. 9, 11, 12) and how thick (Eq. 10). See geometry.py and sizes.py.
+"""Compiled loops over modules: where nodes are (Eqs. 9, 11, 12) and how thick (Eq. 10). See geometry.py.
 
 A module's frame is turned by its unit quaternion. `turned` below is that rotation as a matrix, row by row.
 """
@@ -17,31 +17,32 @@ class Shapes(NamedTuple):
 
     shape: Any  # (S, N, 5) of the prototypes: direction x, y, z, length, birth
     kind: Any  # (T, 5) of the plant types: mature age, length per age, longest segment, tropism's strength and decay
-    parent: Any  # (S, N), as what follows is a column of `Tables`
-    count: Any  # (S,) nodes
+    # What follows are columns of `Tables`.
+    parent: Any
+    nodes: Any
     birth: Any
     thickness: Any
     disused_node: Any
     first_child: Any
     next_sibling: Any
     terminal_index: Any
-    mature: Any  # (T,)
-    thickening: Any
+    mature_age: Any
+    thickening_m: Any
     most_terminals: Any
 
 
 class Poses(NamedTuple):
-    """M modules; columns as in `Modules`."""
+    """M modules; columns as in `Modules` but for the first."""
 
     kind: Any  # (M,) index of the plant type
     prototype: Any
     age: Any
-    base: Any
+    base_m: Any
     rotation: Any
 
 
 class Graphs(NamedTuple):
-    """P plants of M modules; columns as in `Modules`."""
+    """P plants of M modules; columns as in `Modules` but for the first."""
 
     kind: Any  # (P,) index of the plant type
     first: Any
@@ -49,8 +50,8 @@ class Graphs(NamedTuple):
     node: Any
     prototype: Any
     age: Any
-    disused: Any
-    base: Any
+    disused_m2: Any
+    base_m: Any
     rotation: Any
 
 
@@ -71,7 +72,7 @@ def place_nodes(shapes, s, type_, age, turned, place, metres):  # type: ignore[n
     `s` and `type_` are the index of the prototype and of the plant type. What of `age` passes the mature age does not
     count.
     """
-    shape, parent, count, kind = shapes.shape[s], shapes.parent[s], shapes.count[s], shapes.kind[type_]
+    shape, parent, count, kind = shapes.shape[s], shapes.parent[s], shapes.nodes[s], shapes.kind[type_]
     grown = min(age, kind[0])
     place[0, 0] = place[0, 1] = place[0, 2] = 0.0
     metres[0] = 0.0
@@ -109,11 +110,11 @@ def place_module(shapes, modules, row, turned, place, metres):  # type: ignore[n
 def fill_spheres(shapes, modules, scale, first, end, centre, radius):  # type: ignore[no-untyped-def]
     """Fill `centre` (M, 3) and `radius` (M,) of modules `first` to `end`."""
     shapes, modules = unowned_view(shapes), unowned_view(modules)
-    base = modules.base
+    base = modules.base_m
     n = shapes.parent.shape[1]
     turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
     for row in range(first, end):
-        count = shapes.count[modules.prototype[row]]
+        count = shapes.nodes[modules.prototype[row]]
         place_module(shapes, modules, row, turned, place, metres)
         x = y = z = total = 0.0
         for node in range(1, count):
@@ -145,7 +146,7 @@ def fill_terminals(shapes, modules, wanted, first, end, position, direction):  #
         node = wanted[row]
         bearer = shapes.parent[modules.prototype[row], node]
         for axis in range(3):
-            position[row, axis] = modules.base[row, axis] + place[node, axis]
+            position[row, axis] = modules.base_m[row, axis] + place[node, axis]
             direction[row, axis] = (place[node, axis] - place[bearer, axis]) / metres[node]
 
 
@@ -157,33 +158,44 @@ def fill_nodes(shapes, modules, start, first, end, position, length):  # type: i
     turned, place, metres = np.empty((3, 3)), np.empty((n, 3)), np.empty(n)
     for row in range(first, end):
         place_module(shapes, modules, row, turned, place, metres)
-        for node in range(shapes.count[modules.prototype[row]]):
+        for node in range(shapes.nodes[modules.prototype[row]]):
             length[start[row] + node] = metres[node]
             for axis in range(3):
-                position[start[row] + node, axis] = modules.base[row, axis] + place[node, axis]
+                position[start[row] + node, axis] = modules.base_m[row, axis] + place[node, axis]
 
 
 @compiled
-def add_pipes(shapes, kind, s, age, disused, borne, squared):  # type: ignore[no-untyped-def]
-    """Fill `squared` (N,) with the squared diameters of one module's nodes, m2: the pipe model from its terminals down.
+def fill_pipes(shapes, plants, plant, joint, borne, squared):  # type: ignore[no-untyped-def]
+    """Fill `squared` (modules, N) of one plant with the squared diameters of its nodes, m2: pipes from the tips down.
 
-    `borne` (N,) is the squared diameter of the root node of the module that each terminal bears, m2; -1: none.
+    Scratch: `joint` (modules, terminals), the root node of the module that each terminal bears; `borne` (N,).
     """
-    count, mature = shapes.count[s], shapes.mature[kind]
-    grown = min(age, mature)
-    for node in range(count):
-        squared[node] = -1.0  # of no child yet
-    for node in range(count - 1, -1, -1):
-        if squared[node] < 0.0:  # a terminal
-            birth = shapes.birth[s, node]
-            share = min(1.0, max(0.0, grown / mature - birth) / (1.0 - birth))
-            own = shapes.thickening[kind] * shapes.thickness[s, node] * share
-            squared[node] = max(own * own, borne[node])
-        if node == shapes.disused_node[s]:
-            squared[node] += disused
-        if node > 0:
-            bearer = shapes.parent[s, node]
-            squared[bearer] = max(squared[bearer], 0.0) + squared[node]
+    begin, size, kind = plants.first[plant], plants.first[plant + 1] - plants.first[plant], plants.kind[plant]
+    mature = shapes.mature_age[kind]
+    joint[:size] = -1.0
+    for own in range(size - 1, -1, -1):
+        row = begin + own
+        s = plants.prototype[row]
+        grown = min(plants.age[row], mature)
+        pipes = squared[own]
+        for node in range(shapes.nodes[s]):
+            slot = shapes.terminal_index[s, node]
+            borne[node] = joint[own, slot] if slot >= 0 else -1.0
+            pipes[node] = -1.0  # of no child yet
+        for node in range(shapes.nodes[s] - 1, -1, -1):
+            if pipes[node] < 0.0:  # a terminal
+                birth = shapes.birth[s, node]
+                share = min(1.0, max(0.0, grown / mature - birth) / (1.0 - birth))
+                thick = shapes.thickening_m[kind] * shapes.thickness[s, node] * share
+                pipes[node] = max(thick * thick, borne[node])
+            if node == shapes.disused_node[s]:
+                pipes[node] += plants.disused_m2[row]
+            if node > 0:
+                bearer = shapes.parent[s, node]
+                pipes[bearer] = max(pipes[bearer], 0.0) + pipes[node]
+        if plants.parent[row] >= 0:
+            slot = shapes.terminal_index[plants.prototype[begin + plants.parent[row]], plants.node[row]]
+            joint[plants.parent[row], slot] = pipes[0]
 
 
 @compiled
@@ -193,39 +205,28 @@ def fill_diameters(shapes, plants, first, end, start, root_m, node_m):  # type: 
     `node_m` (.,) takes those of all nodes, module row's from start[row]; of no length: not wanted.
     """
     shapes, plants = unowned_view(shapes), unowned_view(plants)
-    prototype, counts, terminal_index = plants.prototype, shapes.count, shapes.terminal_index
     n = shapes.parent.shape[1]
-    squared, borne = np.empty(n), np.empty(n)
-    joint = np.empty((0, shapes.most_terminals))
+    joint, squared, borne = np.empty((0, shapes.most_terminals)), np.empty((0, n)), np.empty(n)
     for plant in range(first, end):
         begin, size = plants.first[plant], plants.first[plant + 1] - plants.first[plant]
         if size > len(joint):
-            joint = np.empty((2 * size, shapes.most_terminals))
-        joint[:size] = -1.0
-        for own in range(size - 1, -1, -1):
+            joint, squared = np.empty((2 * size, shapes.most_terminals)), np.empty((2 * size, n))
+        fill_pipes(shapes, plants, plant, joint, borne, squared)
+        for own in range(size):
             row = begin + own
-            s = prototype[row]
-            for node in range(counts[s]):
-                slot = terminal_index[s, node]
-                borne[node] = joint[own, slot] if slot >= 0 else -1.0
-            add_pipes(shapes, plants.kind[plant], s, plants.age[row], plants.disused[row], borne, squared)
-            root_m[row] = np.sqrt(squared[0])
+            root_m[row] = np.sqrt(squared[own, 0])
             if len(node_m):
-                for node in range(counts[s]):
-                    node_m[start[row] + node] = np.sqrt(squared[node])
-            bearer = plants.parent[row]
-            if bearer >= 0:
-                slot = terminal_index[prototype[begin + bearer], plants.node[row]]
-                joint[bearer, slot] = squared[0]
+                for node in range(shapes.nodes[plants.prototype[row]]):
+                    node_m[start[row] + node] = np.sqrt(squared[own, node])
 
 
 @compiled
 def fill_sizes(shapes, plants, leaf_area, first, end, sizes):  # type: ignore[no-untyped-def]
     """Fill `sizes` (P, 6) of plants `first` to `end`, in the order of `PlantSizes`, less the number of modules."""
     shapes, plants = unowned_view(shapes), unowned_view(plants)
-    parents, counts, births, first_child = shapes.parent, shapes.count, shapes.birth, shapes.first_child
+    parents, counts, births, first_child = shapes.parent, shapes.nodes, shapes.birth, shapes.first_child
     terminal_index, most_terminals = shapes.terminal_index, shapes.most_terminals
-    parent_of, node_of, prototype, age, base = plants.parent, plants.node, plants.prototype, plants.age, plants.base
+    parent_of, node_of, prototype, age, base = plants.parent, plants.node, plants.prototype, plants.age, plants.base_m
     n = parents.shape[1]
     turned, place, metres, borne = np.empty((3, 3)), np.empty((n, 3)), np.empty(n), np.empty(n)
     joint, squared = np.empty((0, most_terminals)), np.empty((0, n))
@@ -241,7 +242,7 @@ def fill_sizes(shapes, plants, leaf_area, first, end, sizes):  # type: ignore[no
             joint, squared = np.empty((2 * size, most_terminals)), np.empty((2 * size, n))
             child = np.empty((2 * size, most_terminals), dtype=np.int64)
             bare = np.empty((2 * size, most_terminals))
-        joint[:size] = -1.0
+        fill_pipes(shapes, plants, plant, joint, borne, squared)
         child[:size] = -1
         bare[:size] = 1.0
         low[:] = 0.0
@@ -250,17 +251,14 @@ def fill_sizes(shapes, plants, leaf_area, first, end, sizes):  # type: ignore[no
         for own in range(size - 1, -1, -1):
             row = begin + own
             s = prototype[row]
-            grown = min(1.0, age[row] / shapes.mature[kind])
+            grown = min(1.0, age[row] / shapes.mature_age[kind])
             for node in range(counts[s]):
                 slot = terminal_index[s, node]
-                borne[node] = joint[own, slot] if slot >= 0 else -1.0
                 if slot >= 0:
                     share = max(0.0, grown - births[s, node]) / (1.0 - births[s, node]) * shapes.thickness[s, node]
                     leaves += leaf_area[kind, s] * share * share * bare[own, slot]
-            add_pipes(shapes, kind, s, age[row], plants.disused[row], borne, squared[own])
             if parent_of[row] >= 0:
                 slot = terminal_index[prototype[begin + parent_of[row]], node_of[row]]
-                joint[parent_of[row], slot] = squared[own, 0]
                 child[parent_of[row], slot] = own
                 bare[parent_of[row], slot] = 1.0 - grown
             matrix_of(plants.rotation, row, turned)
@@ -308,7 +306,7 @@ def _trunk(shapes, plants, kind, begin, squared, child, turned, place, metres): 
                     thickest = other
                 other = shapes.next_sibling[s, other]
             node = thickest
-            if plants.base[row, 2] + place[node, 2] >= 1.3:
+            if plants.base_m[row, 2] + place[node, 2] >= 1.3:
                 return np.sqrt(squared[own, node])
         own = child[own, shapes.terminal_index[s, node]]
     return np.sqrt(squared[0, 0])

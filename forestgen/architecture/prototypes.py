@@ -12,14 +12,13 @@ continuation of the axis (main), the others are lateral. The files are ``scenes/
       - {parent: 1, angle_deg: 55, azimuth_deg: 137.5, length: 0.7, birth: 0.3, thickness: 0.8}
 
 A node's segment leaves its parent in a `direction` [x, y, z] of the module's frame, whose z is the module's axis; or at
-`angle_deg` from the segment that its parent ends, on the side `azimuth_deg`. The azimuth counts about that segment,
-from the frame's x axis turned by the least rotation that takes z to the segment. `length` is a factor on the plant
-type's lengths, `birth` the share of the mature age at which the segment begins to grow: a grown segment is
+`angle_deg` from the segment that its parent ends, on the side `azimuth_deg`, which counts about that segment from the
+frame's x axis turned by the least rotation that takes z to the segment. `length` is a factor on the plant type's
+lengths, `birth` the share of the mature age at which the segment begins to grow: a grown segment is
 ``length * (1 - birth)`` long in these units.
 
 Prototypes and plant types become padded arrays, for compiled loops over modules. Physiological ages are those of the
-plant type, 0 to its mature age. A module's frame has its root node at the origin and its axis along z. What depends on
-a module's attitude to the vertical (Eq. 12) is not in the tables.
+plant type, 0 to its mature age. What depends on a module's attitude to the vertical (Eq. 12) is not in the tables.
 
 Makowski, M. (2023), chapter 2 (Synthetic Silviculture), sections 2.5.2 and 2.5.3.
 """
@@ -28,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -82,12 +81,8 @@ class PrototypeNode(Section):
     angle_deg: Number | None = Field(None, ge=0, le=180, description="From the segment that the parent ends, degrees.")
     azimuth_deg: Number = Field(0.0, ge=-3600, le=3600, description="Side of that angle, degrees.")
     length: Positive = Field(ge=1e-3, le=20, description="Factor on the plant type's segment lengths.")
-    birth: Number = Field(
-        0.0, ge=0, le=0.95, description="Share of the mature age at which the segment begins to grow."
-    )
-    thickness: Positive = Field(
-        1.0, ge=1e-3, le=20, description="Factor on the plant type's thickening, of a terminal node."
-    )
+    birth: Number = Field(0.0, ge=0, le=0.95, description="Share of the mature age at which it begins to grow.")
+    thickness: Positive = Field(1.0, ge=1e-3, le=20, description="Factor on the type's thickening, of a terminal node.")
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -116,19 +111,13 @@ class PrototypeFile(Section):
         births = [0.0]
         for number, node in enumerate(self.nodes, 1):
             if node.parent >= number:
-                raise violation(
-                    f"0 (the root) to {number - 1}: the first entry is node 1",
-                    problem=f"node {number} grows from a node that stands after it, or from itself",
-                    got=str(node.parent),
-                    at=("nodes", number - 1, "parent"),
-                )
+                problem = f"node {number} grows from a node that stands after it, or from itself"
+                expected, at = f"0 to {number - 1}: the first entry is node 1", ("nodes", number - 1, "parent")
+                raise violation(expected, problem=problem, got=str(node.parent), at=at)
             if node.birth < births[node.parent]:
-                raise violation(
-                    f"at least its parent's: {births[node.parent]:g}",
-                    problem=f"node {number} is born before the node it grows from",
-                    got=f"{node.birth:g}",
-                    at=("nodes", number - 1, "birth"),
-                )
+                problem = f"node {number} is born before the node it grows from"
+                expected, at = f"at least its parent's: {births[node.parent]:g}", ("nodes", number - 1, "birth")
+                raise violation(expected, problem=problem, got=f"{node.birth:g}", at=at)
             births.append(node.birth)
         return self
 
@@ -138,16 +127,10 @@ class PrototypeFile(Section):
         for node in self.nodes:
             directions.append(_direction(node, directions[node.parent]))
         numbers = [(0.0, 0.0, 1.0), *((node.length, node.birth, node.thickness) for node in self.nodes)]
-        length, birth, thickness = np.array(numbers, dtype=np.float32).T
+        parent = np.array([-1, *(node.parent for node in self.nodes)], dtype=np.int16)
+        columns = np.array(numbers, dtype=np.float32).T.copy()
         return Prototype(
-            name,
-            self.apical_control,
-            self.determinacy,
-            np.array([-1, *(node.parent for node in self.nodes)], dtype=np.int16),
-            np.array(directions, dtype=np.float32),
-            length.copy(),
-            birth.copy(),
-            thickness.copy(),
+            name, self.apical_control, self.determinacy, parent, np.array(directions, dtype=np.float32), *columns
         )
 
 
@@ -197,19 +180,12 @@ def choose_prototype(
 
     The points are lambda and D', 0 to 1, of one shape (...); `allowed` (..., S) says which prototypes each may choose.
     """
-    control, determinate = np.broadcast_arrays(
-        np.asarray(apical_control, dtype=np.float64), np.asarray(determinacy, dtype=np.float64)
-    )
-    nearest = np.full(control.shape, np.inf)
-    chosen = np.zeros(control.shape, dtype=np.uint8)
-    for index, prototype in enumerate(prototypes):  # one pass a prototype: no (..., S) array
-        distance = (control - prototype.apical_control) ** 2 + (determinate - prototype.determinacy) ** 2
-        closer = distance < nearest
-        if allowed is not None:
-            closer &= allowed[..., index]
-        chosen[closer] = index
-        nearest = np.where(closer, distance, nearest)
-    return chosen
+    control, determinate = np.asarray(apical_control, np.float64), np.asarray(determinacy, np.float64)
+    place = np.array([(one.apical_control, one.determinacy) for one in prototypes])
+    distance = (control[..., None] - place[:, 0]) ** 2 + (determinate[..., None] - place[:, 1]) ** 2
+    if allowed is not None:
+        distance = np.where(allowed, distance, np.inf)
+    return np.asarray(distance.argmin(axis=-1), dtype=np.uint8)
 
 
 @dataclass(frozen=True)
@@ -240,8 +216,25 @@ class Tables:
     thickening_m: NDArray[np.float64]  # (T,) `pipe_diameter_m`, of a grown terminal segment of thickness 1
     opacity: NDArray[np.float64]  # (T,)
     sphere_scale: float  # of the spheres' radii
-    sphere_centre_m: NDArray[np.float64]  # (T, S, 3) of grown modules, module's frame, no tropism
-    sphere_radius_m: NDArray[np.float64]  # (T, S) of grown modules, no tropism
+
+    @cached_property
+    def grown_spheres_m(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centres (T, S, 3), module's frame, and radii (T, S) of grown modules without tropism, as geometry.spheres."""
+        per_type = (self.mature_age, self.length_per_age_m, self.longest_segment_m)
+        mature, per_age, longest = (one[:, None, None] for one in per_type)
+        since = np.maximum(mature - self.birth * mature, 0.0)  # (T, S, N)
+        metres = self.length * np.minimum(longest, per_age * since)
+        place = np.zeros((*metres.shape, 3))
+        every = np.arange(len(self.parent))
+        for node in range(1, self.parent.shape[1]):
+            bearer = np.maximum(self.parent[:, node], 0)
+            place[:, :, node] = place[:, every, bearer] + metres[..., node, None] * self.direction[:, node]
+        weight = metres.sum(axis=-1)
+        centre = (place * metres[..., None]).sum(axis=-2) / np.where(weight > 0, weight, 1.0)[..., None]
+        away = np.linalg.norm(centre, axis=-1)
+        axis = centre / np.where(away > 0, away, 1.0)[..., None]
+        reach = np.where(metres > 0, np.einsum("tsnc,tsc->tsn", place, axis), 0.0).max(axis=-1)
+        return centre, 0.5 * reach * self.sphere_scale
 
     @property
     def most_terminals(self) -> int:
@@ -254,87 +247,40 @@ def tables_of(prototypes: Sequence[Prototype], types: Sequence[PlantType], *, sp
 
     `sphere_scale` is a factor on the spheres' radii; at 1 the spheres of a chain of modules touch.
     """
-    s, n = len(prototypes), MOST_NODES
-    parent = np.full((s, n), -1, dtype=np.int16)
-    first_child, next_sibling, terminal, terminal_index = (np.full((s, n), -1, dtype=np.int16) for _ in range(4))
-    direction = np.zeros((s, n, 3))
-    length, birth, thickness = np.zeros((s, n)), np.zeros((s, n)), np.zeros((s, n))
-    disused = np.zeros(s, dtype=np.int16)
+    shape = len(prototypes), MOST_NODES
+    links = ("parent", "first_child", "next_sibling", "terminal", "terminal_index")
+    columns: dict[str, NDArray[Any]] = {name: np.full(shape, -1, dtype=np.int16) for name in links}
+    columns |= {name: np.zeros(shape) for name in ("length", "birth", "thickness")}
+    columns |= {"direction": np.zeros((*shape, 3)), "disused_node": np.zeros(len(prototypes), dtype=np.int16)}
     for index, prototype in enumerate(prototypes):
         count = len(prototype)
-        parent[index, :count] = prototype.parent
+        for name in ("parent", "length", "birth", "thickness"):
+            columns[name][index, :count] = getattr(prototype, name)
         unit = prototype.direction.astype(np.float64)
-        direction[index, :count] = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
-        length[index, :count], birth[index, :count] = prototype.length, prototype.birth
-        thickness[index, :count] = prototype.thickness
+        columns["direction"][index, :count] = unit / np.linalg.norm(unit, axis=-1, keepdims=True)
+        first_child, next_sibling = columns["first_child"][index], columns["next_sibling"][index]
         for node in range(count - 1, 0, -1):  # from the last, so that the first child ends at the front
             bearer = prototype.parent[node]
-            next_sibling[index, node] = first_child[index, bearer]
-            first_child[index, bearer] = node
+            next_sibling[node] = first_child[bearer]
+            first_child[bearer] = node
         ends = prototype.terminals
-        terminal[index, : len(ends)] = ends
-        terminal_index[index, ends] = np.arange(len(ends))
-        while first_child[index, first_child[index, disused[index]]] >= 0:
-            disused[index] = first_child[index, disused[index]]
-    length[:, 0] = 0.0
-    mature, per_age, longest, strength, decay, opacity = (
-        np.array([getattr(one, name) for one in types], dtype=np.float64) for name in _COLUMNS
-    )
-    nodes = np.array([len(prototype) for prototype in prototypes], dtype=np.int16)
-    centre, radius = _grown_spheres(parent, direction, length, birth, mature, per_age, longest)
+        columns["terminal"][index, : len(ends)] = ends
+        columns["terminal_index"][index, ends] = np.arange(len(ends))
+        disused = columns["disused_node"]
+        while first_child[first_child[disused[index]]] >= 0:
+            disused[index] = first_child[disused[index]]
+    columns["length"][:, 0] = 0.0
+    columns |= {name: np.array([getattr(one, name) for one in types], dtype=np.float64) for name in _COLUMNS}
     return Tables(
         names=tuple(prototype.name for prototype in prototypes),
-        nodes=nodes,
-        parent=parent,
-        direction=direction,
-        length=length,
-        birth=birth,
-        thickness=thickness,
-        first_child=first_child,
-        next_sibling=next_sibling,
-        terminals=np.array([len(prototype.terminals) for prototype in prototypes], dtype=np.int16),
-        terminal=terminal,
-        terminal_index=terminal_index,
-        disused_node=disused,
-        mature_age=mature,
-        length_per_age_m=per_age,
-        longest_segment_m=longest,
-        tropism_strength=strength,
-        tropism_decay=decay,
-        thickening_m=np.array([pipe_diameter_m(one) for one in types], dtype=np.float64),
-        opacity=opacity,
         sphere_scale=sphere_scale,
-        sphere_centre_m=centre,
-        sphere_radius_m=radius * sphere_scale,
+        nodes=np.array([len(prototype) for prototype in prototypes], dtype=np.int16),
+        terminals=np.array([len(prototype.terminals) for prototype in prototypes], dtype=np.int16),
+        thickening_m=np.array([pipe_diameter_m(one) for one in types], dtype=np.float64),
+        **columns,
     )
 
 
 def pipe_diameter_m(one: PlantType) -> float:
     """Of the pipes that a grown terminal segment adds to the wood below: n shoots of phi have sqrt(n) phi (Eq. 10)."""
     return float(one.thickening_cm / 100.0 * np.sqrt(one.shoots_per_terminal))
-
-
-def _grown_spheres(
-    parent: NDArray[np.int16],
-    direction: NDArray[np.float64],
-    length: NDArray[np.float64],
-    birth: NDArray[np.float64],
-    mature: NDArray[np.float64],
-    per_age: NDArray[np.float64],
-    longest: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centres (T, S, 3) and radii (T, S), metres, of straight grown modules; as geometry.spheres has them."""
-    mature, per_age, longest = (one[:, None, None] for one in (mature, per_age, longest))
-    since = np.maximum(mature - birth * mature, 0.0)  # (T, S, N)
-    metres = length * np.minimum(longest, per_age * since)
-    place = np.zeros((*metres.shape, 3))
-    every = np.arange(len(parent))
-    for node in range(1, parent.shape[1]):
-        bearer = np.maximum(parent[:, node], 0)
-        place[:, :, node] = place[:, every, bearer] + metres[..., node, None] * direction[:, node]
-    weight = metres.sum(axis=-1)
-    centre = (place * metres[..., None]).sum(axis=-2) / np.where(weight > 0, weight, 1.0)[..., None]
-    away = np.linalg.norm(centre, axis=-1)
-    axis = centre / np.where(away > 0, away, 1.0)[..., None]
-    reach = np.where(metres > 0, np.einsum("tsnc,tsc->tsn", place, axis), 0.0).max(axis=-1)
-    return centre, 0.5 * reach

@@ -118,14 +118,15 @@ def model_files(model: Model, file_name: str) -> dict[str, bytes]:
     return exporter_of(file_name).files(model, file_name)
 
 
-def texture_files(model: Model, file_name: str) -> dict[tuple[str, str], tuple[str, bytes]]:
-    """(surface, "colour" or "normal") -> name and PNG of a texture that goes beside `file_name`."""
-    stem = file_name.rsplit(".", 1)[0]
-    return {
-        (surface.name, kind): (f"{stem}-{surface.name}-{kind}.png", png(image))
-        for surface in model.surfaces
-        for kind, image in images_of(surface).items()
-    }
+def texture_files(model: Model, file_name: str) -> tuple[dict[tuple[str, str], str], dict[str, bytes]]:
+    """Textures that go beside `file_name`: (surface, "colour" or "normal") -> name, and name -> PNG."""
+    names: dict[tuple[str, str], str] = {}
+    files: dict[str, bytes] = {}
+    for surface in model.surfaces:
+        for kind, image in images_of(surface).items():
+            name = f"{file_name.rsplit('.', 1)[0]}-{surface.name}-{kind}.png"
+            names[surface.name, kind], files[name] = name, png(image)
+    return names, files
 
 
 def images_of(surface: Surface) -> dict[str, NDArray[np.uint8]]:

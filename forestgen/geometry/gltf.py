@@ -7,6 +7,7 @@ no extras of materials, so both are put into its document (ADR 0015).
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -36,9 +37,7 @@ class Glb(MeshExporter):
                 metadata={"part": piece.part.name.lower(), **piece.properties},
             )
 
-        def complete(document: dict[str, Any]) -> None:
-            _complete(document, model.surfaces)
-
+        complete = partial(_complete, surfaces=model.surfaces)
         return {file_name: export_glb(scene, unitize_normals=False, tree_postprocessor=complete)}
 
 

@@ -10,6 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+UP = np.array([0.0, 0.0, 1.0])
+GOLDEN_RAD = np.pi * (3.0 - np.sqrt(5.0))  # turn from leaf to leaf that fills the circle most evenly
 
 
 @dataclass(frozen=True)
@@ -22,15 +27,12 @@ class Mesh:
     uv: NDArray[np.float32] | None = None  # (V, 2)
 
     def __post_init__(self) -> None:
-        if self.vertices_m.ndim != 2 or self.vertices_m.shape[1] != 3 or self.vertices_m.dtype != np.float32:
-            raise ValueError(f"vertices_m must be (V, 3) float32, got {self.vertices_m.shape} {self.vertices_m.dtype}")
-        if self.faces.ndim != 2 or self.faces.shape[1] != 3 or self.faces.dtype != np.uint32:
-            raise ValueError(f"faces must be (F, 3) uint32, got {self.faces.shape} {self.faces.dtype}")
-        for name, array, width in (("normals", self.normals, 3), ("uv", self.uv, 2)):
-            if array is not None and (array.shape != (len(self.vertices_m), width) or array.dtype != np.float32):
-                raise ValueError(
-                    f"{name} must be ({len(self.vertices_m)}, {width}) float32, got {array.shape} {array.dtype}"
-                )
+        count = len(self.vertices_m)
+        wanted = {"vertices_m": (count, 3), "faces": (len(self.faces), 3), "normals": (count, 3), "uv": (count, 2)}
+        for name, shape in wanted.items():
+            array, kind = getattr(self, name), np.dtype(np.uint32 if name == "faces" else np.float32)
+            if array is not None and (array.shape != shape or array.dtype != kind):
+                raise ValueError(f"{name} must be {shape} {kind}, got {array.shape} {array.dtype}")
 
     @property
     def triangles(self) -> int:
@@ -51,9 +53,7 @@ def surface_area_m2(mesh: Mesh) -> float:
 def instance(template: Mesh, frames: NDArray[np.float32]) -> Mesh:
     """One mesh of the template, which has normals, under M transforms.
 
-    Parameters
-    ----------
-    frames : (M, 3, 4) organ frame -> plant frame: rotation times uniform scale, and translation in metres.
+    `frames`: (M, 3, 4) organ frame -> plant frame: rotation times uniform scale, and translation in metres.
     """
     if template.normals is None:
         raise ValueError("the template needs normals")
@@ -87,6 +87,13 @@ def concatenate(meshes: Sequence[Mesh]) -> Mesh:
         np.concatenate(normals),
         uv,
     )
+
+
+def part_of(mesh: Mesh, faces: NDArray[np.uint32]) -> Mesh:
+    """Some (F, 3) faces of a mesh with the vertices that they need."""
+    used, corners = np.unique(faces, return_inverse=True)
+    normals, uv = (None if one is None else one[used] for one in (mesh.normals, mesh.uv))
+    return Mesh(mesh.vertices_m[used], corners.reshape(-1, 3).astype(np.uint32), normals, uv)
 
 
 def unit(vectors: Floats) -> Floats:

@@ -12,10 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.geometry.mesh import Mesh, triangle_areas, unit, vertex_normals
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from forestgen.geometry.mesh import Floats, Ints, Mesh, triangle_areas, unit, vertex_normals
 
 
 class Patch(NamedTuple):
@@ -69,6 +66,11 @@ def outwards(turn_rad: NDArray[np.floating]) -> Floats:
 def placed(patch: Patch, linear: Floats, shift: Floats) -> Patch:
     """The patch under a (3, 3) matrix, whose columns are the images of x, y, z, and a shift."""
     return patch._replace(points=patch.points @ linear.T + shift)
+
+
+def lifted(patch: Patch, height_m: float) -> Patch:
+    """The patch moved along y."""
+    return patch._replace(points=patch.points + np.array([0.0, height_m, 0.0]))
 
 
 def copies(patch: Patch, linear: Floats, shift: Floats) -> Patch:
@@ -126,14 +128,16 @@ def strip(length_m: float, width_m: Floats, *, keel_rad: float = 0.0, folded: bo
     place = np.broadcast_to(y[:rows, None], half.shape)
     points = np.stack([half * np.cos(keel_rad), place, rise], axis=-1).reshape(-1, 3)
     uv = np.stack([np.broadcast_to(0.5 + 0.5 * across, half.shape), y[:rows, None] / length_m + 0.0 * half], axis=-1)
-    faces = _grid(rows, len(across))
-    if pointed:
-        last, tip = (rows - 1) * len(across), rows * len(across)
-        points = np.concatenate([points, [[0.0, length_m, 0.0]]])
-        uv = np.concatenate([uv.reshape(-1, 2), [[0.5, 1.0]]])
-        ends = [(last + k, tip, last + k + 1) for k in range(len(across) - 1)]
-        faces = np.concatenate([faces, np.array(ends, np.int64)])
-    return Patch(points, faces, uv.reshape(-1, 2))
+    patch = Patch(points, _grid(rows, len(across)), uv.reshape(-1, 2))
+    return _pointed(patch, np.array([0.0, length_m, 0.0]), len(across)) if pointed else patch
+
+
+def _pointed(grid: Patch, tip: Floats, columns: int) -> Patch:
+    """A grid of so many columns with a tip (3,) beyond its last row."""
+    end, last = len(grid.points), len(grid.points) - columns
+    faces = [(last + k, end, last + k + 1) for k in range(columns - 1)]
+    points, uv = np.concatenate([grid.points, [tip]]), np.concatenate([grid.uv, [[0.5, 1.0]]])
+    return Patch(points, np.concatenate([grid.faces, np.array(faces, np.int64)]), uv)
 
 
 def _grid(rows: int, columns: int) -> Ints:
@@ -158,12 +162,8 @@ def tube(path: Floats, radius_m: Floats, sides: int) -> Patch:
     points = (path[:, None] + radius_m[:, None, None] * ring)[:rows].reshape(-1, 3)
     v = np.linspace(0.0, 1.0, len(path))[:rows, None] + np.zeros(sides + 1)
     uv = np.stack([np.broadcast_to(np.linspace(0.0, 1.0, sides + 1), v.shape), v], axis=-1).reshape(-1, 2)
-    faces = _grid(rows, sides + 1)
-    if pointed:
-        last, tip = (rows - 1) * (sides + 1), rows * (sides + 1)
-        points, uv = np.concatenate([points, path[-1:]]), np.concatenate([uv, [[0.5, 1.0]]])
-        faces = np.concatenate([faces, [(last + k, tip, last + k + 1) for k in range(sides)]])
-    return Patch(points, faces, uv)
+    patch = Patch(points, _grid(rows, sides + 1), uv)
+    return _pointed(patch, path[-1], sides + 1) if pointed else patch
 
 
 def stalk(length_m: float, width_m: float, detail: int) -> Patch:

@@ -1,6 +1,6 @@
 """Binary PLY files (Turk 1994): all pieces in one mesh, coloured by vertex; a face's `part` is its label.
 
-Not by trimesh: its writer takes as many lines here and more time, and has neither comments nor flat facets (ADR 0015).
+Not by trimesh, which has neither comments nor flat facets (ADR 0015).
 """
 
 from __future__ import annotations

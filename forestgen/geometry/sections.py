@@ -11,66 +11,44 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Floats, Mesh
 
 
-def section_area_m2(meshes: Sequence[Mesh], height_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def section_area_m2(meshes: Sequence[Mesh], height_m: Floats) -> Floats:
     """(K,) areas of the meshes' common sections at (K,) heights; 0 where nothing is cut.
 
     Windings are counter-clockwise seen from outside; a surface that is open at a height encloses nothing there. O(faces
     near the heights, times their number).
     """
-    area = np.zeros(len(height_m))
     if not len(height_m) or not meshes:
-        return area
-    corner = np.concatenate([_near(mesh, height_m) for mesh in meshes])
-    _sections(corner, np.ascontiguousarray(height_m, dtype=np.float64), area)
-    return area
+        return np.zeros(len(height_m))
+    corners = np.concatenate([_near(mesh, height_m) for mesh in meshes])
+    return np.array([_union(_cut(corners, float(one))) for one in height_m])
 
 
-def _near(mesh: Mesh, height_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _near(mesh: Mesh, height_m: Floats) -> Floats:
     """(F, 3, 3) corners of the triangles that lie in the heights' range at least in part."""
     z = mesh.vertices_m[:, 2].astype(np.float64)[mesh.faces]
     chosen = (z.max(axis=1) >= height_m.min()) & (z.min(axis=1) <= height_m.max())
     return np.asarray(mesh.vertices_m.astype(np.float64)[mesh.faces[chosen]])
 
 
-@compiled
-def _sections(corner, height_m, area):  # type: ignore[no-untyped-def]
-    segments = np.empty((len(corner), 4))
-    for k in range(len(height_m)):
-        count = 0
-        for triangle in range(len(corner)):
-            if _cut(corner[triangle], height_m[k], segments[count]):
-                count += 1
-        area[k] = _union(segments[:count])
-
-
-@compiled
-def _cut(corner, height_m, segment):  # type: ignore[no-untyped-def]
-    """x, y of both ends of the cut through a triangle, its inside to the left; False if the plane misses it."""
-    above = 0
-    for i in range(3):
-        above += corner[i, 2] >= height_m  # a corner in the plane counts as above: each outline closes
-    if above == 0 or above == 3:
-        return False
-    alone = 0  # the corner on its own side
-    for i in range(3):
-        if (corner[i, 2] >= height_m) == (above == 1):
-            alone = i
-    after, before = (alone + 1) % 3, (alone + 2) % 3
-    if above == 2:
-        after, before = before, after
-    for end, other in enumerate((after, before)):
+def _cut(corners: Floats, height_m: float) -> Floats:
+    """(S, 4) x, y of both ends of the cuts through the triangles that the plane crosses, their inside to the left."""
+    above = corners[:, :, 2] >= height_m  # a corner in the plane counts as above: each outline closes
+    crossed = above.any(axis=1) & ~above.all(axis=1)
+    corners, above = corners[crossed], above[crossed]
+    up = above.sum(axis=1) == 1
+    row, alone = np.arange(len(up)), np.argmax(above == up[:, None], axis=1)  # the corner on its own side
+    ends = []
+    for other in ((alone + np.where(up, 1, 2)) % 3, (alone + np.where(up, 2, 1)) % 3):
         # From the lower to the upper corner, for both triangles of an edge: they agree to the bit.
-        low, high = (other, alone) if above == 1 else (alone, other)
-        share = (height_m - corner[low, 2]) / (corner[high, 2] - corner[low, 2])
-        for axis in range(2):
-            segment[2 * end + axis] = corner[low, axis] + share * (corner[high, axis] - corner[low, axis])
-    return True
+        low, high = corners[row, np.where(up, other, alone)], corners[row, np.where(up, alone, other)]
+        share = (height_m - low[:, 2]) / (high[:, 2] - low[:, 2])
+        ends.append(low[:, :2] + share[:, None] * (high[:, :2] - low[:, :2]))
+    return np.concatenate(ends, axis=1)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""Fewer triangles for far views, and the fine mesh's textures drawn into the coarse one's.
+"""Fewer triangles for programs that draw in real time, and the fine mesh's textures drawn into the coarse one's.
 
 A coarse mesh gets an atlas: texture coordinates without overlap. Each of its texels is a place on the coarse mesh and
 takes the colour of the nearest place on the fine one.
@@ -12,18 +12,19 @@ xatlas, https://github.com/jpcy/xatlas: charts are grown over nearly flat region
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.threads import cores
-from forestgen.geometry.mesh import Mesh, triangle_areas, vertex_normals
+from forestgen.geometry.export import Piece, Surface, srgb
+from forestgen.geometry.mesh import Floats, Ints, Mesh, concatenate, part_of, triangle_areas, vertex_normals
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Image = NDArray[np.float32]
 
+ATLAS_PX = 2048
 _ROUNDS = 20
 _MOST_PLACES = 2_000_000  # on the fine mesh, among which the nearest is looked for
 _AT_ONCE = 4_000_000  # texels of triangles' boxes
@@ -33,13 +34,12 @@ _PADDING = 2  # texels between charts, in an atlas of one to two thousand texels
 def decimate(mesh: Mesh, target_triangles: int) -> Mesh:
     """The mesh with about `target_triangles` triangles, by collapses of edges; new normals, no uv.
 
-    Vertices of equal position are merged first. Closed bodies stay closed, keep at least four triangles each, and keep
-    their volumes: a collapse thins a tube, so every body is widened along its normals until its volume is back. A body
-    is a connected component; tubes that run through one another are several. The target is missed where there are too
-    many bodies for it.
+    Vertices of equal position are merged first. Closed bodies (connected components) stay closed, keep at least four
+    triangles each, and keep their volumes: a collapse thins a tube, so every body is widened along its normals until
+    its volume is back. The target is missed where there are too many bodies for it.
     """
     vertices, faces = merged(mesh)
-    body = _bodies(len(vertices), faces)
+    body = bodies(len(vertices), faces)
     if target_triangles < len(faces):
         before = np.where(_closed(faces, body), _volumes(vertices, faces, body), np.nan)
         vertices, faces, body = _collapsed(vertices, faces, body, max(target_triangles, 4))
@@ -63,7 +63,7 @@ def merged(mesh: Mesh) -> tuple[Floats, Ints]:
     return mesh.vertices_m[first[order]].astype(np.float64), faces[whole]
 
 
-def _bodies(count: int, faces: Ints) -> Ints:
+def bodies(count: int, faces: Ints) -> Ints:
     """(V,) number of the connected body that each vertex belongs to."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -153,12 +153,8 @@ def unwrap(mesh: Mesh) -> Mesh:
 def bake(coarse: Mesh, fine: Sequence[tuple[Mesh, Image]], size_px: int) -> Image:
     """(size_px, size_px, 3) colours of a coarse mesh's atlas, linear, row 0 at v = 0.
 
-    Texels between the charts have the nearest chart's colour.
-
-    Parameters
-    ----------
-    coarse : its uv is an atlas, see `unwrap`.
-    fine : meshes near it, each with the texture that its uv repeat: (H, W, 3) linear, row 0 at v = 0.
+    Texels between the charts have the nearest one's colour. `coarse`: its uv is an atlas, see `unwrap`. `fine`: meshes
+    near it, each with the texture that its uv repeat: (H, W, 3) linear, row 0 at v = 0.
     """
     from scipy.ndimage import distance_transform_edt
     from scipy.spatial import cKDTree
@@ -243,3 +239,30 @@ def _reduced(image: Image, tile_px: float) -> Image:
         even = image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
         image = (even[0::2, 0::2] + even[1::2, 0::2] + even[0::2, 1::2] + even[1::2, 1::2]) / np.float32(4)
     return image
+
+
+def with_light_wood(pieces: Sequence[Piece], textures: Mapping[str, Image], triangles: int) -> tuple[Piece, ...]:
+    """The pieces; those with a bark decimated to about `triangles` in all, with one atlas of their barks' colours.
+
+    The relief is left out: from as far as such a plant is seen it does not show. Every twig keeps four triangles, so
+    that a plant of many twigs keeps more than asked for.
+
+    `textures`: (H, W, 3) linear, row 0 at v = 0, by the names of the pieces' surfaces; pieces of other surfaces stay.
+    """
+    wood = [piece for piece in pieces if piece.surface.name in textures]
+    if not wood:
+        return tuple(pieces)
+    share = min(triangles / sum(piece.mesh.triangles for piece in wood), 1.0)
+    coarse = [decimate(piece.mesh, round(share * piece.mesh.triangles)) for piece in wood]
+    atlas = unwrap(concatenate(coarse))
+    fine = [(piece.mesh, textures[piece.surface.name]) for piece in wood]
+    image = srgb(bake(atlas, fine, ATLAS_PX))
+    first = wood[0].surface
+    surface = Surface("wood", first.reflectance, roughness=first.roughness, colour_image=image)
+    ends = np.cumsum([mesh.triangles for mesh in coarse])
+    light = {}
+    for piece, start, end in zip(wood, [0, *ends], ends, strict=False):
+        mesh = part_of(atlas, atlas.faces[start:end])
+        area = {"area_m2": float(triangle_areas(mesh.vertices_m, mesh.faces).sum())}
+        light[piece.name] = replace(piece, mesh=mesh, surface=surface, properties={**piece.properties, **area})
+    return tuple(light.get(piece.name, piece) for piece in pieces)

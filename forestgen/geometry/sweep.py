@@ -4,16 +4,10 @@ Rings are carried along each polyline by rotation-minimising frames (the double 
 without twisting. Each ring lies in the plane that halves the bend at its point, and is stretched there as a mitre joint
 is, so that the tube keeps its section through the bend. Every tube is closed.
 
-Area of a section
------------------
-A ring is a regular polygon of n sides whose area is that of the section: pi r^2. Its circumradius is therefore
-r sqrt(2 pi / (n sin(2 pi / n))), and volumes are those of round tubes. The mean width of such a polygon, seen from all
-sides, is sqrt(n tan(pi / n) / pi) times the circle's (Cauchy's formula: perimeter over pi):
-
-===== ===== ===== ===== ===== ===== ===== =====
-sides 3     4     5     6     8     12    16
-width 1.286 1.128 1.075 1.050 1.027 1.012 1.006
-===== ===== ===== ===== ===== ===== ===== =====
+A ring is a regular polygon of n sides with the area of the section, pi r^2: its circumradius is r sqrt(2 pi / (n sin(2
+pi / n))), and volumes are those of round tubes. The mean width of such a polygon, seen from all sides, is sqrt(n tan(pi
+/ n) / pi) times the circle's (Cauchy's formula: perimeter over pi): 1.286 for 3 sides, 1.128 for 4, 1.075 for 5, 1.050
+for 6, 1.027 for 8, 1.012 for 12, 1.006 for 16.
 
 References
 ----------
@@ -30,14 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.threads import map_ranges
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Floats, Ints, Mesh
 from forestgen.geometry.sweep_kernel import Surface, Tubes, Turns, fill
 from forestgen.geometry.sweep_points import frames, keep, starts
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-MOST_SIDES = 256
 
 
 @dataclass(frozen=True)
@@ -48,27 +37,10 @@ class Polylines:
     radius_m: Floats  # (P,) tube radius at each point
     offset: Ints  # (A + 1,) offset[0] = 0, offset[A] = P
 
-    def __post_init__(self) -> None:
-        if self.points_m.shape != (len(self.radius_m), 3):
-            raise ValueError(f"points_m must be ({len(self.radius_m)}, 3), got {self.points_m.shape}")
-        if self.offset[0] != 0 or self.offset[-1] != len(self.radius_m) or np.any(np.diff(self.offset) < 2):
-            raise ValueError("offset must run from 0 to P in steps of at least two points")
-        if not (np.all(np.isfinite(self.points_m)) and np.all(np.isfinite(self.radius_m))):
-            raise ValueError("points_m and radius_m must be finite")
-
     @property
     def lengths(self) -> Ints:
         """(A,) points of each polyline."""
         return np.diff(self.offset)
-
-    def volume_m3(self) -> float:
-        """Sum of the frusta between consecutive points."""
-        inner = np.ones(len(self.radius_m), dtype=bool)
-        inner[self.offset[1:] - 1] = False
-        i = np.flatnonzero(inner)
-        length = np.linalg.norm(self.points_m[i + 1] - self.points_m[i], axis=1)
-        a, b = self.radius_m[i], self.radius_m[i + 1]
-        return float(np.sum(length * (a * a + a * b + b * b)) * np.pi / 3.0)
 
 
 def sides_for_radius(radius_m: Floats) -> Ints:
@@ -92,21 +64,6 @@ def rotation_minimising_frames(lines: Polylines) -> tuple[Floats, Floats, Floats
     return tangent, normal, np.cross(tangent, normal)
 
 
-def sweep(
-    lines: Polylines,
-    sides: Ints,
-    *,
-    pointed: bool | NDArray[np.bool_] = True,
-    radial_factor: Floats | None = None,
-    height_ratio: float | Floats = 1.0,
-    tile_m: tuple[float, float] = (1.0, 1.0),
-) -> Mesh:
-    """One mesh of all tubes, closed, wound outward, with smooth normals and texture coordinates: see `sweep_tubes`."""
-    return sweep_tubes(
-        lines, sides, pointed=pointed, radial_factor=radial_factor, height_ratio=height_ratio, tile_m=tile_m
-    )[0]
-
-
 def sweep_tubes(
     lines: Polylines,
     sides: Ints,
@@ -118,16 +75,16 @@ def sweep_tubes(
 ) -> tuple[Mesh, Ints]:
     """One mesh of all tubes, closed, wound outward, with smooth normals and texture coordinates.
 
-    The vertices along the seam (where u starts again) and round the caps are doubled, so a tube is watertight once
-    vertices of equal position are merged. Points that repeat the one before, and points at which the line turns back
-    on itself (by more than 168 degrees), are left out. A radius below what float32 can hold at a tube's place (a
-    millionth of its greatest coordinate) is raised to that, and a tube that is thinner all along gives no triangles.
-    A mitre stretches a ring at most twofold, which holds for bends up to 120 degrees.
+    The vertices along the seam (where u starts again) and round the caps are doubled: a tube is watertight once
+    vertices of equal position are merged. Left out are points that repeat the one before, and at which the line turns
+    back on itself (by more than 168 degrees). A radius below what float32 can hold at a tube's place (a millionth of
+    its greatest coordinate) is raised to that; a tube that is thinner all along gives no triangles. A mitre stretches a
+    ring at most twofold, which holds for bends up to 120 degrees.
 
     Parameters
     ----------
     lines : the A polylines.
-    sides : (A,) sides of each tube, 3 to 256.
+    sides : (A,) sides of each tube, at least 3.
     pointed : (A,) or for all: a tube ends in a point at its last point, whose radius does not count; otherwise in a
         flat cap. It begins with a flat cap.
     radial_factor : (P, S) factor on the radius of each ring's vertices (bark, root flare), S at least the most sides.
@@ -143,56 +100,32 @@ def sweep_tubes(
     vertex_start : (A + 1,) tube a has vertices ``vertex_start[a]:vertex_start[a + 1]``.
     """
     count, points = len(lines.offset) - 1, np.ascontiguousarray(lines.points_m, dtype=np.float64)
-    sides = _each(sides, count, np.int64)
-    if count and not 3 <= sides.min() <= sides.max() <= MOST_SIDES:
-        raise ValueError(f"a tube must have 3 to {MOST_SIDES} sides, got {sides.min()} to {sides.max()}")
+    sides, pointed = _each(sides, count, np.int64), _each(pointed, count, np.bool_)
+    ratio = _each(height_ratio, len(points), np.float64)
     factor = np.zeros((0, 0)) if radial_factor is None else np.ascontiguousarray(radial_factor, dtype=np.float64)
-    if radial_factor is not None and (len(factor) != len(points) or factor.shape[1] < sides.max(initial=0)):
-        raise ValueError(f"radial_factor must be ({len(points)}, {sides.max(initial=0)}), got {factor.shape}")
-    tubes = _tubes(
-        lines, points, sides, _each(pointed, count, np.bool_), _each(height_ratio, len(points), np.float64), factor
-    )
-    surface = _room(int(tubes.vertex_start[-1]), int(tubes.face_start[-1]))
-    turns, tile = _ring_tables(sides), np.array(tile_m, dtype=np.float64)
-
-    def part(first: int, end: int) -> int:
-        return int(fill(first, end, tubes, tile, turns, surface))
-
-    vertices, normals, uv, faces = surface
-
-    if sum(map_ranges(count, part)):  # neighbouring rings touched: a triangle without area is not one
-        faces = faces[faces[:, 0] != faces[:, 1]]
-    return Mesh(vertices, faces, normals, uv), tubes.vertex_start
-
-
-def _tubes(
-    lines: Polylines, points: Floats, sides: Ints, pointed: NDArray[np.bool_], ratio: Floats, factor: Floats
-) -> Tubes:
-    """The points that are meshed, and where each tube begins in the mesh."""
-    count = len(sides)
     kept, length, least = np.empty(len(points), dtype=np.int64), np.empty(count, dtype=np.int64), np.empty(count)
     keep(points, lines.radius_m, lines.offset, kept, length, least)
     vertex_start, face_start = np.empty(count + 1, dtype=np.int64), np.empty(count + 1, dtype=np.int64)
     starts(sides, pointed, length, vertex_start, face_start)
     shape = (points, lines.radius_m, ratio, factor)
-    return Tubes(*shape, lines.offset, kept, length, least, sides, pointed, vertex_start, face_start)
+    tubes = Tubes(*shape, lines.offset, kept, length, least, sides, pointed, vertex_start, face_start)
+    vertices, faces = int(vertex_start[-1]), int(face_start[-1])
+    position, normals, uv = (np.empty((vertices, k), np.float32) for k in (3, 3, 2))
+    face = np.empty((faces, 3), np.uint32)
+    surface = Surface(position, normals, uv, face)
+    turns, tile = _ring_tables(sides), np.array(tile_m, dtype=np.float64)
+
+    def part(first: int, end: int) -> int:
+        return int(fill(first, end, tubes, tile, turns, surface))
+
+    if sum(map_ranges(count, part)):  # neighbouring rings touched: a triangle without area is not one
+        face = face[face[:, 0] != face[:, 1]]
+    return Mesh(position, face, normals, uv), vertex_start
 
 
 def _each(given: object, count: int, kind: type) -> NDArray[Any]:
     """One value each, from one for all or as many as there are."""
-    values: NDArray[Any] = np.asarray(given, dtype=kind)
-    return np.ascontiguousarray(values) if values.shape == (count,) else np.full(count, values)
-
-
-def _room(vertices: int, faces: int) -> Surface:
-    """Vertices, normals, texture coordinates and faces, not yet filled, in one block of memory.
-
-    One block reaches sooner the size from which NumPy asks for large pages: new small ones take longer than the mesh.
-    """
-    block = np.empty(8 * vertices + 3 * faces, dtype=np.float32)
-    position, normal = block[: 3 * vertices].reshape(-1, 3), block[3 * vertices : 6 * vertices].reshape(-1, 3)
-    uv, face = block[6 * vertices : 8 * vertices].reshape(-1, 2), block[8 * vertices :].view(np.uint32)
-    return Surface(position, normal, uv, face.reshape(-1, 3))
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(given, dtype=kind), count))
 
 
 def _ring_tables(sides: Ints) -> Turns:

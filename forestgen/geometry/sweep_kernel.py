@@ -10,9 +10,6 @@ import numpy as np
 from forestgen.core.compiled import fma_njit, unowned_view
 from forestgen.geometry.sweep_points import HUB_SIDES, Vector, cross, dot, fill_matrices, fill_path, unit
 
-_LEVEL = 0.24  # share of a segment's length: rings that lean less along it need no look at the quads' diagonals
-_EVEN = 0.85  # ratio of the rings' radii for the same
-_ROOMY = 64.0  # rings of this many times the least radius over the sides are far from touching
 _MOST_SLOPE = 4.0
 _LEAST_FACTOR = 0.05
 _ALIKE = 0.25  # square of the ratio of a quad's two triangles from which the first diagonal is good enough
@@ -144,41 +141,26 @@ def _factor(factor: Any, i: int, j: int) -> Any:
 
 
 @fma_njit
-def _ring(
-    out: Surface,
-    vertex: int,
-    sides: int,
-    ring: Ring,
-    m: Any,
-    size: Any,
-    factor: Any,
-    near: Any,
-    turns: Any,
-    texture: Any,
-) -> None:
+def _ring(  # type: ignore[no-untyped-def]
+    out, vertex, sides, ring, m, size, factor, near, turns, texture
+):
     """Vertices of one ring, the first once more at the end for the texture's seam.
 
-    Parameters
-    ----------
-    size : radius here, before and after; distance from the ring before to the ring after; circumradius; least radius.
-    near : point index here, of the ring before and of the ring after, for `factor`.
-    turns : first row of the ring's cosines and sines, and these.
-    texture : repeats round the tube, and v.
+    `size`: radius here, before and after; distance from the ring before to the ring after; circumradius; least radius.
+    `near`: point index here, of the ring before and of the ring after, for `factor`. `turns`: first row of the ring's
+    cosines and sines, and these. `texture`: repeats round the tube, and v.
     """
     vertices, normals, uv, _ = out
     centre, t, n, o = ring
     here, before, after, span, grown, least = size
     at, behind, ahead = near
     row, cosines, sines = turns
-    shaped = factor.shape[0] > 0
-    f, turning, slope = 1.0, 0.0, (after - before) / span
     for j in range(sides):
         c, s = cosines[row + j], sines[row + j]
-        if shaped:
-            f = _factor(factor, at, j)
-            following, preceding = j + 1 if j + 1 < sides else 0, j - 1 if j > 0 else sides - 1
-            turning = (_factor(factor, at, following) - _factor(factor, at, preceding)) / (4.0 * pi / sides)
-            slope = (after * _factor(factor, ahead, j) - before * _factor(factor, behind, j)) / span
+        f = _factor(factor, at, j)
+        following, preceding = j + 1 if j + 1 < sides else 0, j - 1 if j > 0 else sides - 1
+        turning = (_factor(factor, at, following) - _factor(factor, at, preceding)) / (4.0 * pi / sides)
+        slope = (after * _factor(factor, ahead, j) - before * _factor(factor, behind, j)) / span
         inclined = -f * max(-_MOST_SLOPE, min(_MOST_SLOPE, slope))
         length = max(here * f, least) * grown
         x, y = (m[0] * c + m[1] * s) * length, (m[2] * c + m[3] * s) * length
@@ -242,22 +224,6 @@ def _round_ring(
 
 
 @fma_njit
-def _even_wall(faces: Any, face: int, lower: int, upper: int, sides: int) -> None:
-    """As `_wall` where the first diagonal is known to be good: flat `faces`."""
-    one, at = np.uint64(1), np.uint64(3 * face)
-    a, d = np.uint32(lower), np.uint32(upper)
-    for _ in range(sides):
-        b, c = np.uint32(a + np.uint32(1)), np.uint32(d + np.uint32(1))
-        faces[at] = a
-        faces[at + one] = b
-        faces[at + np.uint64(2)] = c
-        faces[at + np.uint64(3)] = a
-        faces[at + np.uint64(4)] = c
-        faces[at + np.uint64(5)] = d
-        a, d, at = b, c, at + np.uint64(6)
-
-
-@fma_njit
 def _tip(out: Surface, vertex: int, face: int, ring: int, sides: int, point: Vector, texture: Any) -> int:
     """A fan from a ring to a point, which has a vertex, a normal and a u for each side. Returns the empty ones."""
     vertices, normals, uv, faces = out
@@ -293,7 +259,7 @@ def fill(first: int, end: int, tubes: Tubes, tile: Any, turns_of: Turns, out: Su
     longest = 0
     for a in range(first, end):
         longest = max(longest, count[a])
-    path, matrix = np.empty((longest, 14)), np.empty((longest, 9))
+    path, matrix = np.empty((longest, 14)), np.empty((longest, 8))
     for a in range(first, end):
         if count[a] == 0:
             continue
@@ -309,8 +275,7 @@ def fill(first: int, end: int, tubes: Tubes, tile: Any, turns_of: Turns, out: Su
         frame = Ring(none, none, none, none)
         fill_path(points, kept, begin, rings, count[a], path)
         fill_matrices(path, kept, begin, rings, count[a], ratio, matrix)
-        before_m, v, lean_before, size_before = 0.0, 0.0, 0.0, 0.0
-        roomy = _ROOMY * sides * least[a]
+        before_m, v = 0.0, 0.0
         for j in range(rings):
             i = kept[begin + j]
             behind, ahead = kept[begin + max(j - 1, 0)], kept[begin + min(j + 1, count[a] - 1)]
@@ -323,14 +288,13 @@ def fill(first: int, end: int, tubes: Tubes, tile: Any, turns_of: Turns, out: Su
             narrows = 0.0 if pointed[a] and j == rings - 1 else radius[ahead]
             frame = Ring((points[i, 0], points[i, 1], points[i, 2]), t, n, cross(t, n))
             texture = (repeats, v / tile[1])
-            size = max(radius[i], least[a])
-            lean = size * grown * matrix[j, 8]
             if shaped:
                 sizes = (radius[i], radius[behind], narrows, before_m + ahead_m, grown, least[a])
                 _ring(out, vertex, sides, frame, m, sizes, factor, (i, behind, ahead), turns, texture)
             else:
                 slope = (narrows - radius[behind]) / (before_m + ahead_m)
-                _round_ring(flat, vertex, sides, frame, m, size * grown, slope, round_turns, texture)
+                length = max(radius[i], least[a]) * grown
+                _round_ring(flat, vertex, sides, frame, m, length, slope, round_turns, texture)
             vertex += sides + 1
             if j == 0:
                 facing = (-t[0], -t[1], -t[2])
@@ -339,18 +303,10 @@ def fill(first: int, end: int, tubes: Tubes, tile: Any, turns_of: Turns, out: Su
                 vertex += sides + hub
                 face += cap_faces
             else:
-                even = (
-                    not shaped
-                    and lean + lean_before + abs(size - size_before) < _LEVEL * before_m
-                    and min(size, size_before) > max(_EVEN * max(size, size_before), roomy)
-                )
-                if even:
-                    _even_wall(flat.faces, face, ring, vertex - sides - 1, sides)
-                else:
-                    empty += _wall(vertices, faces, face, ring, vertex - sides - 1, sides)
+                empty += _wall(vertices, faces, face, ring, vertex - sides - 1, sides)
                 ring = vertex - sides - 1
                 face += 2 * sides
-            before_m, lean_before, size_before = ahead_m, lean, size
+            before_m = ahead_m
             v += ahead_m
         if pointed[a]:
             i = kept[begin + rings]

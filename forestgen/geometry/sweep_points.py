@@ -5,8 +5,6 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any
 
-import numpy as np
-
 from forestgen.core.compiled import fma_njit
 
 HUB_SIDES = 8  # from this many sides on, a cap is a fan about its centre, so that a star-shaped ring is capped well
@@ -119,24 +117,13 @@ def keep(points: Any, radius: Any, offset: Any, kept: Any, count: Any, least: An
     """
     for a in range(len(offset) - 1):
         begin, end = offset[a], offset[a + 1]
-        greatest, thickest, shortest, forward = 0.0, 0.0, np.inf, True
-        bx, by, bz = 0.0, 0.0, 0.0
+        greatest, thickest = 0.0, 0.0
         for i in range(begin, end):
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             thickest = max(thickest, radius[i])
             greatest = max(greatest, max(abs(x), max(abs(y), abs(z))))
-            if i > begin:
-                fx, fy, fz = x - points[i - 1, 0], y - points[i - 1, 1], z - points[i - 1, 2]
-                shortest = min(shortest, fx * fx + fy * fy + fz * fz)
-                forward = forward and bx * fx + by * fy + bz * fz >= 0.0
-                bx, by, bz = fx, fy, fz
         floor = max(_LEAST_M, _RESOLUTION * (greatest + thickest))
         least[a] = floor
-        if forward and shortest >= 4.0001 * floor * floor:  # nothing to clean
-            for i in range(begin, end):
-                kept[i] = i
-            count[a] = end - begin if thickest >= floor else 0
-            continue
         top = begin
         for i in range(begin, end):
             while top > begin:
@@ -180,8 +167,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 def _ring_matrices(b: Vector, f: Vector, n: Vector, o: Vector, ratio: float) -> Any:
     """Matrix of a ring in its frame (normal n, binormal o), row by row, and its inverse transposed.
 
-    An ellipse of unit area ratio, stretched by the mitre in the direction of the bend. Also how far the ring leans
-    along the tube, at most, as a share of its radius.
+    An ellipse of unit area ratio, stretched by the mitre in the direction of the bend.
     """
     e00, e01, e11, w00, w01, w11 = 1.0, 0.0, 1.0, 1.0, 0.0, 1.0
     upright = sqrt(n[2] * n[2] + o[2] * o[2])
@@ -194,7 +180,6 @@ def _ring_matrices(b: Vector, f: Vector, n: Vector, o: Vector, ratio: float) -> 
         w00, w01, w11 = half - s * x * x, -s * x * y, half - s * y * y
     m00, m01, m10, m11 = e00, e01, e01, e11
     v00, v01, v10, v11 = w00, w01, w01, w11
-    lean = 0.0 if ratio == 1.0 else 1e9
     if dot(b, b) > 0.0 and dot(f, f) > 0.0:
         bend = (f[0] - b[0], f[1] - b[1], f[2] - b[2])
         x, y = dot(bend, n), dot(bend, o)
@@ -202,13 +187,12 @@ def _ring_matrices(b: Vector, f: Vector, n: Vector, o: Vector, ratio: float) -> 
         if across > 1e-14:
             half_cosine = sqrt(max(0.0, 0.5 * (1.0 + dot(b, f))))
             inverse = 1.0 / max(half_cosine, 1.0 / _MOST_MITRE)
-            lean += 0.5 * sqrt(across) * inverse  # the tangent of the half bend
             p, q = (inverse - 1.0) / across, (1.0 / inverse - 1.0) / across
             r0, r1 = x * e00 + y * e01, x * e01 + y * e11
             m00, m01, m10, m11 = e00 + p * x * r0, e01 + p * x * r1, e01 + p * y * r0, e11 + p * y * r1
             r0, r1 = x * w00 + y * w01, x * w01 + y * w11
             v00, v01, v10, v11 = w00 + q * x * r0, w01 + q * x * r1, w01 + q * y * r0, w11 + q * y * r1
-    return (m00, m01, m10, m11, v00, v01, v10, v11), lean
+    return m00, m01, m10, m11, v00, v01, v10, v11
 
 
 @fma_njit
@@ -260,7 +244,7 @@ def fill_path(points: Any, kept: Any, begin: int, rings: int, count: int, path: 
 
 @fma_njit
 def fill_matrices(path: Any, kept: Any, begin: int, rings: int, count: int, ratio: Any, matrix: Any) -> None:
-    """`_ring_matrices` of a tube's rings: columns 0 ... 7, and 8 the lean."""
+    """`_ring_matrices` of a tube's rings: columns 0 ... 7."""
     for j in range(rings):
         forward = (path[j, 0], path[j, 1], path[j, 2])
         if j == 0 or j == count - 1:
@@ -269,7 +253,6 @@ def fill_matrices(path: Any, kept: Any, begin: int, rings: int, count: int, rati
             back = (path[j - 1, 0], path[j - 1, 1], path[j - 1, 2])
         n = (path[j, 7], path[j, 8], path[j, 9])
         o = cross((path[j, 4], path[j, 5], path[j, 6]), n)
-        m, lean = _ring_matrices(back, forward, n, o, ratio[kept[begin + j]])
+        m = _ring_matrices(back, forward, n, o, ratio[kept[begin + j]])
         for k in range(8):
             matrix[j, k] = m[k]
-        matrix[j, 8] = lean

@@ -25,12 +25,11 @@ class Usd(MeshExporter):
     def files(self, model: Model, file_name: str) -> dict[str, bytes]:
         from pxr import Sdf, UsdUtils
 
-        textures = texture_files(model, file_name)
-        names = {key: name for key, (name, _) in textures.items()}
+        names, textures = texture_files(model, file_name)
         stem, _, suffix = file_name.rpartition(".")
         packed = suffix.lower() == "usdz"
         with tempfile.TemporaryDirectory(prefix="forestgen-usd-") as folder:
-            for name, content in textures.values():
+            for name, content in textures.items():
                 (Path(folder) / name).write_bytes(content)
             written = Path(folder) / (f"{_identifier(stem)}.usdc" if packed else f"plant.{suffix.lower()}")
             layer = _stage(model, names)
@@ -42,7 +41,7 @@ class Usd(MeshExporter):
                 if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(written)), str(package)):
                     raise RuntimeError("OpenUSD could not write the .usdz package")
                 return {file_name: package.read_bytes()}
-            return {file_name: written.read_bytes(), **dict(textures.values())}
+            return {file_name: written.read_bytes(), **textures}
 
 
 EXPORTER = Usd()
@@ -54,19 +53,27 @@ def _identifier(name: str) -> str:
     return f"_{cleaned}" if cleaned[0].isdigit() else cleaned
 
 
-def _stage(model: Model, textures: dict[tuple[str, str], str]) -> Any:
-    """The layer of a new stage in memory."""
-    from pxr import Sdf, Usd, UsdGeom, UsdShade
+def new_stage(root: str) -> tuple[Any, Any, Any]:
+    """A layer in memory, its stage in metres with z up, and the stage's default prim, an Xform at `root`."""
+    from pxr import Sdf, Usd, UsdGeom
 
     layer = Sdf.Layer.CreateAnonymous(".usda")
     stage = Usd.Stage.Open(layer)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    prim = UsdGeom.Xform.Define(stage, root).GetPrim()
+    stage.SetDefaultPrim(prim)
+    return layer, stage, prim
+
+
+def _stage(model: Model, textures: dict[tuple[str, str], str]) -> Any:
+    """The layer of a model's stage."""
+    from pxr import Usd, UsdGeom, UsdShade
+
     root = f"/{_identifier(model.name)}"
-    plant = UsdGeom.Xform.Define(stage, root).GetPrim()
+    layer, stage, plant = new_stage(root)
     Usd.ModelAPI(plant).SetKind("component")
     plant.SetCustomDataByKey("forestgen", dict(model.properties))
-    stage.SetDefaultPrim(plant)
     UsdGeom.Scope.Define(stage, f"{root}/materials")
     materials = {
         surface.name: _material(stage, f"{root}/materials/{_identifier(surface.name)}", surface, textures)
@@ -98,15 +105,10 @@ def _mesh(stage: Any, path: str, piece: Piece) -> Any:
         place = variables.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
         place.Set(Vt.Vec2fArray.FromNumpy(flipped))
     usd.CreateDisplayColorAttr([Gf.Vec3f(*piece.surface.reflectance)])
-    custom = {"part": piece.part.name.lower(), "transmittance": list(piece.surface.transmittance), **piece.properties}
-    usd.GetPrim().SetCustomDataByKey("forestgen", {key: _value(value) for key, value in custom.items()})
+    transmittance = Vt.DoubleArray(list(piece.surface.transmittance))
+    custom = {"part": piece.part.name.lower(), "transmittance": transmittance, **piece.properties}
+    usd.GetPrim().SetCustomDataByKey("forestgen", custom)
     return usd
-
-
-def _value(value: Any) -> Any:
-    from pxr import Vt
-
-    return Vt.DoubleArray(value) if isinstance(value, list) else value
 
 
 def _material(stage: Any, path: str, surface: Surface, textures: dict[tuple[str, str], str]) -> Any:
@@ -128,22 +130,23 @@ def _material(stage: Any, path: str, surface: Surface, textures: dict[tuple[str,
     reader.CreateInput("varname", kinds.String).Set("st")
     reader.CreateOutput("result", kinds.Float2)
 
-    def connect(kind: str, target: Any, space: str, scale: tuple[float, ...], bias: tuple[float, ...]) -> None:
+    # Values of 0 to 1 of a normal map stand for -1 to 1.
+    normal = shader.CreateInput("normal", kinds.Normal3f)
+    for kind, target, space, scale, bias in (("colour", diffuse, "sRGB", 1, 0), ("normal", normal, "raw", 2, -1)):
         if (surface.name, kind) not in textures:
-            return
+            continue
         texture = UsdShade.Shader.Define(stage, f"{path}/{kind}")
         texture.CreateIdAttr("UsdUVTexture")
-        texture.CreateInput("file", kinds.Asset).Set(Sdf.AssetPath(f"./{textures[surface.name, kind]}"))
         texture.CreateInput("st", kinds.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
-        texture.CreateInput("sourceColorSpace", kinds.Token).Set(space)
-        for name in ("wrapS", "wrapT"):
-            texture.CreateInput(name, kinds.Token).Set("repeat")
-        texture.CreateInput("scale", kinds.Float4).Set(Gf.Vec4f(*scale))
-        texture.CreateInput("bias", kinds.Float4).Set(Gf.Vec4f(*bias))
+        for name, value_type, value in (
+            ("file", kinds.Asset, Sdf.AssetPath(f"./{textures[surface.name, kind]}")),
+            ("sourceColorSpace", kinds.Token, space),
+            ("wrapS", kinds.Token, "repeat"),
+            ("wrapT", kinds.Token, "repeat"),
+            ("scale", kinds.Float4, Gf.Vec4f(scale, scale, scale, 1)),
+            ("bias", kinds.Float4, Gf.Vec4f(bias, bias, bias, 0)),
+        ):
+            texture.CreateInput(name, value_type).Set(value)
         texture.CreateOutput("rgb", kinds.Float3)
         target.ConnectToSource(texture.ConnectableAPI(), "rgb")
-
-    connect("colour", diffuse, "sRGB", (1, 1, 1, 1), (0, 0, 0, 0))
-    # Values of 0 to 1 stand for -1 to 1.
-    connect("normal", shader.CreateInput("normal", kinds.Normal3f), "raw", (2, 2, 2, 1), (-1, -1, -1, 0))
     return material

@@ -10,16 +10,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.mesh import any_perpendicular, rotate, unit
+from forestgen.geometry.mesh import UP, Floats, Ints, any_perpendicular, rotate, unit
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate
 from forestgen.recipe.fields import Section
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-_UP = np.array([0.0, 0.0, 1.0])
 _LAST_INTERNODE = 0.4  # a rest shorter than this share of an internode joins the one before it
 _MOST_INTERNODES = 20_000  # of one axis
 _NODE_BYTES = 600  # of an internode while it grows and is meshed
@@ -44,9 +40,7 @@ class Order(Section):
     branch_length_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of that length, as a share")
     shortest_m: float = Field(0.05, gt=0, description="a branch on this axis that would be shorter does not grow")
     branches_per_node: int = Field(1, ge=0, le=1000, description="branches of a whorl")
-    nodes_per_whorl: int = Field(
-        1, ge=1, le=1000, description="a whorl every so many nodes; one branch on those between"
-    )
+    nodes_per_whorl: int = Field(1, ge=1, le=1000, description="a whorl every so many nodes; one branch between")
     between_length: float = Field(1.0, gt=0, le=1, description="length of the branches between whorls, as a share")
     missing: float = Field(0.0, ge=0, lt=1, description="share of branches that failed")
     phyllotaxis_deg: float = Field(137.5, description="phyllo_ang[o]: turn from one node to the next, degrees")
@@ -110,12 +104,9 @@ def _check_size(shoots: Shoots, rules: Order) -> None:
     )
     longest = float(shoots.length_m.max())
     if longest > _MOST_INTERNODES * shortest:
-        raise RecipeError(
-            f"an axis of {longest:g} m would have {longest / shortest:,.0f} internodes",
-            where="plant",
-            expected=f"at most {_MOST_INTERNODES:,}",
-            hint="longer internode_m",
-        )
+        problem = f"an axis of {longest:g} m would have {longest / shortest:,.0f} internodes"
+        expected = f"at most {_MOST_INTERNODES:,}"
+        raise RecipeError(problem, where="plant", expected=expected, hint="longer internode_m")
 
 
 def _internodes(s: Floats, rules: Order, rng: np.random.Generator) -> Floats:
@@ -128,7 +119,7 @@ def _internodes(s: Floats, rules: Order, rng: np.random.Generator) -> Floats:
 def _bend(direction: Floats, turn: Floats, step: Floats, s: Floats, rules: Order) -> Floats:
     """Turn towards the sky (or, for a negative upturn, the ground) as a torque does, and wander."""
     rate = evaluate(rules.upturn_deg_per_m, np.clip(s / rules.longest_m, 0.0, 1.0))
-    lever = np.cross(direction, _UP)
+    lever = np.cross(direction, UP)
     sine = np.linalg.norm(lever, axis=1)
     angle = np.clip(np.radians(rate) * step * sine, -0.5, 0.5)
     bent = rotate(direction, unit(lever), angle)
@@ -144,15 +135,10 @@ def _by_axis(rows: list[tuple[Ints, int, Floats, Floats, Floats]], count: int, l
     step = np.concatenate([np.full(len(row[0]), row[1]) for row in rows])
     order = np.lexsort((step, axis))
     s = np.concatenate([row[4] for row in rows])[order]
-    return Grown(
-        axis=axis[order],
-        step=step[order],
-        position_m=np.concatenate([row[2] for row in rows])[order],
-        direction=np.concatenate([row[3] for row in rows])[order],
-        remaining_m=np.maximum(longest_m - s, 0.0),
-        relative=np.clip(s / longest_m, 0.0, 1.0),
-        first=np.searchsorted(axis[order], np.arange(count)),
-    )
+    position, direction = (np.concatenate([row[k] for row in rows])[order] for k in (2, 3))
+    remaining, relative = np.maximum(longest_m - s, 0.0), np.clip(s / longest_m, 0.0, 1.0)
+    first = np.searchsorted(axis[order], np.arange(count))
+    return Grown(axis[order], step[order], position, direction, remaining, relative, first)
 
 
 @dataclass(frozen=True)
@@ -226,7 +212,7 @@ class Assembly:
 
 def around(axis: Floats, azimuth_rad: Floats, angle_rad: Floats) -> Floats:
     """(M, 3) unit directions at `angle_rad` from `axis`, turned about it from the horizontal by `azimuth_rad`."""
-    side = np.cross(axis, _UP)
+    side = np.cross(axis, UP)
     steep = np.linalg.norm(side, axis=1) < 0.2
     side[steep] = np.cross(axis[steep], [0.0, 1.0, 0.0])
     side = np.where(np.linalg.norm(side, axis=1, keepdims=True) > 1e-9, unit(side), any_perpendicular(axis))

@@ -14,36 +14,25 @@ _OF_A_LARGE_PLANT, _OF_A_LARGE_PLANT_PER_M2 = 240_000, 550
 def check_budget(what: str, count: float, bytes_each: int, hint: str) -> None:
     """Refuse a plant of `count` things, before they are made.
 
-    Parameters
-    ----------
-    what : plural name of the things, such as "leaves".
-    count : how many; a float may be infinite.
-    bytes_each : memory that one takes while it is made and meshed.
-    hint : which keys to change.
+    `what`: plural name of the things, such as "leaves". `count`: may be infinite. `bytes_each`: memory that one takes
+    while it is made and meshed. `hint`: which keys to change.
 
-    Raises
-    ------
-    RecipeError : more than `LARGEST_PLANT`, or more than half of the memory that is free.
+    Raises `RecipeError`: more than `LARGEST_PLANT`, or more than half of the memory that is free.
     """
     room = min(float(LARGEST_PLANT), _SHARE_OF_FREE * free_bytes() / bytes_each)
     if not count <= room:
-        raise RecipeError(
-            f"the plant would have {count:,.0f} {what}",
-            where="plant",
-            expected=f"at most {room:,.0f} {what} (half of the memory that is free)"
-            if room < LARGEST_PLANT
-            else f"at most {room:,.0f} {what}",
-            hint=hint,
-        )
+        expected = f"at most {room:,.0f} {what}"
+        if room < LARGEST_PLANT:
+            expected += " (half of the memory that is free)"
+        raise RecipeError(f"the plant would have {count:,.0f} {what}", where="plant", expected=expected, hint=hint)
 
 
 def most_triangles(height_m: float, width_m: float) -> float:
     """Upper estimate of a plant's triangles at full detail, from its height and the width of its crown, if it has one.
 
-    It holds for all species that come with forestgen (docs/species.md; the seeds of a birch differ by a tenth). Slender
-    plants have up to 420 triangles a cubic metre, `height_m` times the square of `width_m`: birch; fireweed has few in
-    all. Low and wide plants have up to 50,000: bracken and bramble, whose leaves are divided. Of either kind large ones
-    have fewer a cubic metre: beech 67, oak 68.
+    It holds for all shipped species (docs/species.md; a birch's seeds differ by a tenth). Slender plants have up to 420
+    triangles a cubic metre, `height_m` times the square of `width_m`: birch. Low and wide ones have up to 50,000:
+    bracken and bramble, whose leaves are divided. Of either kind large ones have fewer: beech 67, oak 68.
     """
     per_m3 = _OF_A_SLENDER_PLANT_PER_M3 if width_m < 0.5 * height_m else _OF_A_WIDE_PLANT_PER_M3
     small = _OF_A_SMALL_PLANT + per_m3 * height_m * width_m**2

@@ -1,27 +1,30 @@
-"""One exemplar: a plant of a species at a community radius, grown and meshed."""
+"""One exemplar: a plant of a species at a community radius, grown, fitted to its size and meshed; and its poses."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh, surface_area_m2
+from forestgen.core.randomness import child_rng
+from forestgen.geometry.mesh import Floats, Mesh, surface_area_m2
 from forestgen.plants.budget import check_budget
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.plants.fitting import fit
 from forestgen.plants.grown import ModuleWood
-from forestgen.plants.levels import FULL, Level, simplified
+from forestgen.plants.levels import simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.organs.base import OrganForm
-from forestgen.plants.parameters import Fit
+from forestgen.plants.parameters import Fit, Sways
+from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.variation.growth import vary
+from forestgen.plants.variation.model import vary
 from forestgen.recipe.species import Species
 
 _TRIANGLE_BYTES = 150  # of an organ's triangle while it is meshed
@@ -29,6 +32,8 @@ _LEAST_ORGAN_M = 5e-5  # single precision at a tree's top tells no points of a s
 _FITTED = (0.5, 2.0)  # height over the height asked for; beyond, the fit did not reach the plant
 _LARGEST_M = 1e4  # plant that keeps the size at which it grows
 _TRIANGLES_PER_NODE = 10  # of wood: twigs have three to five sides, stems more
+_ROUNDS = 12  # of the fit
+_STRETCH = (0.3, 3.0)
 _FARTHEST = 1e15  # a grown point, in the generator's own unit; single precision squares no more
 
 
@@ -45,21 +50,16 @@ def build_exemplar(
     radius_m: float,
     rng: np.random.Generator,
     *,
-    level: Level = FULL,
+    pixel_m: float = 0.0,
     wood: ModuleWood | None = None,
 ) -> Exemplar:
     """Grow and mesh one plant.
 
-    Parameters
-    ----------
-    plant : the generator's own `Parameters`; their `generator` names it in `GENERATORS`.
-    radius_m : community radius.
-    level : how much detail; the plant is the same one at every level.
-    wood : branches that it has grown already: the generator clothes them, and they give its height.
+    `plant`: the generator's own `Parameters`; their `generator` names it in `GENERATORS`. `radius_m`: community radius.
+    `pixel_m`: what a pixel covers of the plant, metres, which sets the detail; 0: all. The plant is the same one.
+    `wood`: branches that it has grown already: the generator clothes them, and they give its height.
 
-    Raises
-    ------
-    RecipeError : a plant too large for memory, or a material that the species does not have.
+    Raises `RecipeError`: a plant too large for memory, or a material that the species does not have.
     """
     if wood is None:
         height_m, width_m = size_m(species, radius_m)
@@ -79,8 +79,8 @@ def build_exemplar(
     skeleton = _with_visible_organs(fit(skeleton, templates, plant.fit, height_m, width_m), templates)
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
-    seen = simplified(skeleton, templates, level, level_rng)
-    organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=level.pixel_m)
+    seen = simplified(skeleton, templates, pixel_m, level_rng)
+    organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=pixel_m)
     _check_materials(species_name, organs, species.materials)
     low, high = _box(organs, species_name)
     _check_fitted(species_name, plant.fit, float(high[2]), height_m)
@@ -106,11 +106,8 @@ def _check_grown(species_name: str, skeleton: Skeleton) -> None:
     """Refuse what is too large for the numbers that it is written in, before it is meshed."""
     arrays = [skeleton.position_m, skeleton.radius_m, *(organs.frame for organs in skeleton.organs)]
     if not all(np.all(np.abs(array) < _FARTHEST) for array in arrays):  # NaN too
-        raise RecipeError(
-            "the plant grows beyond all measure",
-            where=f"species {species_name}: plant",
-            hint="look for lengths, or factors of lengths, that are far too large",
-        )
+        hint = "look for lengths, or factors of lengths, that are far too large"
+        raise RecipeError("the plant grows beyond all measure", where=f"species {species_name}: plant", hint=hint)
 
 
 def _with_visible_organs(skeleton: Skeleton, templates: Mapping[str, Mesh]) -> Skeleton:
@@ -134,11 +131,8 @@ def leaf_area_m2(organs: Iterable[OrganMesh], shapes: Mapping[str, OrganForm]) -
 
 def _box(organs: tuple[OrganMesh, ...], species_name: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     if not organs:
-        raise RecipeError(
-            "nothing of the plant is large enough to be seen",
-            where=f"species {species_name}: plant",
-            hint="thicker stems or larger organs",
-        )
+        where, hint = f"species {species_name}: plant", "thicker stems or larger organs"
+        raise RecipeError("nothing of the plant is large enough to be seen", where=where, hint=hint)
     low = np.min([organ.mesh.vertices_m.min(axis=0) for organ in organs], axis=0)
     return low, np.max([organ.mesh.vertices_m.max(axis=0) for organ in organs], axis=0)
 
@@ -147,20 +141,148 @@ def _check_fitted(species_name: str, how: Fit, made_m: float, wanted_m: float) -
     """Refuse a plant that has no size, or nothing like the one that it is fitted to."""
     least, most = (0.0, _LARGEST_M) if how == "none" else (_FITTED[0] * wanted_m, _FITTED[1] * wanted_m)
     if not least <= made_m <= most:
-        raise RecipeError(
-            f"the plant grows to {made_m:.3g} m" + ("" if how == "none" else " and cannot be fitted to its height"),
-            where=f"species {species_name}: plant",
-            expected=f"at most {most:.3g} m" if how == "none" else f"about {wanted_m:.3g} m",
-            hint="lengths and organs in proportion to the height, or fit: scale_all, or fit: none",
+        problem = f"the plant grows to {made_m:.3g} m" + (
+            "" if how == "none" else " and cannot be fitted to its height"
         )
+        expected = f"at most {most:.3g} m" if how == "none" else f"about {wanted_m:.3g} m"
+        hint = "lengths and organs in proportion to the height, or fit: scale_all, or fit: none"
+        raise RecipeError(problem, where=f"species {species_name}: plant", expected=expected, hint=hint)
 
 
 def _check_materials(species_name: str, organs: tuple[OrganMesh, ...], materials: Mapping[str, object]) -> None:
     for organ in organs:
         if organ.material not in materials:
-            raise RecipeError(
-                "the plant names a material that the species does not have",
-                where=f"species {species_name}: plant",
-                expected="one of " + ", ".join(materials),
-                got=repr(organ.material),
-            )
+            where, expected = f"species {species_name}: plant", "one of " + ", ".join(materials)
+            problem = "the plant names a material that the species does not have"
+            raise RecipeError(problem, where=where, expected=expected, got=repr(organ.material))
+
+
+def fit(skeleton: Skeleton, templates: Mapping[str, Mesh], how: Fit, height_m: float, width_m: float) -> Skeleton:
+    """The plant at the size that the community asks for; `how` as in `PlantParameters.fit`.
+
+    `templates`: organ shapes by name, for the organs' own extents. `height_m`: of the topmost point. `width_m`: mean of
+    the extents in x and y; "stretch" alone keeps to it.
+    """
+    match how:
+        case "stretch":
+            return _stretch(skeleton, templates, height_m, width_m)
+        case "scale":
+            return _scale(skeleton, templates, height_m)
+        case "scale_all":
+            feet, _, high = _extents(skeleton.organs, templates)
+            top = max(float(skeleton.position_m[:, 2].max()), float((feet + high)[:, 2].max()))
+            return _scaled(skeleton, height_m / max(top, 1e-9), organs_too=True)
+        case "none":
+            return skeleton
+
+
+def _scale(skeleton: Skeleton, templates: Mapping[str, Mesh], height_m: float) -> Skeleton:
+    """The wood scaled until the topmost point, of wood or organ, is at `height_m`; organs keep their size."""
+    feet, _, high = _extents(skeleton.organs, templates)
+    nodes = float(skeleton.position_m[:, 2].max())
+    factor = height_m / max(nodes, 1e-9)
+    for _ in range(_ROUNDS):
+        top = max(nodes * factor, float((feet[:, 2] * factor + high[:, 2]).max()))
+        factor = float(np.clip(factor + (height_m - top) / max(nodes, 1e-9), 1e-3 * factor, 1e3 * factor))
+    return _scaled(skeleton, factor, organs_too=False)
+
+
+def _scaled(skeleton: Skeleton, factor: float, *, organs_too: bool) -> Skeleton:
+    stretch = np.full(3, factor)
+    return replace(
+        skeleton,
+        position_m=(skeleton.position_m * np.float32(factor)).astype(np.float32),
+        radius_m=(skeleton.radius_m * np.float32(factor)).astype(np.float32),
+        organs=tuple(moved(placement, stretch, factor if organs_too else 1.0) for placement in skeleton.organs),
+    )
+
+
+def _stretch(skeleton: Skeleton, templates: Mapping[str, Mesh], height_m: float, width_m: float) -> Skeleton:
+    """Scale node positions and organ feet, horizontally and vertically apart, until the geometry's extents fit.
+
+    Organs keep their size and attitude, wood its thickness. Where leaves alone are wider than `width_m` (a seedling
+    is mostly leaf), the organs shrink too.
+    """
+    organs = skeleton.organs
+    feet, low, high = _extents(organs, templates)
+    nodes = skeleton.position_m.astype(np.float64)
+    top = max(float(nodes[:, 2].max()), 1e-9)
+    stretch, organ_size = np.ones(3), 1.0
+    for _ in range(_ROUNDS):
+        lowest = np.minimum((nodes * stretch).min(axis=0), (feet * stretch + low * organ_size).min(axis=0))
+        highest = np.maximum((nodes * stretch).max(axis=0), (feet * stretch + high * organ_size).max(axis=0))
+        width = 0.5 * float(np.sum((highest - lowest)[:2]))
+        span = 0.5 * float(np.sum(np.ptp(nodes, axis=0)[:2]))
+        stretch[:2] = np.clip(stretch[:2] + (width_m - width) / max(span, 0.05 * width_m), *_STRETCH)
+        stretch[2] = np.clip(stretch[2] + (height_m - highest[2]) / top, *_STRETCH)
+        if stretch[0] in _STRETCH:
+            organ_size = float(np.clip(organ_size * width_m / max(width, 1e-9), 0.4, 1.6))
+    return replace(
+        skeleton,
+        position_m=(nodes * stretch).astype(np.float32),
+        organs=tuple(moved(placement, stretch, organ_size) for placement in organs),
+    )
+
+
+def _extents(organs: Sequence[OrganPlacements], templates: Mapping[str, Mesh]) -> tuple[Floats, Floats, Floats]:
+    """Feet of all organs and the corners of their boxes, relative to them, each (M, 3)."""
+    feet, low, high = [np.zeros((1, 3))], [np.zeros((1, 3))], [np.zeros((1, 3))]
+    for placement in organs:
+        reach = templates[placement.shape].vertices_m @ placement.frame[:, :, :3].transpose(0, 2, 1)
+        feet.append(placement.frame[:, :, 3].astype(np.float64))
+        low.append(reach.min(axis=1).astype(np.float64))
+        high.append(reach.max(axis=1).astype(np.float64))
+    return np.concatenate(feet), np.concatenate(low), np.concatenate(high)
+
+
+def moved(placement: OrganPlacements, stretch: NDArray[np.floating], organ_size: float) -> OrganPlacements:
+    """The organs with their feet stretched and their size multiplied."""
+    frame = placement.frame.copy()
+    frame[:, :, 3] *= stretch.astype(np.float32)
+    frame[:, :, :3] *= np.float32(organ_size)
+    return replace(placement, frame=frame)
+
+
+def check_sways(species_name: str, parameters: Any) -> None:
+    """Raise `RecipeError` if the plant's generator has no poses."""
+    if parameters.variation is not None or not isinstance(GENERATORS.load(parameters.generator), Sways):
+        able = " or ".join(name for name, generator in GENERATORS.parts() if isinstance(generator, Sways))
+        got = f"{species_name}, of the generator {parameters.generator}"
+        hint = "`forestgen plant --list` shows generators; or leave `frames` out"
+        expected = f"a species of the generator {able}, without variation"
+        problem = "plants of this species cannot sway"
+        raise RecipeError(problem, parameter="frames", expected=expected, got=got, hint=hint)
+
+
+def sway(
+    plan: PlantPlan, species_name: str, radius_m: float, seed: int, frames: int, frames_per_s: float
+) -> Iterator[Exemplar]:
+    """The plant of a seed at times 0, 1 / frames_per_s, ..."""
+    species, parameters = plan.drawn.species[species_name], plan.generators[species_name]
+    generator: Sways = GENERATORS.load(parameters.generator)
+    parameters = generator.in_wind(parameters)
+    anew = partial(child_rng, seed, "exemplar", species_name)
+    still = build_exemplar(species_name, species, parameters, radius_m, anew())
+    times_s = (np.arange(frames) / frames_per_s).tolist()
+    for skeleton in generator.poses(parameters, *size_m(species, radius_m), anew(), times_s):
+        organs = organ_meshes(skeleton, parameters.shapes, parameters.wood)
+        posed = replace(still, organs=_with_the_faces_of(still.organs, organs))
+        low, high = posed.bounds_m()
+        yield replace(
+            posed,
+            height_m=float(high[2]),
+            crown_width_m=float(np.mean((high - low)[:2])),
+            leaf_area_m2=leaf_area_m2(posed.organs, parameters.shapes),
+        )
+
+
+def _with_the_faces_of(still: tuple[OrganMesh, ...], posed: tuple[OrganMesh, ...]) -> tuple[OrganMesh, ...]:
+    """Frames share their faces, as shape keys must; the mesher may cut a quad along its other diagonal."""
+    shapes = [
+        [(one.part, one.material, one.mesh.vertices_m.shape, one.mesh.faces.shape) for one in organs]
+        for organs in (still, posed)
+    ]
+    if shapes[0] != shapes[1]:
+        return posed
+    pairs = zip(still, posed, strict=True)
+    return tuple(replace(new, mesh=replace(new.mesh, faces=old.mesh.faces)) for old, new in pairs)

@@ -13,12 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
-from forestgen.geometry.mesh import Mesh, unit
+from forestgen.geometry.mesh import Floats, Ints, Mesh, unit
 from forestgen.geometry.sweep import Polylines, rotation_minimising_frames, sides_for_radius, sweep_tubes
 from forestgen.plants.skeleton import Skeleton
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _COLLARED_M = 0.008  # thinner branches have no collar
 _MANY_RINGS_M = 0.015  # radius from which a collar has all its rings
@@ -49,9 +46,8 @@ def _bearers(skeleton: Skeleton, node: Ints) -> _Bearers:
     around = np.stack([before, after], axis=1)
     position = skeleton.position_m[node].astype(np.float64)
     way = skeleton.position_m[around] - position[:, None]
-    return _Bearers(
-        position, skeleton.radius_m[node].astype(np.float64), way, skeleton.radius_m[around].astype(np.float64)
-    )
+    radius, end_radius = skeleton.radius_m[node].astype(np.float64), skeleton.radius_m[around].astype(np.float64)
+    return _Bearers(position, radius, way, end_radius)
 
 
 def sweep_with_collars(
@@ -78,19 +74,20 @@ def sweep_with_collars(
     factor = np.ones((len(lines.radius_m), int(sides.max())))
     _, normal, binormal = rotation_minimising_frames(lines)
     points = np.ascontiguousarray(lines.points_m)
-    _swell(points, lines.radius_m, lines.offset, sides, chosen, *surfaces, normal, binormal, factor)
+    _swell(points, lines.radius_m, lines.offset, sides, chosen, surfaces, normal, binormal, factor)
     mesh, vertex_start = sweep_tubes(
         lines, sides, pointed=pointed, radial_factor=factor, height_ratio=height_ratio, tile_m=tile_m
     )
     if mesh.normals is not None:
-        _blend(mesh.vertices_m, mesh.normals, vertex_start, chosen, base[chosen], *surfaces)
+        _blend(mesh.vertices_m, mesh.normals, vertex_start, chosen, base[chosen], surfaces)
     return mesh, vertex_start
 
 
 @compiled
-def _nearest(x: float, y: float, z: float, c: int, position: Any, radius: Any, way: Any, end: Any) -> Any:
+def _nearest(x: float, y: float, z: float, c: int, bearers: _Bearers) -> Any:
     """Signed distance from bearer c's surface, negative inside, and the unit vector away from its axis."""
     least, nx, ny, nz = np.inf, 0.0, 0.0, 0.0
+    position, radius, way, end = bearers
     for side in range(2):
         dx, dy, dz = x - position[c, 0], y - position[c, 1], z - position[c, 2]
         wx, wy, wz = way[c, side, 0], way[c, side, 1], way[c, side, 2]
@@ -107,11 +104,11 @@ def _nearest(x: float, y: float, z: float, c: int, position: Any, radius: Any, w
 
 
 @compiled
-def _swell(
-    points: Any, radius: Any, offset: Any, sides: Any, chosen: Any, position: Any, bearing_radius: Any, way: Any,
-    end: Any, normal: Any, binormal: Any, factor: Any,
-) -> None:  # fmt: skip
+def _swell(  # type: ignore[no-untyped-def]
+    points, radius, offset, sides, chosen, bearers, normal, binormal, factor
+):
     """Factors of the vertices that lie near the bearer's surface."""
+    position, bearing_radius = bearers.position_m, bearers.radius_m
     for c in range(len(chosen)):
         tube = chosen[c]
         reach = _FARTHEST * (bearing_radius[c] + radius[offset[tube]])
@@ -126,9 +123,7 @@ def _swell(
                 ox = cos(a) * normal[i, 0] + sin(a) * binormal[i, 0]
                 oy = cos(a) * normal[i, 1] + sin(a) * binormal[i, 1]
                 oz = cos(a) * normal[i, 2] + sin(a) * binormal[i, 2]
-                distance, nx, ny, nz = _nearest(
-                    x + r * ox, y + r * oy, z + r * oz, c, position, bearing_radius, way, end
-                )  # fmt: skip
+                distance, nx, ny, nz = _nearest(x + r * ox, y + r * oy, z + r * oz, c, bearers)
                 facing = min(max(0.5 - 0.6 * (ox * nx + oy * ny + oz * nz), 0.0), 1.0)
                 rest = min(max(1.0 - distance / (_REACH * r), 0.0), 1.0)
                 swollen = min(r * (1.0 + _SWELLING * facing * rest * rest), _WITHIN * bearing_radius[c])
@@ -136,16 +131,11 @@ def _swell(
 
 
 @compiled
-def _blend(
-    vertices: Any, normals: Any, vertex_start: Any, chosen: Any, base: Any, position: Any, radius: Any, way: Any,
-    end: Any,
-) -> None:  # fmt: skip
+def _blend(vertices, normals, vertex_start, chosen, base, bearers):  # type: ignore[no-untyped-def]
     """Turn the normals of the vertices near a bearer's surface towards the bearer's."""
     for c in range(len(chosen)):
         for i in range(vertex_start[chosen[c]], vertex_start[chosen[c] + 1]):
-            distance, nx, ny, nz = _nearest(
-                vertices[i, 0], vertices[i, 1], vertices[i, 2], c, position, radius, way, end
-            )  # fmt: skip
+            distance, nx, ny, nz = _nearest(vertices[i, 0], vertices[i, 1], vertices[i, 2], c, bearers)
             rest = 1.0 - distance / (_BLEND * base[c])
             if rest <= 0.0:
                 continue

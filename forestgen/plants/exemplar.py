@@ -1,14 +1,18 @@
-"""The contract between plants and scene: one plant's geometry, ready to be instanced."""
+"""The contract between plants and scene: one plant's geometry, ready to be instanced; and plants as their silhouettes.
+
+As solids (Lane 2002, Figure 6.2a) a crown is what its silhouette curve sweeps round the stem, a stem a cone frustum
+below it: for looking at a stand before its plants are grown, and for amodal or silhouette studies.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Floats, Mesh, vertex_normals
 
 
 @dataclass(frozen=True)
@@ -56,3 +60,79 @@ class Exemplar:
         low = np.min([c.min(axis=0) for c in corners], axis=0)
         high = np.max([c.max(axis=0) for c in corners], axis=0)
         return np.stack([low, high]).astype(np.float64)
+
+
+_SIDES = 32
+_LEVELS = 40  # rings of a measured profile
+_REACH = 98.0  # percentile of the distances from the stem: single twigs do not make the form
+_THIN_M = 1e-4
+
+
+def solid_of_revolution(height_m: Floats, radius_m: Floats) -> Mesh:
+    """Closed surface about the z axis.
+
+    `height_m`: (K,) ascending, at least two. `radius_m`: (K,) at each height; the ends are capped.
+    """
+    angle = np.arange(_SIDES) * (2.0 * np.pi / _SIDES)
+    radius = np.maximum(radius_m, _THIN_M)
+    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    walls = np.concatenate(
+        [radius[:, None, None] * ring, np.broadcast_to(height_m[:, None, None], (len(radius), _SIDES, 1))], axis=2
+    ).reshape(-1, 3)
+    ends = np.array([[0.0, 0.0, height_m[0]], [0.0, 0.0, height_m[-1]]])
+    vertices = np.concatenate([walls, ends])
+    around = np.arange(_SIDES)
+    beyond = np.roll(around, -1)
+    start = np.arange(len(radius) - 1)[:, None] * _SIDES
+    bottom, top, last = len(walls), len(walls) + 1, (len(radius) - 1) * _SIDES
+    corners = (
+        (start + around, start + beyond, start + _SIDES + beyond),
+        (start + around, start + _SIDES + beyond, start + _SIDES + around),
+        (beyond, around, np.full(_SIDES, bottom)),
+        (last + around, last + beyond, np.full(_SIDES, top)),
+    )
+    faces = np.concatenate([np.stack(one, axis=-1).reshape(-1, 3) for one in corners])
+    normals = vertex_normals(vertices, faces)
+    return Mesh(vertices.astype(np.float32), faces.astype(np.uint32), normals.astype(np.float32))
+
+
+def measured_profile(vertices_m: Floats) -> tuple[Floats, Floats]:
+    """Heights (K,) and radii (K,) of the solid that holds 98% of a plant's (V, 3) vertices at each height."""
+    low, high = float(vertices_m[:, 2].min()), float(vertices_m[:, 2].max())
+    edges = np.linspace(low, high, _LEVELS + 1)
+    level = np.clip(np.searchsorted(edges, vertices_m[:, 2], side="right") - 1, 0, _LEVELS - 1)
+    distance = np.hypot(vertices_m[:, 0], vertices_m[:, 1])
+    filled = np.unique(level)
+    reach = np.array([np.percentile(distance[level == one], _REACH) for one in filled])
+    middle = 0.5 * (edges[filled] + edges[filled + 1])
+    return np.concatenate([[low], middle, [high]]), np.concatenate([[0.5 * reach[0]], reach, [0.0]])
+
+
+def as_solids(exemplar: Exemplar, profile: tuple[Floats, Floats] | None = None) -> Exemplar:
+    """The exemplar with a solid for its crown and a frustum for its stem; area and volume stay the plant's.
+
+    `profile`: (K,) heights and (K,) radii of the crown, metres; None: measured on the exemplar's leaves and flowers. A
+    plant without leaves stays as it is.
+    """
+    leafy = [organ for organ in exemplar.organs if organ.part in (Part.LEAF, Part.FLOWER)]
+    trunk = next((organ for organ in exemplar.organs if organ.part == Part.TRUNK), None)
+    if not leafy:
+        return exemplar
+    if profile is None:
+        vertices_m = np.concatenate([organ.mesh.vertices_m for organ in leafy]).astype(np.float64)
+        height_m, radius_m = measured_profile(vertices_m)
+        profile = height_m, radius_m * (0.5 * exemplar.crown_width_m / radius_m.max())
+    most = max(leafy, key=lambda organ: organ.mesh.triangles)
+    organs = [OrganMesh(Part.LEAF, most.material, solid_of_revolution(*profile))]
+    if trunk is not None and profile[0][0] > 0.0:
+        organs.insert(0, OrganMesh(Part.TRUNK, trunk.material, _stem(trunk.mesh, float(profile[0][0]))))
+    return replace(exemplar, organs=tuple(organs))
+
+
+def _stem(trunk: Mesh, crown_base_m: float) -> Mesh:
+    """A frustum from below the ground into the crown, as thick as the trunk at breast height or a third of the way."""
+    at = min(1.3, crown_base_m / 3.0)
+    near = np.argsort(np.abs(trunk.vertices_m[:, 2] - at))[:16]
+    section = trunk.vertices_m[near, :2].astype(np.float64)
+    radius = float(np.linalg.norm(section - section.mean(axis=0), axis=1).mean())
+    return solid_of_revolution(np.array([-0.3, crown_base_m + 2.0 * radius]), np.array([1.1 * radius, 0.8 * radius]))

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple, Self
+from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.geometry.mesh import rotate, unit
+from forestgen.geometry.mesh import UP, Floats, Ints, rotate, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.recipe.curves import Curve, PositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-_UP = np.array([0.0, 0.0, 1.0])
 _ORGAN_BYTES = 2000  # of an organ while it is placed, and of its smallest blade
 _HINT = "foliage of the shape {!r}: a larger spacing_m, or a smaller within_m, count or per_node"
 _DEEPEST_SEAT_M = 0.008  # an organ's foot sits on the bark, but no further than this from the axis
@@ -28,9 +23,7 @@ class Foliage(Section):
     """Where organs of one shape sit: at even steps along the axes, from each axis' tip towards its base."""
 
     shape: str = Field(description="name of an organ shape")
-    heights_m: tuple[float, float] = Field(
-        (0.0, 1e3), description="heights of the plants that this rule serves, metres; the upper end is excluded"
-    )
+    heights_m: tuple[float, float] = Field((0.0, 1e3), description="heights that it serves, upper end excluded, metres")
     orders: tuple[int, ...] = Field(min_length=1, description="branch orders that bear it; 0 is the stem")
     spacing_m: float | None = Field(None, gt=0, description="distance between nodes along the axis, metres")
     count: int | None = Field(None, ge=1, le=10_000, description="nodes on each axis, in place of spacing_m")
@@ -50,12 +43,8 @@ class Foliage(Section):
     facing: Literal["up", "axis"] = Field("up", description="upper side turned to the sky or along the axis")
     size: PositiveCurve = Field(((0.0, 1.0),), description="factor on the shape's size over the zone")
     size_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of the size, as a share")
-    size_by_height: PositiveCurve = Field(
-        ((0.0, 1.0),), description="factor on size and spacing over the plant's height in metres"
-    )
-    spacing_by_height: PositiveCurve = Field(
-        ((0.0, 1.0),), description="one more factor on the spacing, over the plant's height in metres"
-    )
+    size_by_height: PositiveCurve = Field(((0.0, 1.0),), description="factor on size and spacing over height in metres")
+    spacing_by_height: PositiveCurve = Field(((0.0, 1.0),), description="one more on spacing, over height in metres")
     terminal: bool = Field(False, description="one more at the very tip, along the axis")
     missing: float = Field(0.0, ge=0, lt=1, description="share of places left empty")
 
@@ -75,13 +64,12 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     growth = evaluate_one(rule.size_by_height, height_m)
     axes = _Axes(skeleton, rule.orders)
     spacing_m = (rule.spacing_m or 0.0) * growth * evaluate_one(rule.spacing_by_height, height_m)
-    station = _stations(rule, axes, spacing_m)
-    axis, rank = station.axis, station.rank
-    node, foot, tangent = axes.at(axis, station.distance_m)
+    axis, distance_m, share, rank, member = _stations(rule, axes, spacing_m)
+    node, foot, tangent = axes.at(axis, distance_m)
     keep = rng.random(len(axis)) >= rule.missing
     keep &= 2.0 * skeleton.radius_m[node] < rule.thinner_than_m
-    node, foot, tangent, axis, rank = node[keep], foot[keep], tangent[keep], axis[keep], rank[keep]
-    share, member = station.share[keep], station.member[keep]
+    node, axis, rank = node[keep], axis[keep], rank[keep]
+    foot, tangent, share, member = foot[keep], tangent[keep], share[keep], member[keep]
     phase = rng.uniform(0.0, 2.0 * np.pi, len(axes.length))[axis]
     azimuth = np.where(rule.planar, np.round(phase / (2.0 * np.pi)) * np.pi, phase)
     azimuth = azimuth + np.radians(rule.divergence_deg) * rank + 2.0 * np.pi * member
@@ -95,7 +83,7 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     foot = foot + 0.7 * radius[:, None] * unit(seat)
     size = growth * evaluate(rule.size, share) * np.clip(1 + rule.size_jitter * rng.normal(size=len(axis)), 0.4, 1.6)
     roll = np.radians(rule.roll_jitter_deg) * rng.normal(size=len(axis))
-    upper = np.broadcast_to(_UP, tangent.shape) if rule.facing == "up" else tangent
+    upper = np.broadcast_to(UP, tangent.shape) if rule.facing == "up" else tangent
     frame = organ_frames(foot, along, upper, roll, size)
     return OrganPlacements(rule.shape, frame.astype(np.float32), node.astype(np.int32))
 
@@ -109,8 +97,8 @@ class _Axes:
         self.start = self.end[parent]
         segment = np.linalg.norm(self.end - self.start, axis=1)
         total = np.cumsum(segment)
-        first = np.flatnonzero(np.diff(skeleton.axis, prepend=-1))
-        last = np.append(first[1:], len(parent)) - 1
+        first, beyond = skeleton.axes()
+        last = beyond - 1
         chosen = np.isin(skeleton.order[first], orders)
         self.segment, self.total = segment, total
         self.begin = (total[first] - segment[first])[chosen]
@@ -128,17 +116,9 @@ class _Axes:
         return node, self.start[node] + np.clip(share, 0.0, 1.0)[:, None] * way, unit(way)
 
 
-class _Stations(NamedTuple):
-    """Where organs sit, (M,) each."""
-
-    axis: Ints
-    distance_m: Floats  # from the axis' base
-    share: Floats  # position within the zone
-    rank: Ints  # number of the node from the tip; -1: terminal
-    member: Floats  # place of an organ about its node, share of a turn
-
-
-def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> _Stations:
+def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> tuple[Ints, Floats, Floats, Ints, Floats]:
+    """Where organs sit, (M,) each: axis; distance from its base; position within the zone; number of the node from the
+    tip, -1: terminal; place of an organ about its node, share of a turn."""
     top = axes.length * rule.zone[1]
     bottom = np.maximum(axes.length * rule.zone[0], axes.hidden)
     if rule.end == "tip":
@@ -168,12 +148,12 @@ def _stations(rule: Foliage, axes: _Axes, spacing_m: float) -> _Stations:
         distance = np.concatenate([distance, axes.length[every]])
         share = np.concatenate([share, np.ones(len(every))])
         member = np.concatenate([member, np.zeros(len(every))])
-    return _Stations(axis, distance, share, rank, member)
+    return axis, distance, share, rank, member
 
 
 def droop(along: Floats, angle_rad: Floats | float) -> Floats:
     """Directions turned to the ground, level ones by `angle_rad`."""
-    lever = np.cross(along, -_UP)
+    lever = np.cross(along, -UP)
     return rotate(along, unit(lever), angle_rad * np.linalg.norm(lever, axis=1))
 
 

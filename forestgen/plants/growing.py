@@ -1,12 +1,10 @@
 """Several exemplars at once: from disk where they are kept, otherwise grown, on all cores.
 
-Threads, not processes: most of the time goes to NumPy and to compiled loops, which release Python's lock; and a process
-would first spend seconds on imports, and would run a user's script again. What grows depends on the requests alone,
-never on the number of threads.
+Threads, not processes: most of the time goes to NumPy and to compiled loops, which release Python's lock, and a process
+would first spend seconds on imports. What grows depends on the requests alone, never on the number of threads.
 
-On disk an exemplar is kept by the hash of all that it depends on: the generator's parameters, the allometry, the names
-of the materials, the radius, the level of detail and the seed; and the code that grows it, so that a change of a
-generator never shows an old plant. What comes from disk is the same as what would be grown, to the last bit.
+On disk an exemplar is kept by the hash of all that it depends on: `ExemplarRequest.key`, with the code that grows it,
+so that a change of a generator never shows an old plant. What comes from disk is what would be grown, to the last bit.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from forestgen.core.array_serialization import UnreadableError, pack, unpack
@@ -27,7 +25,6 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood, wood_key
-from forestgen.plants.levels import FULL, Level
 from forestgen.plants.registry import GENERATORS, clothes_modules
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.species import Species
@@ -51,7 +48,7 @@ class ExemplarRequest:
     radius_m: float  # community radius
     seed: int  # root seed
     identity: tuple[str | int, ...]  # of its randomness, see `core.randomness.child_rng`
-    level: Level = FULL
+    pixel_m: float = 0.0  # what a pixel covers of the plant where it is seen closest, metres; 0: all detail
     wood: ModuleWood | None = None  # branches that its community grew; None: the generator grows it by the radius
     is_kept: bool = True  # on disk: other runs may ask for the same
     is_shared: bool = False  # in memory: this process' next images may ask for the same
@@ -72,7 +69,7 @@ class ExemplarRequest:
             "materials": sorted(self.species.materials),
             "radius_m": repr(float(self.radius_m)),
             "seed": [int(self.seed), *self.identity],
-            "level": asdict(self.level),
+            "level": {"pixel_m": self.pixel_m},
             "wood": None if self.wood is None else wood_key(self.wood),
             "code": code_hash(_SOURCES, _COMPUTE_WITH),
         }
@@ -105,11 +102,6 @@ def load_exemplar(store: DiskCache, request: ExemplarRequest) -> Exemplar | None
     return None
 
 
-def keep_exemplar(store: DiskCache, request: ExemplarRequest, exemplar: Exemplar) -> bool:
-    """Write the exemplar to disk; False if that is not possible."""
-    return store.write(request.key(), pack(exemplar))
-
-
 def forget_shared() -> None:
     """Keep no exemplar in memory any longer."""
     _shared.clear()
@@ -123,7 +115,7 @@ def grow_exemplar(request: ExemplarRequest) -> Exemplar:
         wood = GENERATORS.load(plant.generator).wood_alone(name, species, size, seed)
         plant = plant.model_copy(update={"fit": "scale_all"})  # leaves reach beyond the wood
     rng = child_rng(request.seed, *request.identity)
-    return build_exemplar(name, species, plant, request.radius_m, rng, level=request.level, wood=wood)
+    return build_exemplar(name, species, plant, request.radius_m, rng, pixel_m=request.pixel_m, wood=wood)
 
 
 def grow_exemplars(
@@ -135,15 +127,10 @@ def grow_exemplars(
 ) -> tuple[Exemplar, ...]:
     """All exemplars, in the order of the requests.
 
-    Parameters
-    ----------
-    store : where exemplars are kept from run to run; None: nowhere.
-    workers : threads; None: as many as there are cores.
-    advance : called, in the calling thread, with how many more are done.
+    `store`: where exemplars are kept from run to run; None: nowhere. `workers`: threads; None: as many as there are
+    cores. `advance` is called, in the calling thread, with how many more are done.
 
-    Raises
-    ------
-    RecipeError : a plant that cannot be grown: of several, the one that is asked for first.
+    Raises `RecipeError`: a plant that cannot be grown: of several, the one that is asked for first.
     """
     threads = max(1, min(workers or cores(), len(requests)))
     written: list[bool] = []  # whether each exemplar that grew is on disk now
@@ -154,7 +141,7 @@ def grow_exemplars(
         if found is not None:
             return found
         grown = grow_exemplar(request)
-        written.append(own is not None and keep_exemplar(own, request, grown))
+        written.append(own is not None and own.write(request.key(), pack(grown)))
         return grown
 
     def one(request: ExemplarRequest) -> Exemplar:

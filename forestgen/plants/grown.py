@@ -12,12 +12,8 @@ from numpy.typing import NDArray
 from forestgen.architecture.geometry import skeletal_graph
 from forestgen.architecture.prototypes import MOST_NODES, Tables
 from forestgen.community.population import Population, Status
-from forestgen.geometry.mesh import any_perpendicular, unit
+from forestgen.geometry.mesh import Bools, Floats, Ints, any_perpendicular, unit
 from forestgen.plants.skeleton import Skeleton
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 MOST_ORDER = 7  # what is of a higher order counts as this
 _NO_LENGTH_M = 1e-3  # shorter segments have not begun to grow
@@ -69,13 +65,7 @@ class ClothedWood:
 
 
 def wood_skeleton(
-    wood: ModuleWood,
-    bearing: Bools,
-    spacing_m: float,
-    *,
-    smooth: bool,
-    crook: float,
-    rng: np.random.Generator,
+    wood: ModuleWood, bearing: Bools, spacing_m: float, *, smooth: bool, crook: float, rng: np.random.Generator
 ) -> ClothedWood:
     """Axes in curves through the graph's nodes, which stay where they are.
 
@@ -95,43 +85,26 @@ def wood_skeleton(
     place = np.empty(len(at), dtype=np.int64)
     place[at] = np.arange(len(at))
     parent = np.where(parent < 0, -1, place[np.maximum(parent, 0)])
-    curves = _Curves(wood.position_m[at], parent, main[at])
+    curves = _Curves(wood.position_m[at], parent, main[at], smooth)
     chosen, steps = bearing[at], np.clip(np.round(curves.length / spacing_m), 1, _MOST_PIECES * 4).astype(np.int64)
-    pieces = _pieces(curves, smooth, crook, np.where(chosen, steps, 0))
+    pieces = curves.pieces(crook, np.where(chosen, steps, 0))
     node = np.repeat(np.arange(len(at)), pieces)
     last = np.cumsum(pieces) - 1
     part = np.arange(len(node)) - (last - pieces + 1)[node] + 1
     share = part / pieces[node]
-    position = curves.at(node, share, smooth)
-    position += _crooked(curves, node, share, crook, rng)
+    position = curves.at(node, share) + _crooked(curves, node, share, crook, rng)
     radius = _radii(wood.diameter_m[at], parent, main[at], node, share)
     ends = part == pieces[node]
-    above = np.where(
-        part == 1, np.where(parent[node] < 0, -1, last[np.maximum(parent[node], 0)]), np.arange(-1, len(node) - 1)
-    )
+    foot = np.where(parent[node] < 0, -1, last[np.maximum(parent[node], 0)])
+    above = np.where(part == 1, foot, np.arange(-1, len(node) - 1))
     axis = np.unique(np.stack([order[at], head[at]], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     skeleton = Skeleton.of(
         above, position, radius, np.minimum(order[at], MOST_ORDER)[node], axis[node], mark=wood.mark[at][node]
     )
     stations = (part * steps[node]) // pieces[node] > ((part - 1) * steps[node]) // pieces[node]
-    return ClothedWood(
-        skeleton=skeleton,
-        age_share=wood.age_share[at][node],
-        light=wood.light[at][node],
-        bears=chosen[node] & stations & ~(ends & free[at][node]) & (parent[node] >= 0),
-        free=ends & free[at][node] & (parent[node] >= 0),
-    )
-
-
-def _pieces(curves: _Curves, smooth: bool, crook: float, least: Ints) -> Ints:
-    """(N,) pieces of each segment."""
-    count = len(curves.length)
-    pieces = curves.pieces(smooth) if count > 1 else np.ones(count, dtype=np.int64)
-    if crook > 0.0:
-        pieces = np.where(curves.length > _CROOKED_M, np.maximum(pieces, 3), pieces)
-    pieces = np.maximum(pieces, least)
-    pieces[0] = 1
-    return pieces
+    borne, at_end = parent[node] >= 0, ends & free[at][node]
+    bears = chosen[node] & stations & ~at_end & borne
+    return ClothedWood(skeleton, wood.age_share[at][node], wood.light[at][node], bears, at_end & borne)
 
 
 def _seen(wood: ModuleWood, bearing: Bools) -> tuple[ModuleWood, Bools]:
@@ -192,8 +165,8 @@ def _axes(wood: ModuleWood, main: Bools) -> tuple[Ints, Ints]:
 class _Curves:
     """The segments as cubics."""
 
-    def __init__(self, position: Floats, parent: Ints, main: Bools) -> None:
-        self.parent = np.maximum(parent, 0)
+    def __init__(self, position: Floats, parent: Ints, main: Bools, smooth: bool) -> None:
+        self.smooth, self.parent = smooth, np.maximum(parent, 0)
         self.start, self.end = position[self.parent], position
         way = self.end - self.start
         self.length = np.linalg.norm(way, axis=1)
@@ -206,19 +179,23 @@ class _Curves:
         self.out[0] = following[0] if after[0] >= 0 else self.along[0]
         self.into = np.where(main[:, None], self.out[self.parent], self.along)
 
-    def pieces(self, smooth: bool) -> Ints:
-        """(N,) how many straight pieces show no corners."""
-        if not smooth:
-            return np.ones(len(self.length), dtype=np.int64)
-        bend = sum(
-            np.arccos(np.clip(np.sum(self.along * tangent, axis=1), -1.0, 1.0)) for tangent in (self.into, self.out)
-        )
-        return np.clip(np.ceil(np.asarray(bend) / _BEND_STEP_RAD), 1, _MOST_PIECES).astype(np.int64)
+    def pieces(self, crook: float, least: Ints) -> Ints:
+        """(N,) how many straight pieces show no corners, and at least `least`."""
+        pieces = np.ones(len(self.length), dtype=np.int64)
+        if self.smooth and len(pieces) > 1:
+            tangents = self.into, self.out
+            bend = sum(np.arccos(np.clip(np.sum(self.along * one, axis=1), -1.0, 1.0)) for one in tangents)
+            pieces = np.clip(np.ceil(np.asarray(bend) / _BEND_STEP_RAD), 1, _MOST_PIECES).astype(np.int64)
+        if crook > 0.0:
+            pieces = np.where(self.length > _CROOKED_M, np.maximum(pieces, 3), pieces)
+        pieces = np.maximum(pieces, least)
+        pieces[0] = 1
+        return pieces
 
-    def at(self, node: Ints, share: Floats, smooth: bool) -> Floats:
+    def at(self, node: Ints, share: Floats) -> Floats:
         """(M, 3) points of the segments."""
         t = share[:, None]
-        if not smooth:
+        if not self.smooth:
             return np.asarray(self.start[node] * (1.0 - t) + self.end[node] * t)
         length = self.length[node, None]
         return np.asarray(

@@ -1,25 +1,18 @@
 """Far versions of a plant: fewer and larger organs, fewer twigs, straighter axes, the same leaf area and silhouette.
 
 A level is chosen by what a pixel covers of the plant. Organs are pruned until one that remains is about as long as a
-pixel, and enlarged so that their area stays exactly the same; thin twigs likewise, so that the area that they show
-stays. Which organs remain is random, a part of every stretch of the plant, and nested: a coarser level's are among a
-finer level's. The box around the plant stays: the outermost organs always remain, and none grows beyond it.
+pixel, and enlarged so that their area stays exactly the same; thin twigs likewise. Which organs remain is random, a
+part of every stretch of the plant, and nested: a coarser level's are among a finer level's. The box around the plant
+stays: the outermost organs always remain, and none grows beyond it (Cook, R. L., Halstead, J., Planck, M., Ryu, D.
+(2007). Stochastic simplification of aggregate detail. ACM Transactions on Graphics 26(3), article 79, section 3; its
+correction of contrast, section 5, is for elements that differ in colour; ours share a material).
 
-References
-----------
-Cook, R. L., Halstead, J., Planck, M., Ryu, D. (2007). Stochastic simplification of aggregate detail. ACM Transactions
-on Graphics 26(3), article 79: pruning in random order, and areas enlarged by one over the share that remains
-(section 3). Its correction of contrast (section 5) is for elements that differ in colour; ours share a material.
+What remains of an organ that is much smaller than a pixel shows its area, its attitude and its place: each sheet
+becomes one triangle along its longest extent, across its mean normal. Where an organ has many sheets, as a twig has
+needles, some stand for the rest, wider by what is left out.
 
-What remains of an organ that is much smaller than a pixel shows its area, its attitude and its place, not its outline:
-each sheet becomes one triangle along its longest extent, across its mean normal. Where an organ has many sheets, as a
-twig has needles, some stand for the rest, wider by what is left out, so that the area stays.
-
-Decisions
----------
-- Wood is simplified as a skeleton, before it is meshed, which makes a far version cheaper to grow than a full one.
-  Edge collapse (geometry/simplify.py) keeps its form as well, and took ten times as long as growing the plant; it
-  serves mesh files for real-time programs (plants/light_wood.py).
+Wood is simplified as a skeleton, before it is meshed, which makes a far version cheaper to grow than a full one. Edge
+collapse (geometry/simplify.py) took ten times as long as growing the plant; it serves mesh files.
 """
 
 from __future__ import annotations
@@ -31,14 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.mesh import Mesh, concatenate
+from forestgen.geometry.mesh import Bools, Floats, Ints, Mesh, concatenate, part_of
+from forestgen.geometry.simplify import bodies
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
-
-PIXEL_STEPS_M = (0.2, 0.4)  # pixels for which far versions are made
+PIXEL_STEPS_M = (0.0, 0.2, 0.4)  # pixels for which versions are made; 0: all detail
 
 _ORGAN_PIXELS = 0.7  # length of an enlarged organ
 _TWIG_PIXELS = 0.1  # diameter of an enlarged twig
@@ -56,44 +46,23 @@ _FEWEST_SHEETS = 24  # of an organ with many; fewer would cover one another less
 _ROUNDEST = 1.15  # greatest width over length of a triangle: equal sides
 
 
-@dataclass(frozen=True)
-class Level:
-    """How much detail a plant shows."""
-
-    pixel_m: float = 0.0  # what a pixel covers of the plant where it is seen closest, metres; 0: all detail
-
-
-FULL = Level()
-
-
 def level_for(pixel_m: Floats) -> Ints:
-    """Index of the level for each view: 0 for all detail, k for ``PIXEL_STEPS_M[k - 1]``; any shape.
-
-    `pixel_m`: what a pixel covers of the plant, metres.
-    """
-    return np.searchsorted(np.asarray(PIXEL_STEPS_M), pixel_m, side="right").astype(np.int64)
+    """Index of ``PIXEL_STEPS_M`` for what a pixel covers of the plant in each view, metres; any shape."""
+    return np.searchsorted(np.asarray(PIXEL_STEPS_M[1:]), pixel_m, side="right").astype(np.int64)
 
 
-def level_of_index(index: int) -> Level:
-    """The level that `level_for` numbers."""
-    return FULL if index == 0 else Level(PIXEL_STEPS_M[index - 1])
-
-
-def simplified(skeleton: Skeleton, templates: Mapping[str, Mesh], level: Level, rng: np.random.Generator) -> Skeleton:
-    """A skeleton with the detail that a level needs.
+def simplified(skeleton: Skeleton, templates: Mapping[str, Mesh], pixel_m: float, rng: np.random.Generator) -> Skeleton:
+    """A skeleton with the detail that shows where a pixel covers at least `pixel_m` of it, metres; 0: all.
 
     `skeleton`: at its final size, with all organs. `templates`: organ shapes by name. `rng`: decides what remains; the
     same for all levels of a plant, so that they are nested.
     """
-    if level.pixel_m <= 0.0:
+    if pixel_m <= 0.0:
         return skeleton
     organ_rng, twig_rng = rng.spawn(2)
-    organs = _pruned_organs(skeleton, templates, level.pixel_m, organ_rng)
-    thinned = _pruned_twigs(replace(skeleton, organs=organs), level.pixel_m, twig_rng)
-    return _straightened(thinned, level.pixel_m)
-
-
-# --- organs ----------------------------------------------------------------------------------------------------------
+    organs = _pruned_organs(skeleton, templates, pixel_m, organ_rng)
+    thinned = _pruned_twigs(replace(skeleton, organs=organs), pixel_m, twig_rng)
+    return _straightened(thinned, pixel_m)
 
 
 def _pruned_organs(
@@ -107,7 +76,11 @@ def _pruned_organs(
     for one, (lowest, highest), own in zip(skeleton.organs, boxes, rng.spawn(len(boxes)), strict=True):
         template = templates[one.shape]
         size = _sizes(one.frame)
-        share = _organ_share(template, size, pixel_m)
+        if not len(size):
+            pruned.append(one)
+            continue
+        length = float(np.ptp(template.vertices_m, axis=0).max()) * float(np.sqrt(np.mean(size**2)))
+        share = max((length / (_ORGAN_PIXELS * pixel_m)) ** 2, _LEAST_ORGANS, _FEWEST_ORGANS / len(size))
         if share > _NOT_WORTH:
             pruned.append(one)
             continue
@@ -138,15 +111,6 @@ def _support(template: Mesh) -> Floats:
     radius = np.sqrt(1.0 - z * z)
     direction = np.stack([radius * np.cos(turn), radius * np.sin(turn), z])
     return points[np.unique(np.argmax(points @ direction, axis=0))] if len(points) else np.zeros((1, 3))
-
-
-def _organ_share(template: Mesh, size: Floats, pixel_m: float) -> float:
-    """Share of the organs that remains, so that an enlarged one is about a pixel long."""
-    if not len(size):
-        return 1.0
-    length = float(np.ptp(template.vertices_m, axis=0).max()) * float(np.sqrt(np.mean(size**2)))
-    share = (length / (_ORGAN_PIXELS * pixel_m)) ** 2
-    return max(share, _LEAST_ORGANS, _FEWEST_ORGANS / len(size))
 
 
 def _keys(count: int, rng: np.random.Generator) -> Floats:
@@ -183,14 +147,11 @@ def _enlarged(
     return out.astype(np.float32)
 
 
-# --- wood ------------------------------------------------------------------------------------------------------------
-
-
 def _pruned_twigs(skeleton: Skeleton, pixel_m: float, rng: np.random.Generator) -> Skeleton:
     """A share of the thin axes that bear no other, widened so that the area they show stays."""
-    parent, axis = skeleton.parent, skeleton.axis
-    first = np.flatnonzero(np.diff(axis, prepend=-1))
-    number = np.cumsum(np.diff(axis, prepend=-1) != 0) - 1  # of each node's axis, 0, 1, 2, ...
+    parent = skeleton.parent
+    first, last = skeleton.axes()
+    number = np.repeat(np.arange(len(first)), last - first)  # of each node's axis, 0, 1, 2, ...
     radius = np.maximum.reduceat(skeleton.radius_m, first).astype(np.float64)
     begins = first[parent[first] >= 0]
     bears = np.zeros(len(first), dtype=bool)
@@ -200,7 +161,9 @@ def _pruned_twigs(skeleton: Skeleton, pixel_m: float, rng: np.random.Generator) 
         thin[number[[column.argmin(), column.argmax()]]] = False
     if not thin.any():
         return skeleton
-    shown = np.bincount(number, weights=_shown_area(skeleton))
+    way = skeleton.position_m - skeleton.position_m[np.maximum(parent, 0)]
+    segment = np.asarray(np.linalg.norm(way, axis=1) * skeleton.radius_m, dtype=np.float64)
+    shown = np.bincount(number, weights=segment)
     width = float(np.sum(shown[thin] * 2.0 * radius[thin]) / np.sum(shown[thin]))
     share = max(width / (_TWIG_PIXELS * pixel_m), _LEAST_TWIGS)
     kept = thin.copy()
@@ -210,12 +173,6 @@ def _pruned_twigs(skeleton: Skeleton, pixel_m: float, rng: np.random.Generator) 
     growth = np.where(kept, shown[thin].sum() / shown[kept].sum(), 1.0)
     widened = replace(skeleton, radius_m=(skeleton.radius_m * growth[number]).astype(np.float32))
     return _without(widened, (thin & ~kept)[number])
-
-
-def _shown_area(skeleton: Skeleton) -> Floats:
-    """(N,) length times radius of the segment that each node ends."""
-    way = skeleton.position_m - skeleton.position_m[np.maximum(skeleton.parent, 0)]
-    return np.asarray(np.linalg.norm(way, axis=1) * skeleton.radius_m, dtype=np.float64)
 
 
 def _straightened(skeleton: Skeleton, pixel_m: float) -> Skeleton:
@@ -273,9 +230,6 @@ def _without(skeleton: Skeleton, gone: Bools) -> Skeleton:
     )
 
 
-# --- organs smaller than a pixel -------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Sheets:
     """The connected pieces of a mesh that have an edge."""
@@ -305,10 +259,7 @@ def far_piece(mesh: Mesh, pixel_m: float) -> Mesh:
     slivers = _slivers(sheets, chosen, length, width)
     if sheets.faces.all():
         return slivers
-    used, faces = np.unique(mesh.faces[~sheets.faces], return_inverse=True)
-    normals, uv = (None if one is None else one[used] for one in (mesh.normals, mesh.uv))
-    rest = Mesh(mesh.vertices_m[used], faces.reshape(-1, 3).astype(np.uint32), normals, uv)
-    return concatenate([slivers, rest])
+    return concatenate([slivers, part_of(mesh, mesh.faces[~sheets.faces])])
 
 
 def _chosen(sheets: _Sheets) -> tuple[Ints, Floats, Floats]:
@@ -326,15 +277,11 @@ def _chosen(sheets: _Sheets) -> tuple[Ints, Floats, Floats]:
 
 
 def _sheets(mesh: Mesh, longest_m: float) -> _Sheets:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     faces = mesh.faces.astype(np.int64)
     points = mesh.vertices_m.astype(np.float64)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    graph = coo_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(points), len(points)))
-    count, found = connected_components(graph, directed=False)
-    of_vertex = found.astype(np.int64)
+    of_vertex = bodies(len(points), faces)
+    count = int(of_vertex.max(initial=-1)) + 1
     _, which, times = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True, return_counts=True)
     open_edge = times[which.reshape(-1)] == 1
     has_edge = np.zeros(count, dtype=bool)

@@ -5,9 +5,7 @@ out through a collar: close rings that swell towards the bearer's surface, by ea
 the collar follows the bearer's curve and reaches further up in the axil. Stems that begin at the ground reach below it,
 and flare. An axis that ends where others of like thickness begin ends in a dome.
 
-What is measured
-----------------
-`wood_mesh(..., plain=True)` leaves out flare, relief, collars and domes. The signed volume of its closed tubes is the
+`wood_meshes(..., plain=True)` leaves out flare, relief, collars and domes. The signed volume of its closed tubes is the
 sum of the frusta of the polylines meshed (`branch_lines`, `stem_line`), within 2%: tips of twigs end in points, bends
 above 120 degrees are pinched. Those polylines reach into the bearer and below the ground, which `Skeleton.volume_m3`
 does not count. Flare and collars add to that what a real root collar and branch collars do; relief adds nothing on
@@ -17,22 +15,21 @@ average.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh, concatenate, instance, unit
-from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep, sweep_tubes
+from forestgen.geometry.mesh import Floats, Ints, Mesh, concatenate, instance, unit
+from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep_tubes
 from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.levels import far_piece, mean_size
-from forestgen.plants.organs.shapes import OrganShape
-from forestgen.plants.parameters import Wood
+from forestgen.plants.parameters import OrganShape, Wood
 from forestgen.plants.skeleton import Skeleton
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+MarkedMesh = tuple[Mesh, NDArray[np.uint32] | None]  # and (F,) marks of its triangles
 
 _FOOT_M = 0.3  # stems reach this far below the ground, so that none hangs over a slope
 _STANDS = 0.3  # least z of a stem's direction at its foot: one that lies on the ground gets no foot
@@ -43,7 +40,7 @@ _POINTED = 0.15  # the same as a share of the radius before
 _DOMED = 0.4  # an axis that ends where another of this share of its radius begins gets a dome
 
 
-def wood_mesh(
+def wood_meshes(
     skeleton: Skeleton,
     trunk: bool,
     flare: float,
@@ -52,7 +49,7 @@ def wood_mesh(
     tile_m: tuple[float, float] = (1.0, 1.0),
     plain: bool = False,
     foot_m: tuple[float, float] = (0.0, np.inf),
-) -> tuple[Mesh, NDArray[np.uint32] | None]:
+) -> list[MarkedMesh]:
     """Closed tubes of the stems (`trunk`) or of all branches, and (F,) marks if the skeleton has some.
 
     Parameters
@@ -63,18 +60,23 @@ def wood_mesh(
     plain : tubes as measured: no flare, relief, collars or domes.
     foot_m : of the branches, those alone whose diameter at the foot is within (first included, second not).
     """
-    first, last = _axis_ranges(skeleton)
+    made: list[MarkedMesh] = []
+
+    def add(mesh: Mesh, start: Ints, line: Polylines, node: Ints) -> None:
+        """A mesh of tubes, where each tube's vertices begin, and the polylines and their nodes that they follow."""
+        mark = skeleton.mark
+        made.append((mesh, None if mark is None else tube_marks(mesh, start, line, mark[node], tile_m[1])))
+
+    first, last = skeleton.axes()
     standing = (skeleton.order[first] == 0) & (skeleton.parent[first] <= 0)
     bears = _bears_at_its_end(skeleton, first, last) & (not plain)
-    # Meshes of tubes, where each tube's vertices begin, and the polylines and their nodes that the tubes follow.
-    tubes: list[tuple[Mesh, Ints, Polylines, Ints]] = []
     if trunk:
         for a, b, forks in zip(first[standing], last[standing], bears[standing], strict=True):
             own = stem_line(skeleton, int(a), int(b))
             ringed = own if plain else stem_line(skeleton, int(a), int(b), rings=True)
             if own is not None and ringed is not None:
                 mesh = _stem(_domed(ringed, np.array([forks])), flare, tile_m, plain)
-                tubes.append((mesh, np.array([0, len(mesh.vertices_m)]), own, _stem_nodes(skeleton, int(a), own)))
+                add(mesh, np.array([0, len(mesh.vertices_m)]), own, _stem_nodes(skeleton, int(a), own))
     chosen = ~standing & ((skeleton.order[first] == 0) == trunk) & ~skeleton.is_thread()
     if not trunk:
         foot = 2.0 * skeleton.radius_m[first]
@@ -83,16 +85,13 @@ def wood_mesh(
         own = branch_lines(skeleton, first[chosen], last[chosen])
         lines = _domed(own, bears[chosen])
         ratio = 1.0 if trunk else height_ratio
-        mesh, start = _limbs(skeleton, lines, skeleton.parent[first[chosen]], ratio, tile_m, plain)
-        tubes.append((mesh, start, own, _branch_nodes(skeleton, first[chosen], last[chosen])))
-    if tubes:
-        mesh = concatenate([one for one, _, _, _ in tubes])
-    else:
-        mesh = sweep(Polylines(np.zeros((0, 3)), np.zeros(0), np.zeros(1, np.int64)), np.zeros(0, np.int64))
-    if skeleton.mark is None:
-        return mesh, None
-    marks = [tube_marks(one, start, line, skeleton.mark[node], tile_m[1]) for one, start, line, node in tubes]
-    return mesh, np.concatenate([np.zeros(0, dtype=np.uint32), *marks])
+        look: dict[str, Any] = {"pointed": _is_pointed(lines), "height_ratio": ratio, "tile_m": tile_m}
+        if plain:
+            mesh, start = sweep_tubes(lines, sides_for_radius(lines.radius_m[lines.offset[:-1]]), **look)
+        else:
+            mesh, start = sweep_with_collars(skeleton, lines, skeleton.parent[first[chosen]], **look)
+        add(mesh, start, own, _branch_nodes(skeleton, first[chosen], last[chosen]))
+    return made
 
 
 def organ_meshes(
@@ -102,17 +101,17 @@ def organ_meshes(
 
     `pixel_m`: what a pixel covers of the plant, metres; 0 is all detail.
     """
-    parts: dict[tuple[Part, str], list[tuple[Mesh, NDArray[np.uint32] | None]]] = {}
+    parts: dict[tuple[Part, str], list[MarkedMesh]] = {}
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
-    parts[stem, wood.material] = [wood_mesh(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)]
+    parts[stem, wood.material] = wood_meshes(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)
     thick = np.inf if wood.thick_branch_m is None else wood.thick_branch_m
     for foot_m, material, tile_m in (
         ((0.0, thick), wood.branch_material or wood.material, wood.branch_tile_m),
         ((thick, np.inf), wood.material, wood.bark_tile_m),
     ):
         ratio, plain = wood.branch_height_ratio, pixel_m > 0.0  # collars do not show from far
-        branches = wood_mesh(skeleton, False, 0.0, height_ratio=ratio, tile_m=tile_m, plain=plain, foot_m=foot_m)
-        parts.setdefault((limb, material), []).append(branches)
+        branches = wood_meshes(skeleton, False, 0.0, height_ratio=ratio, tile_m=tile_m, plain=plain, foot_m=foot_m)
+        parts.setdefault((limb, material), []).extend(branches)
     for placement in skeleton.organs:
         organ_pixel_m = pixel_m / mean_size(placement.frame) if pixel_m else 0.0
         for piece in shapes[placement.shape].pieces():
@@ -121,9 +120,10 @@ def organ_meshes(
             parts.setdefault((piece.part, piece.material), []).append((instance(mesh, placement.frame), mark))
     made = []
     for (part, material), found in parts.items():
+        if not any(mesh.triangles for mesh, _ in found):
+            continue
         mesh, marks = concatenate([one for one, _ in found]), [mark for _, mark in found if mark is not None]
-        if mesh.triangles:
-            made.append(OrganMesh(part, material, mesh, np.concatenate(marks) if len(marks) == len(found) else None))
+        made.append(OrganMesh(part, material, mesh, np.concatenate(marks) if len(marks) == len(found) else None))
     return tuple(made)
 
 
@@ -200,7 +200,7 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
     sides = sides_for_radius(line.radius_m[:1])
     pointed = _is_pointed(line)
     if base < _MESHED_FLARE_RADIUS_M or plain:
-        return sweep(line, sides, pointed=pointed, tile_m=tile_m)
+        return sweep_tubes(line, sides, pointed=pointed, tile_m=tile_m)[0]
     sides = np.maximum(3 * sides // 2, 16)  # the stem's outline is what one sees from near
     step = np.linalg.norm(np.diff(line.points_m, axis=0), axis=1)
     height = np.concatenate([[0.0], np.cumsum(step)]) - (_FOOT_M if _is_standing(line.points_m) else 0.0)
@@ -210,24 +210,8 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
     near_ground = np.exp(-np.maximum(height, 0.0) / (3.5 * base))[:, None]
     ridges = 1.0 + 0.55 * np.cos(5.0 * angle + phase[0]) + 0.35 * np.cos(3.0 * angle + phase[1])
     waves = 0.03 * np.sin(3.0 * angle + 1.7 * height[:, None]) + 0.025 * np.sin(2.0 * angle - 2.9 * height[:, None])
-    return sweep(line, sides, pointed=pointed, radial_factor=1.0 + flare * near_ground * ridges + waves, tile_m=tile_m)
-
-
-def _limbs(
-    skeleton: Skeleton, lines: Polylines, bearer: Ints, height_ratio: float, tile_m: tuple[float, float], plain: bool
-) -> tuple[Mesh, Ints]:
-    """Axes that other axes bear; `bearer` (A,) is the node that bears each. And where each tube's vertices begin."""
-    pointed = _is_pointed(lines)
-    if not plain:
-        return sweep_with_collars(skeleton, lines, bearer, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
-    sides = sides_for_radius(lines.radius_m[lines.offset[:-1]])
-    return sweep_tubes(lines, sides, pointed=pointed, height_ratio=height_ratio, tile_m=tile_m)
-
-
-def _axis_ranges(skeleton: Skeleton) -> tuple[Ints, Ints]:
-    """First node, and one beyond the last, of each axis."""
-    first = np.flatnonzero(np.diff(skeleton.axis, prepend=-1))
-    return first, np.append(first[1:], len(skeleton.axis))
+    factor = 1.0 + flare * near_ground * ridges + waves
+    return sweep_tubes(line, sides, pointed=pointed, radial_factor=factor, tile_m=tile_m)[0]
 
 
 def _bears_at_its_end(skeleton: Skeleton, first: Ints, last: Ints) -> NDArray[np.bool_]:
@@ -269,13 +253,9 @@ def tube_marks(
     A tube's texture runs along it by arc length, which tells the segment; caps have a texture of their own, and are
     their ends'.
 
-    Parameters
-    ----------
-    mesh : tubes, see `geometry.sweep.sweep_tubes`.
-    vertex_start : (A + 1,) where each tube's vertices begin.
-    lines : the A polylines that the tubes follow; they may be finer, and go on beyond the ends.
-    mark : (P,) of the segment that each point of `lines` ends; a line's first is that of its second.
-    tile_m : metres along a tube for which the texture runs from 0 to 1.
+    `vertex_start`: (A + 1,) where each tube's vertices begin, see `sweep_tubes`. `lines`: the A polylines that tubes
+    follow; they may be finer, and go on beyond the ends. `mark`: (P,) of the segment that each point of `lines` ends; a
+    line's first is that of its second. `tile_m`: metres along a tube for which the texture runs from 0 to 1.
     """
     if not mesh.triangles or mesh.uv is None:
         return np.zeros(mesh.triangles, dtype=np.uint32)

@@ -11,7 +11,10 @@ from pydantic import Field, model_validator
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.foliage import Foliage, place
-from forestgen.plants.organs.shapes import OrganShape
+from forestgen.plants.organs.flowers import Acorn, Berry, Bud, Catkin, Cone, Daisy, Disc, FourPetals, Lily
+from forestgen.plants.organs.fronds import FanFrond, FernFrond, GrassBlade, GrassPanicle, PalmFrond
+from forestgen.plants.organs.leaves import CompoundLeaf, LobedLeaf, PalmateLeaf, SimpleLeaf
+from forestgen.plants.organs.needles import Fascicle, NeedleTwig
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.fields import Section
@@ -22,6 +25,13 @@ if TYPE_CHECKING:
 
 Tile = Annotated[float, Field(ge=0.01, le=10)]
 
+_Leaf = SimpleLeaf | LobedLeaf | PalmateLeaf | CompoundLeaf | Fascicle | NeedleTwig
+_Frond = PalmFrond | FanFrond | FernFrond | GrassBlade | GrassPanicle
+_Flower = Daisy | FourPetals | Lily | Catkin | Bud | Berry | Acorn | Cone
+
+#: The form of one kind of organ, told apart by its key `form`.
+OrganShape = Annotated[_Leaf | _Frond | _Flower | Disc, Field(discriminator="form")]
+
 Fit = Literal["stretch", "scale", "scale_all", "none"]
 
 
@@ -31,19 +41,14 @@ class Wood(Section):
     material: str = Field(description="name of one of the species' materials")
     branch_material: str | None = Field(None, description="the same for branches; the trunk's if not given")
     thick_branch_m: float | None = Field(
-        None,
-        ge=0,
-        description="branches of at least this diameter at the foot, metres, have the trunk's material and texture",
+        None, ge=0, description="branches at least so thick at the foot, metres, have the trunk's material and texture"
     )
     dead: bool = Field(False, description="labelled dead_wood rather than trunk and branch")
     flare: float = Field(0.35, ge=0, le=3, description="widening at the root collar, as a share of the radius")
-    branch_height_ratio: float = Field(
-        1.0, ge=0.3, le=3, description="height over width of a branch's elliptical section; the area stays"
-    )
+    branch_height_ratio: float = Field(1.0, ge=0.3, le=3, description="a branch's height over width; the area stays")
     bark_tile_m: tuple[Tile, Tile] = Field(
         (0.5, 0.5),
-        description="width round the stem and height of one repeat of the bark's texture, metres; where the material "
-        "has a `bark`, its `tile_m` counts",
+        description="repeat of the bark's texture, round the stem and up, metres; a `bark`'s `tile_m` counts",
     )
     branch_tile_m: tuple[Tile, Tile] = Field((0.25, 0.5), description="the same for branches")
 
@@ -55,9 +60,7 @@ class PlantParameters(Section):
     wood: Wood = Field(description="surface of stems and branches")
     shapes: dict[str, OrganShape] = Field(default_factory=dict, description="forms of the organs, by name")
     foliage: tuple[Foliage, ...] = Field((), description="where organs sit, beside those that the generator places")
-    variation: Variation | None = Field(
-        None, description="growth responses that make each plant of the same base model another one"
-    )
+    variation: Variation | None = Field(None, description="growth responses that make plants of a base model differ")
     fit: Fit = Field(
         "scale",
         description="stretch: height and width apart until both fit, thickness and organs as they are; scale: the wood "

@@ -48,13 +48,10 @@ def generator_parameters(drawn: DrawnRecipe, errors: ErrorList) -> dict[str, Pla
 def _parameters(drawn: DrawnRecipe, species: Species, plant: Plant, keys: Keys) -> PlantParameters:
     generator = GENERATORS.load(plant.generator, where=drawn.where(*keys, "generator"))
     if clothes_modules(plant.generator) and species.modules is None:
-        raise RecipeError(
-            "the plant has no branches that could be drawn",
-            where=drawn.where(*keys, "generator"),
-            expected="a section `modules` of the species, by which its branches grow",
-            got="none",
-            hint="add modules, or choose another generator",
-        )
+        where, hint = drawn.where(*keys, "generator"), "add modules, or choose another generator"
+        expected = "a section `modules` of the species, by which its branches grow"
+        problem = "the plant has no branches that could be drawn"
+        raise RecipeError(problem, where=where, expected=expected, got="none", hint=hint)
     parameters: PlantParameters = drawn.parse(generator.Parameters, plant.parameters, keys)
     return with_bark_tiles(parameters, species.materials)
 

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.geometry.mesh import Ints
+
 _LEAST_SINE = 0.3  # of the angle between a branch and its bearer: a narrower fork leaves it no deeper than this
 _THREAD_M = 2e-5  # axes no thicker than this join pieces that do not touch, and are not wood
 _THREAD_SHARE = 1e-4  # the same as a share of the plant's greatest radius
@@ -37,9 +39,8 @@ class Skeleton:
 
     def __post_init__(self) -> None:
         n = len(self.parent)
-        shapes = {"position_m": (n, 3), "radius_m": (n,), "order": (n,), "axis": (n,), "mark": (n,)}
-        for name, shape in shapes.items():
-            column = getattr(self, name)
+        for name in ("position_m", "radius_m", "order", "axis", "mark"):
+            column, shape = getattr(self, name), (n, 3) if name == "position_m" else (n,)
             if column is not None and column.shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {column.shape}")
         if n and (self.parent[0] != -1 or np.any(self.parent >= np.arange(n))):
@@ -59,19 +60,23 @@ class Skeleton:
     ) -> Skeleton:
         """The skeleton of arrays of any number type; higher orders than 255 become 255."""
         return cls(
-            parent=np.asarray(parent, dtype=np.int32),
-            position_m=np.asarray(position_m, dtype=np.float32),
-            radius_m=np.asarray(radius_m, dtype=np.float32),
-            order=np.minimum(order, 255).astype(np.uint8),
-            axis=np.asarray(axis, dtype=np.int32),
-            organs=organs,
-            mark=mark,
+            np.asarray(parent, dtype=np.int32),
+            np.asarray(position_m, dtype=np.float32),
+            np.asarray(radius_m, dtype=np.float32),
+            np.minimum(order, 255).astype(np.uint8),
+            np.asarray(axis, dtype=np.int32),
+            organs,
+            mark,
         )
+
+    def axes(self) -> tuple[Ints, Ints]:
+        """(A,) first node of each axis, and (A,) one beyond its last."""
+        first = np.flatnonzero(np.diff(self.axis, prepend=self.axis[:1] - 1))
+        return first, np.append(first[1:], len(self.axis))
 
     def is_thread(self) -> NDArray[np.bool_]:
         """(A,) which axes only join pieces that do not touch: nothing grows there, and nothing is to be seen."""
-        first = np.flatnonzero(np.diff(self.axis, prepend=-1))
-        thickest = np.maximum.reduceat(self.radius_m.astype(np.float64), first)
+        thickest = np.maximum.reduceat(self.radius_m.astype(np.float64), self.axes()[0])
         return np.asarray(thickest <= max(_THREAD_M, _THREAD_SHARE * float(thickest.max())), dtype=np.bool_)
 
     def volume_m3(self) -> float:

@@ -23,11 +23,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.core.compiled import compiled
-from forestgen.geometry.mesh import Mesh, unit
+from forestgen.geometry.mesh import UP, Floats, Ints, Mesh, unit
 from forestgen.plants.branching import around
 from forestgen.plants.budget import check_budget
 from forestgen.plants.foliage import droop, organ_frames
@@ -35,14 +34,10 @@ from forestgen.plants.skeleton import OrganPlacements
 from forestgen.recipe.curves import PositiveCurve, evaluate_one
 from forestgen.recipe.fields import Section
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 ORDERS = 256  # entries of a table of local parameters; orders beyond take the last one
 SPLIT, ANGLE, SHORTEST, LONGEST, LENGTH, GRAVIMORPHISM = range(6)  # rows of the tables
 JITTERS = 5  # split, turn, tilt, azimuth, length
 _GOLDEN_DEG = 137.5
-_UP = np.array([0.0, 0.0, 1.0])
 _LEAF_BYTES = 1500  # a leaf's draws, frame and some ten triangles with their normals
 
 
@@ -51,7 +46,7 @@ class Wind(Section):
 
     speed_directed: float = Field(default=0.0, ge=0, le=10, description="w_g: greatest bend of one segment, degrees")
     speed_undirected: float = Field(
-        default=0.0, ge=0, le=10, description="w_s: sway of what a segment of 1 m bears, without stiffness, degrees"
+        default=0.0, ge=0, le=10, description="w_s: sway past a 1 m segment, stiffness 0, degrees"
     )
     axis: tuple[float, float, float] = Field(
         default=(0.0, 1.0, 0.0),
@@ -80,19 +75,13 @@ class Leaves(Section):
         "spiral", description="l_type: spiral, stacked, staggered, bunched or coniferous"
     )
     density: PositiveCurve = Field(
-        ((0.0, 5.0),),
-        description="rho_l: leaves on a branch of one strand, by the plant's height in metres; at most 200",
+        ((0.0, 5.0),), description="rho_l: leaves a strand, by height in metres; at most 200"
     )
     up_to_strands: int = Field(1, ge=1, le=100, description="branches of so many strands or fewer bear leaves")
     size_m: float | None = Field(
-        None,
-        gt=0,
-        le=2,
-        description="l_l: length of the leaf with its stalk; its proportions are the shape's. None: the shape's own",
+        None, gt=0, le=2, description="l_l: leaf's length with its stalk, in proportion; null: the shape's own"
     )
-    size_by_height: PositiveCurve = Field(
-        ((0.0, 1.0),), description="factor on the size over the plant's height in metres"
-    )
+    size_by_height: PositiveCurve = Field(((0.0, 1.0),), description="factor on size over height in metres")
     size_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of the size, as a share")
     zone: tuple[float, float] = Field((0.1, 1.0), description="part of the branch that bears leaves: 0 base, 1 tip")
     angle_deg: float = Field(55.0, ge=0, le=180, description="angle from the branch, degrees")
@@ -127,30 +116,6 @@ class Pose:
     rotation: Floats  # (N, 3, 3) segment frame -> plant frame; y along the segment
 
 
-def divide(
-    strands: int,
-    least: int,
-    trunk_m: float,
-    gravicentralism: float,
-    phyllotaxis_rad: float,
-    by_order: Floats,
-    by_depth: Floats,
-    jitter: Floats,
-    normals: Floats,
-) -> Branching:
-    """Divide the strands until every branch has `least` of them or fewer.
-
-    Parameters
-    ----------
-    trunk_m : length of the base segment, metres.
-    by_order, by_depth : (6, ORDERS) auxiliary parameters over the Gravelius and the Weibull order; angles in radians.
-    jitter : (JITTERS,) standard deviations of k_s, alpha (twice), alpha_p (radians) and of the logarithm of l.
-    normals : (3 strands, JITTERS) standard normal numbers, or (1, JITTERS) zeros.
-    """
-    columns = _divide(strands, least, trunk_m, gravicentralism, phyllotaxis_rad, by_order, by_depth, jitter, normals)
-    return Branching(*columns)
-
-
 def pose(branching: Branching, wind: Wind, stiffness: float, phases_rad: Floats) -> Pose:
     """The branching in a wind, its segments placed one after the other.
 
@@ -180,21 +145,23 @@ def product(row: int, by_order: Floats, by_depth: Floats, g: int, w: int) -> Any
 
 
 @compiled
-def _divide(  # type: ignore[no-untyped-def]
+def divide(  # type: ignore[no-untyped-def]
     strands, least, trunk_m, gravicentralism, phyllotaxis, by_order, by_depth, jitter, normals
-) -> Any:
+):
+    """Divide the strands until every branch has `least` of them or fewer.
+
+    Returns the columns of `Branching`: (N, 5) whole numbers from `parent` on, (N, 5) others from `length_m` on.
+
+    Parameters
+    ----------
+    trunk_m : length of the base segment, metres; phyllotaxis : alpha_p, radians.
+    by_order, by_depth : (6, ORDERS) auxiliary parameters over the Gravelius and the Weibull order; angles in radians.
+    jitter : (JITTERS,) standard deviations of k_s, alpha (twice), alpha_p (radians) and of the logarithm of l.
+    normals : (3 strands, JITTERS) standard normal numbers, or (1, JITTERS) zeros.
+    """
     size = 2 * strands
-    parent = np.full(size, -1, np.int64)
-    axis = np.zeros(size, np.int64)
-    count = np.full(size, strands, np.int64)
-    gravelius = np.zeros(size, np.int64)
-    weibull = np.zeros(size, np.int64)
-    relative = np.ones(size)
-    length = np.zeros(size)
-    turn = np.zeros(size)
-    tilt = np.zeros(size)
-    azimuth = np.zeros(size)
-    lift = np.zeros(size)
+    tree, shape = np.zeros((size, 5), np.int64), np.zeros((size, 5))
+    tree[0] = (-1, 0, strands, 0, 0)
     # Axes that wait for their turn: a minor sub-branch is written here, and copied to its place when that is known.
     waiting = np.zeros((strands, 4), np.int64)  # bearer, strands, g, w
     forms = np.zeros((strands, 6))  # relative and actual length, turn, tilt, azimuth, lift
@@ -206,9 +173,8 @@ def _divide(  # type: ignore[no-untyped-def]
         bearer, s, g, w = waiting[done]
         ratio, actual, turned, tilted, turned_about, lifted = forms[done]
         while True:
-            parent[node], axis[node], count[node], gravelius[node], weibull[node] = bearer, done, s, g, w
-            relative[node], length[node], turn[node], tilt[node] = ratio, actual, turned, tilted
-            azimuth[node], lift[node] = turned_about, lifted
+            tree[node] = (bearer, done, s, g, w)
+            shape[node] = (actual, turned, tilted, turned_about, lifted)
             if s <= least:
                 break
             split = product(SPLIT, by_order, by_depth, g, w)
@@ -246,10 +212,7 @@ def _divide(  # type: ignore[no-untyped-def]
             node += 1
         node += 1
         done += 1
-    return (
-        parent[:node], axis[:node], count[:node], gravelius[:node], weibull[:node],
-        length[:node], turn[:node], tilt[:node], azimuth[:node], lift[:node],
-    )  # fmt: skip
+    return tree[:node], shape[:node]
 
 
 @compiled
@@ -340,7 +303,7 @@ def leaf_places(
     own_size *= evaluate_one(leaves.size_by_height, height_m)
     size = size * own_size * np.sqrt(np.where(ends, branching.strands, 1)[node])
     roll = np.radians(leaves.roll_jitter_deg) * rng.normal(size=len(node))
-    upper = tangent if leaves.arrangement == "coniferous" else np.broadcast_to(_UP, tangent.shape)
+    upper = tangent if leaves.arrangement == "coniferous" else np.broadcast_to(UP, tangent.shape)
     frame = organ_frames(foot, along, upper, roll, size)
     return OrganPlacements(leaves.shape, frame.astype(np.float32), node.astype(np.int32))
 

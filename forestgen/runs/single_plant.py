@@ -19,14 +19,13 @@ from forestgen.dataset.file_set import FileSet, check_writable
 from forestgen.dataset.tonemap import tone_map
 from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of, mesh_suffixes, model_files, png
 from forestgen.geometry.mesh import surface_area_m2
+from forestgen.geometry.simplify import with_light_wood
 from forestgen.plants.bark.texture import texture_images
-from forestgen.plants.build import size_m
+from forestgen.plants.build import check_sways, size_m, sway
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.growing import ExemplarRequest, grow_exemplar
-from forestgen.plants.light_wood import check_wood_triangles, with_light_wood
 from forestgen.plants.parameters import with_detail
 from forestgen.plants.plan import PlantPlan, plan_plants
-from forestgen.plants.sway import check_sways, sway
 from forestgen.recipe.assets import SUFFIXES, find_asset
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.species import TALLEST_M, Species
@@ -38,6 +37,7 @@ PICTURE = ".png"
 _MOST_FILES = 9999  # names have four digits
 _MOST_SEEDS = 2**63  # mesh files hold them as signed integers
 _SHORTEST_M = 0.02
+_FEWEST_TRIANGLES = 100  # of wood
 _TALLEST = 2.0  # of a mature plant's height
 
 
@@ -139,7 +139,8 @@ def check_numbers(order: Order) -> None:
         whole_of(order.detail, "detail", 0, 2)
     if order.height_m is not None:
         number_of(order.height_m, "height_m")
-    check_wood_triangles(order.wood_triangles)
+    if order.wood_triangles is not None:
+        whole_of(order.wood_triangles, "wood_triangles", _FEWEST_TRIANGLES, 10**9)
 
 
 def check_formats(outputs: Sequence[Path]) -> None:
@@ -264,7 +265,7 @@ def mesh_model(plan: PlantPlan, exemplar: Exemplar, seed: int, wood_triangles: i
     model = model_of(exemplar, plan.drawn.species[name], materials, seed)
     if wood_triangles is None:
         return model
-    textures = {key: one.texture for (owner, key), one in materials.items() if owner == name and one.texture}
+    textures = {key: one.texture.colour for (owner, key), one in materials.items() if owner == name and one.texture}
     return replace(model, pieces=with_light_wood(model.pieces, textures, wood_triangles))
 
 

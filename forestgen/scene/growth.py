@@ -23,13 +23,12 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.build import estimate_triangles, size_m
-from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.exemplar import Exemplar, as_solids
 from forestgen.plants.growing import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store, grow_exemplars
 from forestgen.plants.grown import woods_of
-from forestgen.plants.levels import level_for, level_of_index
+from forestgen.plants.levels import PIXEL_STEPS_M, level_for
 from forestgen.plants.parameters import CrownProfile, PlantParameters
 from forestgen.plants.registry import GENERATORS
-from forestgen.plants.solids import as_solids
 from forestgen.recipe.buildings import Building
 from forestgen.recipe.species import Material, Species
 from forestgen.scene.building import exemplar_of, plan_buildings
@@ -257,7 +256,7 @@ def exemplar_requests(
                 radius_m=float(exemplar_plan.radius_m[index]),
                 seed=seed,
                 identity=identity,
-                level=level_of_index(int(exemplar_plan.level[index])),
+                pixel_m=PIXEL_STEPS_M[exemplar_plan.level[index]],
                 is_shared=plan.drawn.recipe.plants.library is not None,
             )
         )
@@ -292,7 +291,7 @@ def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Populatio
             radius_m=float(population.radius_m[row]),
             seed=plan.drawn.image_seed,
             identity=("own", int(population.plant_id[row])),
-            level=level_of_index(int(exemplar_plan.level[index])),
+            pixel_m=PIXEL_STEPS_M[exemplar_plan.level[index]],
             wood=woods[row],
             is_kept=not bool(exemplar_plan.is_unique[index]),
         )

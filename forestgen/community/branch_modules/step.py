@@ -384,8 +384,8 @@ def _turning(
     return Turning(
         base_world_m=np.column_stack([plants.position_m[plant], plants.ground_m[plant]]) + after.base_m[chosen],
         rotation=after.rotation[chosen],
-        centre_m=tables.sphere_centre_m[kind, prototype],
-        radius_m=tables.sphere_radius_m[kind, prototype],
+        centre_m=tables.grown_spheres_m[0][kind, prototype],
+        radius_m=tables.grown_spheres_m[1][kind, prototype],
         row=np.where(born, -1, source),
         parent_row=np.where(born, source, bearer[source]),
         # The leader goes up: an angle from the vertical is what its branches have.

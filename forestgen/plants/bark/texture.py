@@ -1,21 +1,7 @@
 """Bark as a texture: colour and relief of one tile that repeats round a stem and along it.
 
 A material's ``reflectance`` stays what it is: the mean of the texture. The pattern, its colours and its marks only
-share it out.
-
-=============  =====  ==============  ====================================================================
-key            unit   range           what it is
-=============  =====  ==============  ====================================================================
-pattern               see `PATTERNS`  furrowed, plated, scaly, smooth, papery, ringed, fibrous, end_grain
-tile_m         m      0.01 to 10      width round the stem and height of one repeat
-scale_m        m      0.0005 to 1     width of a ridge, plate, scale, ring or mark; by pattern if left out
-depth_m        m      0 to 0.1        deepest crack; by pattern if left out
-dark, light           0 to 1          colours of cracks and of tops, linear Rec. 709, before the mean is set
-marks                 0 to 0.5        share of lenticels (smooth, papery), checks or cracks (others)
-mark_colour           0 to 1          their colour; `dark` if left out
-lichen                0 to 0.9        share that lichen covers
-lichen_colour         0 to 1          pale grey green
-=============  =====  ==============  ====================================================================
+share it out. `marks` are lenticels of smooth and papery bark, checks or cracks of others.
 
 Recipe::
 
@@ -51,7 +37,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,10 +135,7 @@ def with_mean(colour: Image, mean: Colour) -> Image:
     return out
 
 
-AnyPlant = TypeVar("AnyPlant", bound=PlantParameters)
-
-
-def with_bark_tiles(parameters: AnyPlant, materials: Mapping[str, Material]) -> AnyPlant:
+def with_bark_tiles(parameters: PlantParameters, materials: Mapping[str, Material]) -> PlantParameters:
     """The plant's parameters with the tiles of its wood's materials, which its meshes' uv count in."""
     wood = parameters.wood
     tiles = {}

@@ -44,13 +44,12 @@ Decisions
 - Module prototypes have about ten segments, a metre long each; trees have thousands of twigs. So twigs are drawn on all
   wood that is thin enough, and one goes on from every free terminal. By the pipe model a segment's diameter counts the
   terminals beyond it, and with them its foliage: thick wood is old and bare.
-- Twigs are no part of a plant's size: a plant is as tall as its modules. They reach beyond by at most their length.
+- Twigs are no part of a plant's size: a plant is as tall as its modules.
 - What the twigs look like is random, of the plant's own number, and stays with it through time.
 - In communities of other models, and for `forestgen plant`, a plant grows by its species' `modules` as in community
-  model branch_modules, without a community, in the climate that it likes best, on a torus as wide as the crown that its
-  species' allometry gives it: its neighbours are its own copies, so it has the form of a tree in a closed stand. Its
-  wood is taken when it is as high as the allometry has it, and scaled to that height. A plant that never becomes so
-  high is shown at its greatest. Its crown is as wide as it grew.
+  model branch_modules, alone, in the climate that it likes best, on a torus as wide as its allometric crown: its
+  neighbours are its own copies, so it has the form of a tree in a closed stand. Its wood is taken when it is as high as
+  the allometry has it, or at its greatest, and scaled to that height. Its crown is as wide as it grew.
 """
 
 from __future__ import annotations
@@ -59,11 +58,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.geometry.mesh import unit
+from forestgen.geometry.mesh import Ints, unit
 from forestgen.plants.branching import Assembly, Grown, Order, Shoots, around, grow, lateral_sites
 from forestgen.plants.budget import check_budget
 from forestgen.plants.grown import ClothedWood, ModuleWood, wood_skeleton, woods_of
@@ -76,21 +74,17 @@ if TYPE_CHECKING:
     from forestgen.community.population import Population
     from forestgen.recipe.species import Species
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # For who writes a species' file: what matters most, in this order.
-#   bearing.thinner_than_m   which wood bears twigs. A grown terminal segment has PlantType.thickening_cm (0.01 m) times
-#                            the root of its shoots_per_terminal; where n terminals lie beyond, sqrt(n) times that.
-#                            3 to 5 times a terminal is a good start.
+#   bearing.thinner_than_m   which wood bears twigs: 3 to 5 times a grown terminal segment's diameter, which is
+#                            PlantType.thickening_cm times the root of shoots_per_terminal (of n terminals: sqrt(n)).
 #   bearing.spacing_m        between twigs along it; 0.1 to 0.25 m. Every free terminal bears one more along its axis.
 #   twigs[0].longest_m       length of a full twig: about 0.6 of a grown segment's length fills the space between.
 #   twigs[1]                 side twigs on the twigs: branch_angle_deg and branch_length of twigs[0] rule where they go.
-#   foliage.orders           [8, 9] are these two; needles on the wood itself: 1 to 7 with thinner_than_m: 0.02.
-#   foliage.shape            a large tree has some 50,000 to 300,000 leaves: draw them twice as long and a quarter as
-#                            many, or needle_twig shapes (spruce.yaml). Aim at 50,000 to 200,000 triangles a tree.
+#   foliage.orders           needles on the wood itself: 1 to 7 with thinner_than_m: 0.02.
+#   foliage.shape            aim at 50,000 to 200,000 triangles a tree: leaves twice as long and a quarter as many, or
+#                            needle_twig shapes (spruce.yaml).
 #   size_by_height           a seedling's leaves are small: [[0, 0.3], [0.5, 0.6], [3, 1.0]].
-# scenes/species/spruce.yaml and oak.yaml have working `modules_plant:` blocks.
 
 FIRST_TWIG_ORDER = 8  # branch orders below are wood of the modules
 MOST_TWIG_ORDERS = 4
@@ -105,9 +99,7 @@ class Bearing(Section):
 
     thinner_than_m: float = Field(0.04, gt=0, le=10, description="only segments of a smaller diameter, metres")
     younger_than_yr: float = Field(1e4, gt=0, description="only on modules that began less than so long ago, years")
-    orders: tuple[int, ...] = Field(
-        (0, 1, 2, 3, 4, 5, 6, 7), min_length=1, description="orders of the wood that bear them; 0 is the stem"
-    )
+    orders: tuple[int, ...] = Field((0, 1, 2, 3, 4, 5, 6, 7), min_length=1, description="orders that bear them; 0 stem")
     spacing_m: float = Field(0.15, ge=0.005, le=10, description="distance between the twigs along the wood, metres")
     per_node: int = Field(1, ge=1, le=50, description="twigs at a node, evenly about the axis: 2 for opposite ones")
     angle_deg: float = Field(55.0, ge=0, le=180, description="angle from the wood, degrees")
@@ -118,17 +110,13 @@ class Bearing(Section):
     age_length: PositiveCurve = Field(
         ((0.0, 0.35), (0.7, 1.0)), description="share of a twig's length over the age of its segment, 0 new to 1 grown"
     )
-    light_length: PositiveCurve = Field(
-        ((0.0, 0.6), (0.5, 1.0)), description="share of a twig's length over its module's light, 0 to 1"
-    )
+    light_length: PositiveCurve = Field(((0.0, 0.6), (0.5, 1.0)), description="share of length over its module's light")
     thick_length: PositiveCurve = Field(
-        ((0.0, 1.0), (0.6, 0.85), (1.0, 0.4)),
-        description="share of a twig's length over its segment's diameter, as a share of thinner_than_m",
+        ((0.0, 1.0), (0.6, 0.85), (1.0, 0.4)), description="share of length over segment diameter / thinner_than_m"
     )
     length_jitter: float = Field(0.15, ge=0, lt=0.5, description="standard deviation of a twig's length, as a share")
     size_by_height: PositiveCurve = Field(
-        ((0.0, 0.15), (0.5, 0.4), (3.0, 1.0)),
-        description="factor on the twigs' length and spacing over the plant's height in metres",
+        ((0.0, 0.15), (0.5, 0.4), (3.0, 1.0)), description="factor on twigs' length and spacing over height in metres"
     )
     missing: float = Field(0.1, ge=0, lt=1, description="share of the places left empty")
     terminal: bool = Field(True, description="one more goes on from every free terminal, along its axis")
@@ -138,17 +126,13 @@ class Parameters(PlantParameters):
     """The `plant:` or `modules_plant:` block of a species' file."""
 
     generator: Literal["branch_modules"] = "branch_modules"
-    crook: float = Field(
-        0.03, ge=0, le=0.3, description="random bend of a segment's middle, share of its length (standard deviation)"
-    )
+    crook: float = Field(0.03, ge=0, le=0.3, description="standard deviation of segments' middles, share of length")
     smooth: bool = Field(True, description="whether axes run in curves through the modules' nodes, or straight")
     bearing: Bearing | None = Field(
         default_factory=lambda: Bearing.model_validate({}), description="where the wood bears twigs; null: nowhere"
     )
     twigs: tuple[Order, ...] = Field(
-        (),
-        max_length=MOST_TWIG_ORDERS,
-        description="twigs on the wood, the twigs on these, and so on: orders 8, 9, ...",
+        (), max_length=MOST_TWIG_ORDERS, description="twigs on the wood, twigs on these, and so on: orders 8, 9, ..."
     )
     fit: Fit = Field("none", description="plants are as large as their modules")
 
@@ -172,12 +156,7 @@ class BranchModulesGenerator:
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """Refuse: its branches take more than a height and a width."""
-        raise RecipeError(
-            "plants of branch modules grow by their species' modules",
-            where="plant.generator",
-            expected="forestgen.plants.growing.grow_exemplar",
-            got="a plant without modules",
-        )
+        raise RecipeError("plants of branch modules grow by their species' modules", where="plant.generator")
 
     def clothe(self, parameters: _Parameters, wood: ModuleWood, height_m: float, rng: np.random.Generator) -> Skeleton:
         """The plant's wood with its twigs and leaves; see `plants.parameters.ClothesModules`."""
@@ -266,7 +245,11 @@ def _first_shoots(
     if bearing.terminal:
         ends = np.flatnonzero(clothed.free)
         node, direction = np.concatenate([node, ends]), np.concatenate([direction, tangent[ends]])
-    length = _lengths(clothed, bearing, node, rng) * min(growth, 1.0) * longest_m
+    thick = np.clip(2.0 * wood.radius_m[node] / bearing.thinner_than_m, 0.0, 1.0)
+    share = evaluate(bearing.age_length, clothed.age_share[node]) * evaluate(bearing.light_length, clothed.light[node])
+    share = share * evaluate(bearing.thick_length, thick)
+    share = share * np.clip(1.0 + bearing.length_jitter * rng.normal(size=len(node)), 0.3, 1.4)
+    length = share * min(growth, 1.0) * longest_m
     if left < 1.0:
         stays = rng.random(len(node)) < left
         node, direction, length = node[stays], direction[stays], length[stays]
@@ -280,14 +263,6 @@ def _rank_on_axis(axis: Ints) -> Ints:
     rank = np.empty(len(axis), dtype=np.int64)
     rank[order] = np.arange(len(axis)) - np.searchsorted(ordered, ordered)
     return rank
-
-
-def _lengths(clothed: ClothedWood, bearing: Bearing, node: Ints, rng: np.random.Generator) -> Floats:
-    """Share of the longest twig's length."""
-    thick = 2.0 * clothed.skeleton.radius_m[node] / bearing.thinner_than_m
-    share = evaluate(bearing.age_length, clothed.age_share[node]) * evaluate(bearing.light_length, clothed.light[node])
-    share = share * evaluate(bearing.thick_length, np.clip(thick, 0.0, 1.0))
-    return share * np.clip(1.0 + bearing.length_jitter * rng.normal(size=len(node)), 0.3, 1.4)
 
 
 def _side_shoots(grown: Grown, rules: Order, longest_m: float, index: Ints, rng: np.random.Generator) -> Shoots:

@@ -42,16 +42,13 @@ from __future__ import annotations
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.geometry.mesh import any_perpendicular, unit
+from forestgen.geometry.mesh import Floats, any_perpendicular, unit
 from forestgen.plants.branching import around
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.recipe.curves import PositiveCurve, evaluate_one
-
-Floats = NDArray[np.float64]
 
 _STEP_M = 0.12  # between nodes of a stem
 _MOST_STEPS = 400
@@ -130,9 +127,8 @@ class DeadwoodGenerator:
         if not lying:
             points *= (height_m - tip_m) / points[-1, 2]
         else:
-            points[:, 2] += diameter * (0.5 - parameters.sunk) - np.interp(
-                points[:, 0], points[[0, -1], 0], points[[0, -1], 2]
-            )
+            slope = np.interp(points[:, 0], points[[0, -1], 0], points[[0, -1], 2])
+            points[:, 2] += diameter * (0.5 - parameters.sunk) - slope
         axes = _Axes(points[0], radius[0])
         axes.add(points[1:], radius[1:], 0, 0)
         if broken:

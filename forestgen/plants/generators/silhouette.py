@@ -44,7 +44,7 @@ Decisions
   a sapling is the top of a tree and not its miniature. Only the silhouette is relative to the plant's own height.
 - branch_len(0, rel) is the length at which a branch that leaves under branch_ang meets the silhouette.
 - Real branches bend: `upturn_deg_per_m` turns an axis to the sky (or the ground) as a torque, `wander_deg` bends it
-  at random with memory. The grown plant is then stretched, height and width apart, to fit H and W (`fit`).
+  at random with memory. `fit` then stretches the plant, height and width apart, to H and W.
 - The tip carries organs by rules of spacing (`Foliage`) rather than one K, since K grows on several internodes.
 """
 
@@ -53,26 +53,16 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, TypeAdapter, WithJsonSchema
 
-from forestgen.plants.branching import Assembly, Grown, Order, Shoots, Sites, grow, lateral_sites
+from forestgen.geometry.mesh import Floats
+from forestgen.plants.branching import Assembly, Order, Shoots, grow, lateral_sites
 from forestgen.plants.budget import check_budget
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton
-from forestgen.recipe.curves import (
-    CURVE_SCHEMA,
-    Curve,
-    FallingCurve,
-    Function,
-    PositiveCurve,
-    StrictlyPositiveCurve,
-    evaluate,
-    evaluate_one,
-)
+from forestgen.recipe import curves
+from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
-
-Floats = NDArray[np.float64]
 
 _STEM_BYTES = 100_000  # of a stem with its branches, at least
 
@@ -97,11 +87,11 @@ def _read(value: Any) -> Any:
 Silhouette = Annotated[
     Any,
     BeforeValidator(_read),
-    WithJsonSchema({"anyOf": [{"type": "string", "enum": list(_NAMES)}, *CURVE_SCHEMA["anyOf"]]}),
+    WithJsonSchema({"anyOf": [{"type": "string", "enum": list(_NAMES)}, *curves.CURVE_SCHEMA["anyOf"]]}),
 ]
 
 
-def envelope(silhouette: SilhouetteName | Function, height: Floats) -> Floats:
+def envelope(silhouette: SilhouetteName | curves.Function, height: Floats) -> Floats:
     """Crown radius as a share of the greatest, at a height within the crown, 0 its base and 1 its top; 0 outside."""
     u = np.clip(height, 0.0, 1.0)
     match silhouette:
@@ -119,7 +109,7 @@ def envelope(silhouette: SilhouetteName | Function, height: Floats) -> Floats:
 
 
 def silhouette_length(
-    silhouette: SilhouetteName | Function, foot: Floats, angle_rad: Floats, crown_m: float, width_m: float
+    silhouette: SilhouetteName | curves.Function, foot: Floats, angle_rad: Floats, crown_m: float, width_m: float
 ) -> Floats:
     """(M,) length of straight branches from the axis of the crown to its silhouette, metres.
 
@@ -139,9 +129,7 @@ def silhouette_length(
 class Trunk(Section):
     """Stems: axes of order 0, from the ground up."""
 
-    diameter_ratio: PositiveCurve = Field(
-        ((0.0, 0.014),), description="base diameter by height, over the height in metres"
-    )
+    diameter_ratio: PositiveCurve = Field(((0.0, 0.014),), description="base diameter by height, over height in metres")
     taper: FallingCurve = Field(
         ((0.0, 1.0), (0.9, 0.18), (1.0, 0.02)), description="share of the base diameter over the stem, 0 base, 1 tip"
     )
@@ -162,9 +150,7 @@ class Parameters(PlantParameters):
         description="branch_len(0, .): form of the crown: ellipsoid, ovoid, cone, column, or a curve of its radius "
         "over the height within it, 0 its base and 1 its top, in any unit: the greatest is the plant's width",
     )
-    crown_base: Curve = Field(
-        ((0.0, 0.3),), description="crown's lower end, share of height, over the height in metres"
-    )
+    crown_base: Curve = Field(((0.0, 0.3),), description="crown's lower end, share of height, over height in metres")
     trunk: Trunk = Field(description="int_width(0, .), and the stems")
     orders: tuple[Order, ...] = Field(min_length=1, max_length=8, description="the stem, its branches, and so on")
     fit: Fit = Field("stretch", description="as for every generator; height and width fit by default")
@@ -193,10 +179,16 @@ class SilhouetteGenerator:
             rules = orders[order - 1]
             sites = lateral_sites(grown, rules, rng)
             if order == 1:
-                full = _crown_length(parameters, grown, shoots, sites, height_m, width_m)
+                stem = grown.axis[sites.node]
+                rise = 1.0 - grown.remaining_m[sites.node] / shoots.length_m[stem]
+                low = evaluate_one(parameters.crown_base, height_m)
+                crown = (rise - low) / (1.0 - low), sites.angle_rad, (1.0 - low) * height_m, width_m
+                full = silhouette_length(parameters.silhouette, *crown)
             else:
                 full = np.full(len(sites.node), orders[order].longest_m)
-            length = _branch_length(rules, grown, sites, full, rng)
+            jitter = np.clip(1.0 + rules.branch_length_jitter * rng.normal(size=len(full)), 0.3, 1.4)
+            between = np.where(sites.in_whorl, 1.0, rules.between_length * rng.uniform(0.6, 1.0, len(full)))
+            length = full * evaluate(rules.branch_length, grown.relative[sites.node]) * jitter * between
             chosen = (length >= rules.shortest_m) & (rng.random(len(length)) >= rules.missing)
             node = sites.node[chosen]
             shoots = Shoots(grown.position_m[node], sites.direction[chosen], length[chosen], index[node])
@@ -222,23 +214,6 @@ def _stems(trunk: Trunk, height_m: float, rng: np.random.Generator) -> Shoots:
     length = height_m * evaluate_one(trunk.length_ratio, height_m) * np.ones(count)
     length[1:] *= rng.uniform(0.7, 0.95, count - 1)
     return Shoots(np.zeros((count, 3)), direction, length, np.zeros(count, np.int64))
-
-
-def _crown_length(
-    parameters: Parameters, grown: Grown, stems: Shoots, sites: Sites, height_m: float, width_m: float
-) -> Floats:
-    base = evaluate_one(parameters.crown_base, height_m)
-    height = 1.0 - grown.remaining_m[sites.node] / stems.length_m[grown.axis[sites.node]]
-    foot = (height - base) / (1.0 - base)
-    crown_m = (1.0 - base) * height_m
-    return silhouette_length(parameters.silhouette, foot, sites.angle_rad, crown_m, width_m)
-
-
-def _branch_length(rules: Order, grown: Grown, sites: Sites, full: Floats, rng: np.random.Generator) -> Floats:
-    share = evaluate(rules.branch_length, grown.relative[sites.node])
-    jitter = np.clip(1.0 + rules.branch_length_jitter * rng.normal(size=len(share)), 0.3, 1.4)
-    between = np.where(sites.in_whorl, 1.0, rules.between_length * rng.uniform(0.6, 1.0, len(share)))
-    return full * share * jitter * between
 
 
 GENERATOR = SilhouetteGenerator()

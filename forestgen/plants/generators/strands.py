@@ -46,42 +46,39 @@ Recipe
 
 Decisions
 ---------
-- The paper's text refers to Eqs. 3, 4, 5 and 6 for m, M, k_l and alpha_m; the equations themselves give alpha_m, M,
-  k_l and m. The equations and their ranges count.
-- L_0 starts at 1 and l_0 is a length of its own: the trunk's base is 5 m long, the segments above it about 1 m. So the
-  paper's beech stands 27 m high and its pine 23 m.
+- The paper's text refers to Eqs. 3, 4, 5 and 6 for m, M, k_l and alpha_m; the equations themselves and their ranges
+  count: alpha_m, M, k_l and m.
+- L_0 starts at 1 and l_0 is a length of its own: a trunk's base of 5 m, segments of about 1 m above it. So the paper's
+  beech stands 27 m high and its pine 23 m.
 - Algorithm 1 turns both sub-branches by a positive angle about z. alpha is the angle between them (section II.B), so
   the minor one turns by -alpha_2 here.
-- Matrices are printed for row vectors. Here they multiply columns, in the same frames. The inverse matrices, whose
+- Matrices are printed for row vectors; here they multiply columns, in the same frames. The inverse matrices, whose
   printed order fits neither, are the inverses.
-- The paper does not say where y_m points. Here it is down, the way gravity pulls, so a positive alpha_m droops: the
-  pine's negative ones raise its branches' tips, as a pine's are. A turn ends where down (or up) is reached. It counts
-  as if there were no directed wind, as printed.
-- With k_c = 0.98 as printed the pine's trunk turns by 27 degrees at every division, a screw that leans by some 19
-  degrees; its name, and the pine of Figure 4, ask for a straight one at k_c near 1. So alpha_1 = (1 - k_c) ... is
-  offered as `gravicentralism_as: upright`, and the recipe of Figure 4 uses it with the printed 0.98.
-- The wind's turn is about w in the plant frame: the printed place of R_w0 would turn it about an axis of the
-  sub-branch that is known in its bearer's frame only. Angles of the wind are in degrees, since sliders end at 10.
+- The paper does not say where y_m points. Here it is down, so a positive alpha_m droops; the pine's negative ones raise
+  its branches' tips. A turn ends where down (or up) is reached, counted without directed wind, as printed.
+- With k_c = 0.98 as printed the pine's trunk turns by 27 degrees at every division, a screw that leans by 19 degrees;
+  its name and Figure 4 ask for a straight one. So alpha_1 = (1 - k_c) ... is offered as `gravicentralism_as: upright`,
+  which the recipe of Figure 4 uses with the printed 0.98.
+- The wind's turn is about w in the plant frame: the printed place of R_w0 would turn it about an axis that is known in
+  the bearer's frame only. Angles of the wind are in degrees, since sliders end at 10.
 - alpha_w = S_0/S w_g, as printed, bends a trunk most. Drag on a branch grows with its leaves, S_0, its stiffness with
-  d^4, S_0^2, so thin branches bend more: (1 - S_0/S) w_g is the default (`bends`). The paper's w = [0 1 0] is the
-  trunk's own direction: [0, 0, 1] here, which turns without bending.
+  d^4, S_0^2: (1 - S_0/S) w_g is the default (`bends`). The paper's w = [0 1 0] is the trunk's own direction: [0, 0, 1]
+  here, which turns without bending.
 - The pine has 6000 strands where the slider ends at 5000: the bound here is 200,000. rho_l is the number of leaves on
   a branch of one strand: 5000 leaves on the paper's beech.
 - l_LOD is 0 in both models and not explained. Here a branch of at most `lod` strands is one segment, with the leaves
   of one strand, larger by the root of its strands.
 - The curve of the pine's k_s^w has two points at 42.89; positions must ascend, so write 42.89 and 42.8901.
-- Where 2000 strands make a trunk of half a metre, the square root makes a twig of a centimetre. A larger
-  `thickness_exponent` gives a library's tree thinner twigs; sections then shrink from bearer to sub-branches.
-- A young tree is not an old one's miniature: `strands` and `scale_by_height` say how many branches it has and how large
-  they are. 1, the default, is the paper's.
-- Jitters are not in the paper. The plant's phases in the wind and its form come from separate random streams, so wind
-  does not alter the form.
+- By the square root, 2000 strands that make a trunk of half a metre make a twig of a centimetre. A larger
+  `thickness_exponent` gives thinner twigs; sections then shrink from bearer to sub-branches.
+- A young tree is no miniature: `strands` and `scale_by_height` say how many branches it has and how large they are.
+- Jitters are not in the paper. Phases in the wind and the form come from separate random streams.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -89,26 +86,14 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 
 from forestgen.core.errors import RecipeError
+from forestgen.geometry.mesh import Floats
 from forestgen.plants.budget import check_budget
-from forestgen.plants.fitting import fit, moved
+from forestgen.plants.build import fit, moved
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.strands import (
-    JITTERS,
-    ORDERS,
-    Branching,
-    Leaves,
-    Pose,
-    Wind,
-    carried,
-    divide,
-    leaf_places,
-    pose,
-)
+from forestgen.plants.strands import JITTERS, ORDERS, Branching, Leaves, Pose, Wind, carried, divide, leaf_places, pose
 from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
-
-Floats = NDArray[np.float64]
 
 MOST_STRANDS = 200_000
 # Where a species' file says nothing of wind, or makes the plant too stiff to move; degrees.
@@ -175,7 +160,7 @@ class Gravimorphism(_Local):
     """alpha_m: turn to the ground (or, negative, to the sky) at a division."""
 
     gravelius: Annotated[Curve, _within(-180.0, 180.0)] = Field(
-        default=((0.0, 0.0),), description="over g, -180 to 180 degrees"
+        default=((0.0, 0.0),), description="over g, within 180 degrees"
     )
 
 
@@ -189,13 +174,9 @@ class Parameters(PlantParameters):
     trunk_length_m: Annotated[PositiveCurve, _within(0.0, 20.0)] = Field(
         ((0.0, 5.0),), description="l_0: length of the trunk's base segment, by the plant's height in metres"
     )
-    scale_by_height: PositiveCurve = Field(
-        ((0.0, 1.0),), description="factor on all lengths and diameters of wood, by the plant's height in metres"
-    )
+    scale_by_height: PositiveCurve = Field(((0.0, 1.0),), description="factor on the wood's size by height in metres")
     thickness_m: float = Field(0.01, gt=0, le=0.05, description="k_d: diameter of a branch of one strand, metres")
-    thickness_exponent: float = Field(
-        0.5, ge=0.3, le=1, description="power of the strands that a diameter grows with; 0.5: sections are conserved"
-    )
+    thickness_exponent: float = Field(0.5, ge=0.3, le=1, description="diameter's power of strands; 0.5 keeps sections")
     gravicentralism: float = Field(0.3, ge=0, le=1, description="k_c, see `gravicentralism_as`")
     gravicentralism_as: Literal["printed", "upright"] = Field(
         "printed",
@@ -208,9 +189,7 @@ class Parameters(PlantParameters):
     shortest: Shortest = Field(Shortest(), description="m: least ratio of a sub-branch's length to its bearer's")
     longest: Longest = Field(Longest(), description="M: greatest ratio of a sub-branch's length to its bearer's")
     length: Length = Field(Length(), description="k_l: a segment's length over its relative length, metres")
-    gravimorphism_deg: Gravimorphism = Field(
-        Gravimorphism(), description="alpha_m: turn to the ground at a division, degrees; negative: to the sky"
-    )
+    gravimorphism_deg: Gravimorphism = Field(Gravimorphism(), description="alpha_m: turn down at a division, degrees")
     lod: int = Field(0, ge=0, le=10_000, description="branches of so many strands or fewer are not divided further")
     stiffness: float = Field(1.0, ge=0, le=1, description="k_f: 1: no sway in the undirected wind")
     wind: Wind = Field(Wind(), description="the wind that the plant stands in")
@@ -260,9 +239,10 @@ def branching_of(parameters: Parameters, height_m: float, rng: np.random.Generat
     normals = rng.normal(size=(3 * strands, JITTERS)) if jitter.any() else np.zeros((1, JITTERS))
     trunk_m = float(np.clip(evaluate_one(p.trunk_length_m, height_m), 0.0, 20.0))
     giving_way = p.gravicentralism if p.gravicentralism_as == "printed" else 1.0 - p.gravicentralism
-    branching = divide(
+    tree, shape = divide(
         strands, max(1, p.lod), trunk_m, giving_way, np.radians(p.phyllotaxis_deg), *tables(p), jitter, normals
     )
+    branching = Branching(*tree.T.copy(), *shape.T.copy())
     if not branching.length_m.sum() > 0.0:
         raise RecipeError("no branch of the plant has a length", where="plant", hint="trunk_length_m and length")
     scale = evaluate_one(p.scale_by_height, height_m)
@@ -278,18 +258,10 @@ def skeleton_of(
     return Skeleton.of(branching.parent, stance.position_m, radius, branching.gravelius, branching.axis, organs=organs)
 
 
-@dataclass(frozen=True)
-class Rest:
-    """A plant without wind, and what it needs to stand in one."""
-
-    branching: Branching
-    pose: Pose
-    organs: tuple[OrganPlacements, ...]  # the leaves that the generator places
-    phases_rad: Floats  # (N, 2) R_x and R_z of every segment
-
-
-def grow_at_rest(parameters: Parameters, height_m: float, rng: np.random.Generator) -> Rest:
-    """The tree without wind, in metres as Algorithm 1 gives them."""
+def grow_at_rest(
+    parameters: Parameters, height_m: float, rng: np.random.Generator
+) -> tuple[Branching, Pose, tuple[OrganPlacements, ...], Floats]:
+    """The tree without wind, in metres as Algorithm 1 gives them; its leaves; (N, 2) R_x and R_z of its segments."""
     form_rng, leaf_rng, wind_rng = rng.spawn(3)
     branching = branching_of(parameters, height_m, form_rng)
     phases_rad = wind_rng.uniform(0.0, 2.0 * np.pi, (len(branching.parent), 2))
@@ -298,7 +270,7 @@ def grow_at_rest(parameters: Parameters, height_m: float, rng: np.random.Generat
     if parameters.leaves is not None:
         template = parameters.shapes[parameters.leaves.shape].template()
         organs = (leaf_places(parameters.leaves, template, branching, rest, height_m, leaf_rng),)
-    return Rest(branching, rest, organs, phases_rad)
+    return branching, rest, organs, phases_rad
 
 
 class StrandGenerator:
@@ -309,10 +281,9 @@ class StrandGenerator:
 
     def grow(self, parameters: _Parameters, height_m: float, width_m: float, rng: np.random.Generator) -> Skeleton:
         """The tree in its wind, with its leaves; `width_m` is for the fit that follows."""
-        plant = grow_at_rest(parameters, height_m, rng)
-        stance = pose(plant.branching, parameters.wind, parameters.stiffness, plant.phases_rad)
-        organs = tuple(carried(placement, plant.pose, stance) for placement in plant.organs)
-        return skeleton_of(parameters, plant.branching, stance, organs)
+        branching, rest, organs, phases_rad = grow_at_rest(parameters, height_m, rng)
+        stance = pose(branching, parameters.wind, parameters.stiffness, phases_rad)
+        return skeleton_of(parameters, branching, stance, tuple(carried(one, rest, stance) for one in organs))
 
     def in_wind(self, parameters: _Parameters) -> _Parameters:
         """See `plants.parameters.Sways`."""
@@ -336,24 +307,20 @@ class StrandGenerator:
         if parameters.variation is not None:
             raise RecipeError("a plant with a variation has no poses in the wind", where="plant.variation")
         wood_rng, foliage_rng = rng.spawn(2)
-        plant = grow_at_rest(parameters, height_m, wood_rng)
-        at_rest = skeleton_of(parameters, plant.branching, plant.pose, plant.organs)
+        branching, rest, organs, phases_rad = grow_at_rest(parameters, height_m, wood_rng)
+        at_rest = skeleton_of(parameters, branching, rest, organs)
         placed = parameters.place_foliage(at_rest, height_m, foliage_rng)
         at_rest = replace(at_rest, organs=(*at_rest.organs, *placed))
         fitted = fit(at_rest, parameters.templates(), parameters.fit, height_m, width_m)
+        stretch = _largest(fitted.position_m) / np.maximum(_largest(at_rest.position_m), 1e-9)
         for time_s in times_s:
-            yield _pose_at(time_s, parameters, plant, at_rest, fitted)
-
-
-def _pose_at(time_s: float, parameters: Parameters, plant: Rest, at_rest: Skeleton, fitted: Skeleton) -> Skeleton:
-    wind = parameters.wind.model_copy(update={"time_s": time_s})
-    stance = pose(plant.branching, wind, parameters.stiffness, plant.phases_rad)
-    stretch = _largest(fitted.position_m) / np.maximum(_largest(at_rest.position_m), 1e-9)
-    organs = tuple(
-        moved(carried(placement, plant.pose, stance), stretch, _size(at_its_size) / max(_size(placement), 1e-12))
-        for placement, at_its_size in zip(at_rest.organs, fitted.organs, strict=True)
-    )
-    return replace(fitted, position_m=(stance.position_m * stretch).astype(np.float32), organs=organs)
+            wind = parameters.wind.model_copy(update={"time_s": time_s})
+            stance = pose(branching, wind, parameters.stiffness, phases_rad)
+            organs = tuple(
+                moved(carried(placement, rest, stance), stretch, _size(final) / max(_size(placement), 1e-12))
+                for placement, final in zip(at_rest.organs, fitted.organs, strict=True)
+            )
+            yield replace(fitted, position_m=(stance.position_m * stretch).astype(np.float32), organs=organs)
 
 
 def _largest(position_m: NDArray[np.float32]) -> Floats:

@@ -10,16 +10,9 @@ from pydantic import AfterValidator, Field
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.patches import Patch, to_mesh
+from forestgen.plants.exemplar import OrganMesh
 from forestgen.recipe.fields import Section
 
-_PARTS = {
-    "leaf": Part.LEAF,
-    "flower": Part.FLOWER,
-    "fruit": Part.FRUIT,
-    "trunk": Part.TRUNK,
-    "branch": Part.BRANCH,
-    "dead_wood": Part.DEAD_WOOD,
-}
 _LEAST_M = 1e-4  # triangles that are smaller vanish in single precision
 
 
@@ -40,19 +33,11 @@ Detail = Annotated[
 PartName = Literal["leaf", "flower", "fruit", "trunk", "branch", "dead_wood"]
 
 
-class OrganPiece(NamedTuple):
-    """What of an organ has one label and one material."""
-
-    part: Part
-    material: str
-    mesh: Mesh  # the organ's frame: foot at the origin, y along it, z its upper side, metres; with normals and uv
-
-
-class Pieces(NamedTuple):
-    """Patches of an organ by material, before they are meshes."""
+class OrganPatch(NamedTuple):
+    """Triangles of one material, in the organ's frame: foot at the origin, y along it, z its upper side, metres."""
 
     material: str
-    patches: tuple[Patch, ...]
+    patch: Patch
     part: Part | None = None  # None: the organ's own
 
 
@@ -62,34 +47,29 @@ class OrganForm(Section):
     part: PartName = Field("leaf", description="the label of its surface")
     material: str = Field(description="name of one of the species' materials")
 
-    def patches(self) -> tuple[Pieces, ...]:
-        """Geometry by material."""
+    def patches(self) -> list[OrganPatch]:
+        """The organ's triangles, in its own frame."""
         raise NotImplementedError
 
-    def pieces(self) -> tuple[OrganPiece, ...]:
+    def pieces(self) -> tuple[OrganMesh, ...]:
         """The organ's surfaces, one for each of its labels and materials."""
         return _pieces(self)
 
     def template(self) -> Mesh:
-        """The whole organ as one mesh, in its own frame: foot at the origin, y along it, z its upper side, metres."""
+        """The whole organ as one mesh, in its own frame."""
         return _template(self)
-
-    @property
-    def label(self) -> Part:
-        return _PARTS[self.part]
 
 
 @lru_cache(maxsize=512)
-def _pieces(form: OrganForm) -> tuple[OrganPiece, ...]:
+def _pieces(form: OrganForm) -> tuple[OrganMesh, ...]:
     joined: dict[tuple[Part, str], list[Patch]] = {}
-    for piece in form.patches():
-        part = form.label if piece.part is None else piece.part
-        joined.setdefault((part, piece.material), []).extend(patch for patch in piece.patches if len(patch.faces))
-    return tuple(
-        OrganPiece(part, material, to_mesh(*patches)) for (part, material), patches in joined.items() if patches
-    )
+    for material, patch, part in form.patches():
+        if len(patch.faces):
+            part = Part[form.part.upper()] if part is None else part
+            joined.setdefault((part, material), []).append(patch)
+    return tuple(OrganMesh(part, material, to_mesh(*patches)) for (part, material), patches in joined.items())
 
 
 @lru_cache(maxsize=512)
 def _template(form: OrganForm) -> Mesh:
-    return to_mesh(*(patch for piece in form.patches() for patch in piece.patches))
+    return to_mesh(*(one.patch for one in form.patches()))

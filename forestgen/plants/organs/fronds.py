@@ -1,84 +1,46 @@
-"""Forms of needles, fronds and grasses."""
+"""Forms of fronds of palms and ferns, of blades of grass and their seed heads."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from forestgen.core.parts import Part
-from forestgen.geometry import fronds
-from forestgen.geometry.patches import bent, placed, stem, strip
-from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, PartName, Pieces, Share, Size
+from forestgen.geometry import patches
+from forestgen.geometry.mesh import UP, Floats
+from forestgen.geometry.patches import Patch
+from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, OrganPatch, PartName, Size
+from forestgen.plants.organs.leaves import LobedBlade, SimpleBlade
 
-NeedleWidth = Annotated[float, Field(ge=1e-4, le=0.05)]
-MOST_NEEDLES = 2000
-
-
-class Fascicle(OrganForm):
-    """A bundle of needles, as a pine's."""
-
-    form: Literal["fascicle"]
-    needles: Annotated[int, Field(ge=1, le=60)] = Field(2, description="in one bundle")
-    length_m: Size = Field(description="length of a needle, metres")
-    width_m: NeedleWidth = Field(0.0014, description="width of a needle, metres")
-    spread_deg: Annotated[float, Field(ge=0, le=170)] = Field(28.0, description="angle between opposite ones, degrees")
-    curl_deg: Bend = Field(12.0, description="bend of each, degrees")
-    detail: Detail = 1
-
-    def patches(self) -> tuple[Pieces, ...]:
-        bundle = fronds.fascicle(
-            self.needles, self.length_m, self.width_m, self.spread_deg, self.curl_deg, detail=self.detail
-        )
-        return (Pieces(self.material, (bundle,)),)
+_ALONG = np.array([0.0, 1.0, 0.0])
+_PALM_LEAFLET = 0.68  # area of a leaflet over its length times its width
 
 
-class NeedleTwig(OrganForm):
-    """A twig set with needles, all around it or parted."""
+def _sideways(angle_rad: Floats, lift_rad: Floats | float, side: Floats) -> Floats:
+    """(N, 3, 3) attitudes of leaflets at an angle from a rachis along y, lifted out of its plane; side is +1 or -1."""
+    lift = np.broadcast_to(lift_rad, angle_rad.shape)
+    out = np.column_stack([side * np.cos(lift), np.zeros(len(side)), np.sin(lift)])
+    along = np.cos(angle_rad)[:, None] * _ALONG + np.sin(angle_rad)[:, None] * out
+    upper = np.column_stack([-side * np.sin(lift), np.zeros(len(side)), np.cos(lift)])
+    return patches.attitude(along, upper)
 
-    form: Literal["needle_twig"]
-    length_m: Size = Field(description="length of the twig, metres")
-    per_m: Annotated[float, Field(gt=0, le=10_000)] = Field(description="needles on a metre of twig")
-    needle_length_m: Size = Field(description="length of a needle, metres")
-    needle_width_m: NeedleWidth = Field(0.0012, description="width of a needle, metres")
-    drawn: Annotated[int, Field(ge=1, le=MOST_NEEDLES)] | None = Field(
-        None, description="needles drawn, each larger so that the area stays; all of them if not given"
-    )
-    angle_deg: Annotated[float, Field(ge=5, le=150)] = Field(50.0, description="between twig and needle, degrees")
-    parting: Share = Field(0.0, description="0: needles all around; 1: all to the twig's two sides")
-    curl_deg: Bend = Field(8.0, description="bend of each needle, degrees")
-    diameter_m: MaybeSize = Field(0.0, description="of the twig, metres; 0: the twig itself is not drawn")
-    twig_material: str | None = Field(None, description="of the twig, whose label is a branch's; the needles' own")
-    detail: Detail = 0
 
-    @model_validator(mode="after")
-    def _not_too_many(self) -> Self:
-        borne = self.per_m * self.length_m
-        if self.drawn is None and borne > MOST_NEEDLES:
-            raise ValueError(
-                f"at most {MOST_NEEDLES} needles drawn on a twig; per_m * length_m is {borne:,.0f}: "
-                "give a smaller number as `drawn`"
-            )
-        return self
+def _rachis(length_m: float, diameter_m: float, detail: int) -> Patch:
+    """The axis of a frond along y, tapering to a point: 3 or 5 sides."""
+    share = np.linspace(0.0, 1.0, (4, 8, 16)[detail])
+    return patches.tube(patches.on_axis(share * length_m), 0.5 * diameter_m * (1.0 - share) ** 0.7, (3, 3, 5)[detail])
 
-    def patches(self) -> tuple[Pieces, ...]:
-        count = max(round(self.per_m * self.length_m), 1)
-        green = fronds.needle_twig(
-            self.length_m,
-            count,
-            min(self.drawn or count, count),
-            self.needle_length_m,
-            self.needle_width_m,
-            angle_deg=self.angle_deg,
-            parting=self.parting,
-            curve_deg=self.curl_deg,
-            detail=self.detail,
-        )
-        if self.diameter_m == 0.0:
-            return (Pieces(self.material, (green,)),)
-        twig = fronds.twig(self.length_m, self.diameter_m, self.detail)
-        return Pieces(self.material, (green,)), Pieces(self.twig_material or self.material, (twig,), Part.BRANCH)
+
+def _of_area(made: Callable[[float], Patch], wanted_m2: float) -> Patch:
+    """What `made` gives of a factor on its blades' width, such that the area is `wanted_m2`."""
+    broad = 1.0
+    for _ in range(3):
+        patch = made(broad)
+        broad *= wanted_m2 / patches.area_m2(patch)
+    return made(broad)
 
 
 class PalmFrond(OrganForm):
@@ -103,21 +65,32 @@ class PalmFrond(OrganForm):
             raise ValueError(f"a stalk_m below 0.9 of length_m, of which it is a part: {0.9 * self.length_m:g} m")
         return self
 
-    def patches(self) -> tuple[Pieces, ...]:
-        blades = fronds.palm_frond(
-            self.length_m,
-            self.stalk_m,
-            self.leaflets,
-            self.leaflet_length_m,
-            self.leaflet_width_m,
-            arch_deg=self.arch_deg,
-            lift_deg=self.lift_deg,
-            droop_deg=self.droop_deg,
-            detail=self.detail,
-        )
-        axis = fronds.rachis(self.length_m, self.diameter_m, self.detail)
-        axis = bent(axis, self.length_m, np.radians(self.arch_deg), 1.6)
-        return Pieces(self.material, (blades,)), Pieces(self.stalk_material or self.material, (axis,))
+    def patches(self) -> list[OrganPatch]:
+        """Leaflets, lifted above the rachis' plane so that the frond is V-shaped; the rachis."""
+        profiles = ([1.0, 0.0], [0.5, 1.0, 0.75, 0.0], [0.3, 0.9, 1.0, 0.85, 0.5, 0.0])
+        widths = self.leaflet_width_m * np.array(profiles[self.detail])
+        share = (np.arange(self.leaflets) + 0.5) / self.leaflets
+        place = self.stalk_m + (self.length_m - self.stalk_m) * share**0.95
+        size = np.clip(0.45 + 2.2 * share, 0.0, 1.0) * (1.0 - 0.62 * np.clip((share - 0.45) / 0.55, 0.0, 1.0) ** 2)
+        angle = np.radians(72.0 - 48.0 * share**1.3)
+        jitter = 0.12 * np.sin(12.9898 * np.arange(2 * self.leaflets))
+        arch = np.radians(self.arch_deg)
+
+        def made(broad: float) -> Patch:
+            folded = self.detail == 2
+            leaflet = patches.strip(self.leaflet_length_m, broad * widths, keel_rad=np.radians(25.0), folded=folded)
+            leaflet = patches.bent(leaflet, self.leaflet_length_m, np.radians(self.droop_deg), 1.3)
+            parts = []
+            for side, wobble in ((1.0, jitter[::2]), (-1.0, jitter[1::2])):
+                lift = np.radians(self.lift_deg) + 1.3 * wobble
+                turn = _sideways(angle + wobble, lift, np.full(self.leaflets, side))
+                parts.append(patches.copies(leaflet, turn * size[:, None, None], patches.on_axis(place)))
+            return patches.bent(patches.join(parts), self.length_m, arch, 1.6)
+
+        leaflet_m2 = _PALM_LEAFLET * self.leaflet_length_m * self.leaflet_width_m
+        blades = _of_area(made, 2.0 * float(np.sum(size**2)) * leaflet_m2)
+        axis = patches.bent(_rachis(self.length_m, self.diameter_m, self.detail), self.length_m, arch, 1.6)
+        return [OrganPatch(self.material, blades), OrganPatch(self.stalk_material or self.material, axis)]
 
 
 class FanFrond(OrganForm):
@@ -134,20 +107,43 @@ class FanFrond(OrganForm):
     stalk_material: str | None = Field(None, description="of the petiole; the fan's own if not given")
     detail: Detail = 1
 
-    def patches(self) -> tuple[Pieces, ...]:
-        fan = fronds.fan_frond(
-            self.radius_m,
-            self.stalk_m,
-            self.segments,
-            spread_deg=self.spread_deg,
-            split=self.split,
-            droop_deg=self.droop_deg,
-            detail=self.detail,
+    def patches(self) -> list[OrganPatch]:
+        """The pleated blade of folded segments, the outermost `spread_deg` apart, at the end of its stalk."""
+        edge = np.radians(self.spread_deg) * (np.arange(self.segments + 1) / self.segments - 0.5)
+        middle = 0.5 * (edge[1:] + edge[:-1])
+        half = 0.5 * (edge[1] - edge[0])
+        inner = self.radius_m * (1.0 - self.split)
+        width = 2.0 * inner * np.tan(half)
+        reach = self.radius_m * (1.0 - 0.25 * (np.abs(middle) / max(np.abs(edge[0]), 1e-9)) ** 2)
+        if self.detail == 0:
+            profile, at = width * np.array([0.0, 1.0, 0.0]), np.array([0.0, 1.0 - self.split, 1.0])
+        else:
+            profile, at = width * np.array([0.0, 1.0, 0.8, 0.5, 0.0]), np.array([0.0, 1.0, 1.3, 1.7, 2.0])
+            at = np.where(at <= 1.0, at * (1.0 - self.split), 1.0 - self.split + (at - 1.0) * self.split)
+        ray = _ray(at * self.radius_m, profile, np.radians(22.0), folded=self.detail > 0)
+        ray = patches.bent(ray, self.radius_m, np.radians(self.droop_deg), 2.5)
+        along = np.column_stack([np.sin(middle), np.cos(middle), np.zeros(self.segments)])
+        linear = patches.attitude(along, np.tile(UP, (self.segments, 1))) * (reach / self.radius_m)[:, None, None]
+        fan = OrganPatch(
+            self.material, patches.copies(ray, linear, np.tile([0.0, self.stalk_m, 0.0], (self.segments, 1)))
         )
         if self.stalk_m == 0.0:
-            return (Pieces(self.material, (fan,)),)
-        axis = fronds.rachis(1.25 * self.stalk_m, self.diameter_m, self.detail)
-        return Pieces(self.material, (fan,)), Pieces(self.stalk_material or self.material, (axis,))
+            return [fan]
+        axis = _rachis(1.25 * self.stalk_m, self.diameter_m, self.detail)
+        return [fan, OrganPatch(self.stalk_material or self.material, axis)]
+
+
+def _ray(y: Floats, width: Floats, keel_rad: float, *, folded: bool) -> Patch:
+    """A ribbon pointed at both ends, of widths at uneven steps."""
+    body = patches.strip(1.0, width[1:], keel_rad=keel_rad, folded=folded)
+    columns = 3 if folded else 2
+    points = body.points.copy()
+    points[:, 1] = np.append(np.repeat(y[1:-1], columns), y[-1])
+    points = np.concatenate([points, [[0.0, y[0], 0.0]]])
+    ends = [(len(points) - 1, k, k + 1) for k in range(columns - 1)]
+    uv = np.concatenate([body.uv, [[0.5, 0.0]]])
+    uv[:, 1] = points[:, 1] / y[-1]
+    return Patch(points, np.concatenate([body.faces, np.array(ends, np.int64)]), uv)
 
 
 class FernFrond(OrganForm):
@@ -164,18 +160,81 @@ class FernFrond(OrganForm):
     stalk_material: str | None = Field(None, description="of stipe and rachis; the blade's own if not given")
     detail: Detail = 1
 
-    def patches(self) -> tuple[Pieces, ...]:
-        sheet = fronds.fern_frond(
-            self.length_m,
-            self.width_m,
-            self.pinnae,
-            divisions=self.divisions,
-            arch_deg=self.arch_deg,
-            detail=self.detail,
-        )
-        sheet = placed(sheet, np.eye(3), np.array([0.0, self.stipe_m, 0.0]))
-        axis = fronds.frond_axis(self.stipe_m, self.length_m, self.diameter_m, self.arch_deg, self.detail)
-        return Pieces(self.material, (sheet,)), Pieces(self.stalk_material or self.material, (axis,))
+    def patches(self) -> list[OrganPatch]:
+        """The blade; stipe and rachis: straight below the blade, bent with it above."""
+        arch = np.radians(self.arch_deg)
+
+        def made(broad: float) -> Patch:
+            return patches.bent(self._blade(self.detail, broad), self.length_m, arch, 1.4)
+
+        sheet = made(1.0) if self.detail == 2 else _of_area(made, patches.area_m2(self._blade(2, 1.0)))
+        stops = (3, 6, 12)[self.detail]
+        upper = patches.on_axis(np.linspace(0.0, self.length_m, stops))
+        upper = patches.bend(upper, self.length_m, arch, 1.4) + np.array([0.0, self.stipe_m, 0.0])
+        radius = 0.5 * self.diameter_m * (1.0 - np.linspace(0.0, 1.0, stops)) ** 0.8
+        if self.stipe_m > 0.0:
+            upper, radius = np.concatenate([[[0.0, 0.0, 0.0]], upper]), np.append(0.5 * self.diameter_m, radius)
+        axis = patches.tube(upper, radius, (3, 3, 5)[self.detail])
+        blade = OrganPatch(self.material, patches.lifted(sheet, self.stipe_m))
+        return [blade, OrganPatch(self.stalk_material or self.material, axis)]
+
+    def _blade(self, detail: int, broad: float) -> Patch:
+        """Pairs of pinnae along the rachis, longest at its foot; pinnules are drawn from detail 1 on."""
+        pinnae, length_m = self.pinnae, self.length_m
+        share = (np.arange(pinnae) + 0.35) / pinnae
+        place = length_m * (1.0 - (1.0 - share) ** 1.25)
+        reach = 0.5 * self.width_m * (1.0 - share) ** 1.05 + 0.004 * length_m
+        side = np.array([1.0, -1.0])
+        parts = []
+        for k in range(pinnae):
+            gap = (place[min(k + 1, pinnae - 1)] - place[max(k - 1, 0)]) / (2.0 if 0 < k < pinnae - 1 else 1.0)
+            breadth = 1.12 * max(gap, 0.02 * length_m * (1 - share[k]) + 1e-4)
+            pinna = _pinna(reach[k], breadth, max(2, round(self.divisions * reach[k] / reach[0])), detail, broad)
+            angle = np.array([np.radians(68.0 - 22.0 * share[k])] * 2)
+            feet = patches.on_axis(np.maximum(place[k] + 0.12 * gap * side, 0.0))
+            parts.append(patches.copies(pinna, _sideways(angle, 0.10 + 0.05 * np.sin(3.0 * k), side), feet))
+        return patches.join(parts)
+
+
+def _pinna(length_m: float, breadth_m: float, pinnules: int, detail: int, broad: float) -> Patch:
+    """One pinna along y with its pinnules; at detail 0 a plain blade."""
+    if detail == 0:
+        plain = patches.strip(length_m, broad * breadth_m * np.array([0.75, 0.7, 0.0]), folded=False)
+        return patches.bent(plain, length_m, 0.3, 1.5)
+    share = (np.arange(pinnules) + 0.4) / pinnules
+    size = 0.72 * breadth_m * (1.0 - share**1.6 * 0.85)
+    step = length_m / pinnules
+    if detail == 1:
+        one = patches.strip(1.0, np.array([0.5, 0.0]), folded=False)
+        one = one._replace(points=one.points * [broad, 1.0, 1.0])
+    else:
+        one = _pinnule()
+    parts = []
+    for side in (1.0, -1.0):
+        turn = _sideways(np.radians(66.0 - 20.0 * share), 0.05, np.full(pinnules, side))
+        linear = turn * size[:, None, None]
+        linear[:, :, 0] *= np.clip(1.9 * step / np.maximum(size, 1e-9), 0.3, 1.3)[:, None]
+        parts.append(patches.copies(one, linear, patches.on_axis(share * length_m)))
+    tip = patches.strip(1.6 * step, np.array([0.5 * step * broad, 0.0]), folded=False)
+    parts.append(patches.lifted(tip, length_m - 1.2 * step))
+    axis = patches.strip(length_m, np.array([0.05 * breadth_m, 0.0]), folded=False)
+    parts.append(axis._replace(points=axis.points + 0.0003 * UP))
+    return patches.bent(patches.join(parts), length_m, 0.35, 1.5)
+
+
+@lru_cache(maxsize=1)
+def _pinnule() -> Patch:
+    """A lobed pinnule of length 1."""
+    form: dict[str, Any] = {
+        "lobes": 3,
+        "sinus": 0.5,
+        "roundness": 2.2,
+        "slant": 0.2,
+        "widest": 0.25,
+        "base": 0.4,
+        "tip": 0.9,
+    }
+    return LobedBlade.model_construct(length_m=1.0, width_m=0.40, fold_deg=6.0, curl_deg=18.0, **form).blade(1)
 
 
 class GrassBlade(OrganForm):
@@ -189,16 +248,27 @@ class GrassBlade(OrganForm):
     twist_deg: Annotated[float, Field(ge=-720, le=720)] = Field(30.0, description="turn about itself, degrees")
     detail: Detail = 1
 
-    def patches(self) -> tuple[Pieces, ...]:
-        blade = fronds.grass_blade(
-            self.length_m,
-            self.width_m,
-            arch_deg=self.arch_deg,
-            keel_deg=self.keel_deg,
-            twist_deg=self.twist_deg,
-            detail=self.detail,
-        )
-        return (Pieces(self.material, (blade,)),)
+    def patches(self) -> list[OrganPatch]:
+        """A long blade that tapers, keeled at its foot, arching over more and more towards its tip."""
+        length_m, width = self.length_m, _grass_width(np.linspace(0.0, 1.0, (3, 6, 12)[self.detail]))
+        turn, keel = np.radians(self.twist_deg), np.radians(self.keel_deg)
+
+        def made(broad: float) -> Patch:
+            ribbon = patches.strip(length_m, broad * self.width_m * width, keel_rad=keel, folded=self.detail == 2)
+            x, y, z = ribbon.points.T
+            c, s = np.cos(turn * (y / length_m) ** 2), np.sin(turn * (y / length_m) ** 2)
+            twisted = ribbon._replace(points=np.column_stack([x * c + z * s, y, z * c - x * s]))
+            return patches.bent(twisted, length_m, np.radians(self.arch_deg), 2.2)
+
+        fine = np.linspace(0.0, 1.0, 401)
+        blade = _of_area(made, length_m * self.width_m * float(np.trapezoid(_grass_width(fine), fine)))
+        return [OrganPatch(self.material, blade)]
+
+
+def _grass_width(share: Floats) -> Floats:
+    """Width of a grass leaf along its length, share of the greatest: even, then a long taper to a point."""
+    even = 0.72 + 0.28 * np.sin(np.pi * np.minimum(share / 0.7, 1.0))
+    return np.asarray(even * np.clip((1.0 - share) / 0.6, 0.0, 1.0) ** 0.75, dtype=np.float64)
 
 
 class GrassPanicle(OrganForm):
@@ -217,23 +287,49 @@ class GrassPanicle(OrganForm):
     stalk_material: str | None = Field(None, description="of stalk and branches; the spikelets' own if not given")
     detail: Detail = 1
 
-    def patches(self) -> tuple[Pieces, ...]:
-        stems, grains = fronds.grass_panicle(
-            self.length_m,
-            self.width_m,
-            self.branches,
-            self.spikelets,
-            self.spikelet_m,
-            nod_deg=self.nod_deg,
-            detail=self.detail,
-        )
-        up = np.array([0.0, self.stalk_m, 0.0])
-        green = [placed(stems, np.eye(3), up)]
+    def patches(self) -> list[OrganPatch]:
+        stems, grains = (patches.bent(one, self.length_m, np.radians(self.nod_deg), 1.3) for one in self._head())
+        green = self.stalk_material or self.material
+        made = [OrganPatch(green, patches.lifted(stems, self.stalk_m))]
         if self.stalk_m > 0.0:
-            green.append(
-                strip(self.stalk_m, np.full(2, self.diameter_m), folded=False)
-                if self.detail == 0
-                else stem(self.stalk_m, self.diameter_m, self.detail)
-            )
-        grains = placed(grains, np.eye(3), up)
-        return Pieces(self.stalk_material or self.material, tuple(green)), Pieces(self.material, (grains,))
+            flat = patches.strip(self.stalk_m, np.full(2, self.diameter_m), folded=False)
+            stalk = patches.stem(self.stalk_m, self.diameter_m, self.detail) if self.detail else flat
+            made.append(OrganPatch(green, stalk))
+        return [*made, OrganPatch(self.material, patches.lifted(grains, self.stalk_m))]
+
+    def _head(self) -> tuple[Patch, Patch]:
+        """The axis with its branches, and the spikelets."""
+        length_m, branches = self.length_m, self.branches
+        share = (np.arange(branches) + 0.5) / branches
+        turn = np.arange(branches) * np.pi * (3.0 - np.sqrt(5.0))
+        reach = np.maximum(0.5 * self.width_m * np.sin(np.pi * (0.2 + 0.8 * share)) ** 0.8, 0.4 * self.spikelet_m)
+        angle = np.radians(62.0 - 35.0 * share)
+        outward = patches.outwards(turn)
+        along = np.sin(angle)[:, None] * outward + np.cos(angle)[:, None] * _ALONG
+        feet = patches.on_axis(share * length_m)
+        wire = patches.strip(1.0, np.array([0.012 * length_m, 0.0]), folded=False)
+        linear = patches.attitude(along, outward * np.cos(angle)[:, None] - np.sin(angle)[:, None] * _ALONG)
+        stems = [
+            patches.copies(wire, linear * np.stack([np.ones(branches), reach, np.ones(branches)], 1)[:, None, :], feet)
+        ]
+        stops = (3, 4, 8)[self.detail]
+        path = patches.on_axis(np.linspace(0.0, length_m, stops))
+        stems.append(patches.tube(path, 0.006 * length_m * np.append(np.linspace(1.0, 0.4, stops - 1), 0.0), 3))
+        place = (np.arange(self.spikelets) + 1.0) / self.spikelets
+        feet = (feet[:, None] + (reach[:, None] * place)[:, :, None] * along[:, None]).reshape(-1, 3)
+        lean = np.repeat(along, self.spikelets, axis=0)
+        side = patches.outwards(np.arange(len(lean)) * 2.4)
+        return patches.join(stems), patches.copies(
+            _spikelet(self.spikelet_m, self.detail), patches.attitude(lean + 0.35 * side, side), feet
+        )
+
+
+def _spikelet(length_m: float, detail: int) -> Patch:
+    if detail == 0:
+        return patches.strip(length_m, length_m * np.array([0.5, 0.0]), folded=False)
+    if detail == 1:
+        return SimpleBlade.model_construct(
+            length_m=length_m, width_m=0.3 * length_m, widest=0.4, base=1.0, tip=1.2, fold_deg=30.0
+        ).blade(0)
+    profile = np.array([[0.0, 0.0], [0.13, 0.3], [0.11, 0.6], [0.0, 1.0]]) * length_m
+    return patches.revolve(profile, 4)

@@ -9,13 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from forestgen.core.compiled import compiled
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from forestgen.geometry.mesh import Floats, Ints
 
 _SENSED_RAD = 1e-12  # an error below this is none
 
@@ -156,13 +151,9 @@ def _sense(q, b, t, row, sensor):  # type: ignore[no-untyped-def]
 def walk(position, axes, tables, gains, local, toward, new, signal):  # type: ignore[no-untyped-def]
     """Walk along every axis; returns the number of nodes of the varied skeleton.
 
-    Parameters
-    ----------
-    position : (N, 3) base skeleton, metres; axes, tables : see `tables.py`.
-    gains : derivative and integral; local : T_M is the bearer's rotation, not the identity.
-    toward : unit vector to which targets are drawn.
-    new : out, with room for all nodes.
-    signal : (longest axis, 3) scratch.
+    `position`: (N, 3) base skeleton, metres. `axes`, `tables`: see `model.py`. `gains`: derivative, integral. `local`:
+    T_M is the bearer's rotation, not the identity. `toward`: unit vector to which targets are drawn. `new`: out, with
+    room for all nodes. `signal`: (longest axis, 3) scratch.
     """
     first, last, bearer, hidden, arc = axes.first, axes.last, axes.bearer, axes.hidden_m, axes.arc_m
     steps, begin, life, kappa, age, sensor, disturbance, turn, target, weight, whole, until = tables

@@ -175,8 +175,8 @@ def test_tables_of_spheres_are_those_of_modules_without_tropism() -> None:
     for kind in range(3):
         grown = single(tables, np.arange(9), tables.mature_age[kind])
         centre, radius = spheres(tables, grown, np.full(9, kind))
-        assert np.allclose(tables.sphere_centre_m[kind], centre, atol=1e-5)
-        assert np.allclose(tables.sphere_radius_m[kind], radius, atol=1e-5)
+        assert np.allclose(tables.grown_spheres_m[0][kind], centre, atol=1e-5)
+        assert np.allclose(tables.grown_spheres_m[1][kind], radius, atol=1e-5)
 
 
 def plain_squares(tables: Tables, modules: Modules, kind: int, first: int, end: int) -> list[NDArray[np.float64]]:

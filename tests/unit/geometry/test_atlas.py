@@ -6,7 +6,8 @@ import numpy as np
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.simplify import unwrap
-from forestgen.geometry.sweep import Polylines, sweep
+from forestgen.geometry.sweep import Polylines
+from support.swept import sweep
 
 
 def tree() -> Mesh:

@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from forestgen.geometry.leaves import Blade, Entire, leaf
 from forestgen.geometry.mesh import instance
 from forestgen.geometry.patches import Patch, area_m2, bend, revolve, strip, to_mesh, tube, whorl
+from forestgen.plants.organs.leaves import SimpleLeaf
 
 SQUARE = Patch(
     np.array([[-1.0, 0, 0], [1, 0, 0], [1, 2, 0], [-1, 2, 0]]), np.array([[0, 1, 2], [0, 2, 3]]), np.eye(4, 2)
+)
+LEAF = SimpleLeaf(
+    form="simple", material="leaf", length_m=0.08, width_m=0.05, fold_deg=14.0, curl_deg=20.0, stalk_m=0.04
 )
 
 
@@ -77,7 +80,7 @@ def test_a_whorl_turns_its_upper_sides_inward() -> None:
 
 
 def test_instances_are_the_transformed_template() -> None:
-    mesh = to_mesh(leaf(Blade(Entire(), 0.08, 0.05, 14.0, 20.0), 0.04, 0.001))
+    mesh = LEAF.template()
     rng = np.random.default_rng(5)
     turn = Rotation.random(6, random_state=5).as_matrix()
     scale = rng.uniform(0.5, 2.0, 6)
@@ -97,5 +100,5 @@ def test_instances_are_the_transformed_template() -> None:
 
 
 def test_no_instances_make_an_empty_mesh() -> None:
-    mesh = to_mesh(leaf(Blade(Entire(), 0.08, 0.05), 0.0, 0.001))
+    mesh = LEAF.template()
     assert instance(mesh, np.zeros((0, 3, 4), np.float32)).triangles == 0

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.geometry.simplify import decimate, merged
-from forestgen.geometry.sweep import Polylines, sweep
+from forestgen.geometry.sweep import Polylines
+from support.swept import sweep
 
 Floats = NDArray[np.float64]
 

@@ -23,10 +23,8 @@ from forestgen.plants.growing import (
     exemplar_store,
     grow_exemplar,
     grow_exemplars,
-    keep_exemplar,
     load_exemplar,
 )
-from forestgen.plants.levels import Level
 
 
 def request_for(name: str, radius_m: float = 0.3, number: int = 0) -> ExemplarRequest:
@@ -44,7 +42,7 @@ def test_cached_and_fresh_are_the_same_bytes(name: str, store: DiskCache) -> Non
     request = request_for(name)
     assert load_exemplar(store, request) is None
     fresh = grow_exemplar(request)
-    assert keep_exemplar(store, request, fresh)
+    assert store.write(request.key(), pack(fresh))
     cached = load_exemplar(store, request)
     assert cached is not None
     assert pack(cached) == pack(fresh)
@@ -78,7 +76,7 @@ CHANGES: dict[str, Callable[[ExemplarRequest], ExemplarRequest]] = {
     "radius": lambda one: replace(one, radius_m=np.nextafter(one.radius_m, 1.0)),
     "seed": lambda one: replace(one, seed=8),
     "identity": lambda one: replace(one, identity=(*one.identity, 1)),
-    "level": lambda one: replace(one, level=Level(0.2)),
+    "level": lambda one: replace(one, pixel_m=0.2),
     "name": lambda one: replace(one, species_name="other"),
     "parameters": lambda one: replace(one, parameters=one.parameters.model_copy(update={"fit": "none"})),
     "allometry": lambda one: replace(

@@ -15,9 +15,9 @@ from forestgen.lsystem.multiset import RESERVED, Kind
 from forestgen.lsystem.parsing import parse_file, parse_text
 from forestgen.lsystem.turtle import draw
 from forestgen.lsystem.turtle_options import options_from
-from forestgen.plants.from_turtle import draw_program, skeleton_of
-from forestgen.plants.meshing import wood_mesh
+from forestgen.plants.generators.turtle import draw_program, skeleton_of
 from forestgen.recipe.assets import find_asset
+from support.swept import wood_mesh
 
 
 def drawing_of(text, dialect="cpfg", **header):
@@ -57,7 +57,7 @@ def test_what_begins_with_branches_gets_a_trunk():
     skeleton = skeleton_of(drawing_of("[+F[+F]][-F]"))
     np.testing.assert_array_equal(skeleton.axis, [0, 0, 1, 2])
     np.testing.assert_array_equal(skeleton.order, [0, 0, 1, 0])
-    assert wood_mesh(skeleton, trunk=True, flare=0.0)[0].triangles
+    assert wood_mesh(skeleton, trunk=True, flare=0.0).triangles
 
 
 def test_a_gap_is_a_thread():
@@ -82,7 +82,7 @@ def test_surfaces_become_organs():
 @pytest.mark.parametrize("text", ["", "f", "~K", "[fF]", "[f[F]F]"])
 def test_without_wood_there_is_a_trunk_that_cannot_be_seen(text):
     skeleton = skeleton_of(drawing_of(text))
-    assert wood_mesh(skeleton, trunk=True, flare=0.1)[0].triangles
+    assert wood_mesh(skeleton, trunk=True, flare=0.1).triangles
     assert skeleton.radius_m[1] < 1e-5
 
 
@@ -103,7 +103,7 @@ def test_random_drawings_can_be_meshed(parts, dialect):
     chained = np.flatnonzero(np.diff(skeleton.axis) == 0) + 1
     np.testing.assert_array_equal(skeleton.parent[chained], chained - 1)
     assert np.all(np.isin(np.diff(skeleton.axis), [0, 1]))
-    assert wood_mesh(skeleton, trunk=True, flare=0.1)[0].triangles
+    assert wood_mesh(skeleton, trunk=True, flare=0.1).triangles
     wood_mesh(skeleton, trunk=False, flare=0.1)
     drawn = drawing_of(text, dialect)
     widths = np.concatenate([drawn.radius, drawn.start_radius]).astype(np.float32)

@@ -15,15 +15,14 @@ from forestgen.core.parts import Part
 from forestgen.plants.build import build_exemplar, estimate_triangles
 from forestgen.plants.generators.branch_modules import FIRST_TWIG_ORDER, GENERATOR, _rank_on_axis
 from forestgen.plants.grown import wood_key, wood_skeleton
-from forestgen.plants.levels import Level
 
 SPECIES = SimpleNamespace(materials={"bark": 0, "twig": 0, "leaf": 0})
 
 
-def grown(graph=None, level=None, seed=3, **changes):
+def grown(graph=None, pixel_m=0.0, seed=3, **changes):
     rng = np.random.default_rng(seed)
-    more = {} if level is None else {"level": level}
-    return build_exemplar("oak", SPECIES, parameters(**changes), 1.0, rng, wood=graph or wood(), **more)
+    graph = graph or wood()
+    return build_exemplar("oak", SPECIES, parameters(**changes), 1.0, rng, pixel_m=pixel_m, wood=graph)
 
 
 def bare(graph, *, smooth=True, crook=0.05):
@@ -139,9 +138,9 @@ def _nearest_row(graph, point):
     return 1 + int(np.argmin(gap))
 
 
-@pytest.mark.parametrize("level", [Level(), Level(0.2), Level(0.4)])
-def test_leaves_carry_the_mark_of_the_segment_that_their_twig_stands_on(level):
-    plant = grown(level=level)
+@pytest.mark.parametrize("pixel_m", [0.0, 0.2, 0.4])
+def test_leaves_carry_the_mark_of_the_segment_that_their_twig_stands_on(pixel_m):
+    plant = grown(pixel_m=pixel_m)
     marks = plant.marks()
     assert len(marks) == plant.triangles
     assert set(np.unique(marks).tolist()) <= set(range(64, 72))

@@ -14,7 +14,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.build import build_exemplar
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.levels import FULL, PIXEL_STEPS_M, Level, far_piece, level_for, level_of_index
+from forestgen.plants.levels import PIXEL_STEPS_M, far_piece, level_for
 
 DIRECTIONS = ((1.0, 0.0, 0.0), (0.0, 1.0, -0.3), (0.3, 0.2, -1.0))
 RADII = {"poplar": 1.5, "spruce": 1.2}
@@ -23,10 +23,10 @@ RADII = {"poplar": 1.5, "spruce": 1.2}
 @cache
 def plant(name: str, pixel_m: float) -> Exemplar:
     species, parameters = read(name)
-    return build_exemplar(name, species, parameters, RADII[name], child_rng(3, name), level=Level(pixel_m))
+    return build_exemplar(name, species, parameters, RADII[name], child_rng(3, name), pixel_m=pixel_m)
 
 
-@pytest.mark.parametrize("pixel_m", PIXEL_STEPS_M)
+@pytest.mark.parametrize("pixel_m", PIXEL_STEPS_M[1:])
 @pytest.mark.parametrize("name", RADII)
 def test_leaf_area_box_and_volume_stay(name: str, pixel_m: float) -> None:
     full, far = plant(name, 0.0), plant(name, pixel_m)
@@ -44,7 +44,7 @@ def test_leaf_area_box_and_volume_stay(name: str, pixel_m: float) -> None:
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-3)
 
 
-@pytest.mark.parametrize("pixel_m", PIXEL_STEPS_M)
+@pytest.mark.parametrize("pixel_m", PIXEL_STEPS_M[1:])
 @pytest.mark.parametrize("name", RADII)
 def test_the_crown_covers_the_same_area_from_the_distance_at_which_it_is_used(name: str, pixel_m: float) -> None:
     full, far = (
@@ -79,7 +79,7 @@ def test_organs_of_a_coarse_level_are_among_those_of_a_finer_one_and_the_same_pl
     )
     kept = []
     for pixel_m in (0.155, 0.16, 0.4):
-        far, again = (simplified(skeleton, {"leaf": square}, Level(pixel_m), child_rng(1)) for _ in range(2))
+        far, again = (simplified(skeleton, {"leaf": square}, pixel_m, child_rng(1)) for _ in range(2))
         [organs] = far.organs
         np.testing.assert_array_equal(organs.frame, again.organs[0].frame)
         growth = np.linalg.norm(organs.frame[:, :, 0], axis=1)
@@ -100,19 +100,19 @@ def test_organs_of_a_coarse_level_are_among_those_of_a_finer_one_and_the_same_pl
 def test_all_detail_is_the_plant_itself() -> None:
     species, parameters = read("fireweed")
     plain = build_exemplar("fireweed", species, parameters, 0.2, child_rng(1))
-    level = build_exemplar("fireweed", species, parameters, 0.2, child_rng(1), level=FULL)
+    level = build_exemplar("fireweed", species, parameters, 0.2, child_rng(1), pixel_m=0.0)
     for a, b in zip(plain.organs, level.organs, strict=True):
         np.testing.assert_array_equal(a.mesh.vertices_m, b.mesh.vertices_m)
 
 
 def test_levels_are_numbered_by_what_a_pixel_covers() -> None:
-    finest, coarsest = PIXEL_STEPS_M[0], PIXEL_STEPS_M[-1]
+    finest, coarsest = PIXEL_STEPS_M[1], PIXEL_STEPS_M[-1]
     pixels = np.array([0.0, 0.99 * finest, finest, 0.99 * coarsest, coarsest, 1e9, np.inf])
     index = level_for(pixels)
     assert index[:2].tolist() == [0, 0]
     assert np.all(np.diff(index) >= 0)
     for pixel_m, one in zip(pixels, index, strict=True):
-        assert level_of_index(int(one)).pixel_m <= pixel_m  # never coarser than what is seen
+        assert PIXEL_STEPS_M[one] <= pixel_m  # never coarser than what is seen
 
 
 @pytest.mark.parametrize("name", ["poplar", "spruce", "fireweed"])

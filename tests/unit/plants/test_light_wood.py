@@ -11,19 +11,19 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent
-from forestgen.plants import light_wood
-from forestgen.plants.light_wood import with_light_wood
+from forestgen.geometry import simplify
+from forestgen.geometry.simplify import with_light_wood
 from forestgen.runs.single_plant import Order, grow, grow_plants, model_of, plan_of, radius_of_m
 from forestgen.scene.surfaces import materials_of
 
 
 def test_wood_has_few_triangles_and_one_texture(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(light_wood, "ATLAS_PX", 256)
+    monkeypatch.setattr(simplify, "ATLAS_PX", 256)
     plan = plan_of("birch", 3)
     species, materials = plan.drawn.species["birch"], materials_of(plan.drawn.species)
     plant = grow(plan, "birch", radius_of_m(species, 4.0), 3)
     whole = model_of(plant, species, materials, 3)
-    textures = {name: one.texture for (_, name), one in materials.items() if one.texture is not None}
+    textures = {name: one.texture.colour for (_, name), one in materials.items() if one.texture is not None}
     light = with_light_wood(whole.pieces, textures, 2000)
     assert [piece.name for piece in light] == [piece.name for piece in whole.pieces]
     wood = [piece for piece in light if piece.part in (Part.TRUNK, Part.BRANCH)]
@@ -51,5 +51,5 @@ def test_a_plant_without_bark_stays() -> None:
 
 
 def test_too_few_triangles_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(RecipeError, match="too few triangles"):
+    with pytest.raises(RecipeError, match="wood_triangles"):
         grow_plants(Order("birch", (tmp_path / "b.glb",), wood_triangles=3), Silent())

@@ -15,7 +15,8 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.foliage import Foliage
-from forestgen.plants.organs.shapes import OrganForm, OrganShape
+from forestgen.plants.organs.base import OrganForm
+from forestgen.plants.parameters import OrganShape
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.planning import make_plan
 

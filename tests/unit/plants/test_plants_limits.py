@@ -20,7 +20,7 @@ from forestgen.plants.budget import most_triangles
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.strands import Parameters as StrandParameters
-from forestgen.plants.organs.shapes import OrganShape
+from forestgen.plants.parameters import OrganShape
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.curves import Curve
 

@@ -11,7 +11,7 @@ from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.build import build_exemplar
-from forestgen.plants.solids import as_solids, measured_profile, solid_of_revolution
+from forestgen.plants.exemplar import as_solids, measured_profile, solid_of_revolution
 
 
 def closed(mesh: Mesh) -> trimesh.Trimesh:

@@ -12,8 +12,7 @@ from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.foliage import place
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.plants.variation.growth import varied_nodes, vary
-from forestgen.plants.variation.model import Variation
+from forestgen.plants.variation.model import Variation, varied_nodes, vary
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.planning import make_plan
 

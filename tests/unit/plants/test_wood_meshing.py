@@ -15,9 +15,10 @@ from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, concatenate
 from forestgen.geometry.simplify import merged
 from forestgen.plants.generators.silhouette import GENERATOR
-from forestgen.plants.meshing import branch_lines, organ_meshes, stem_line, wood_mesh
+from forestgen.plants.meshing import branch_lines, organ_meshes, stem_line
 from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
+from support.swept import volume_m3, wood_mesh
 
 Floats = NDArray[np.float64]
 
@@ -84,9 +85,9 @@ def frusta_m3(wood: Skeleton) -> float:
     for a, b in zip(first, last, strict=True):
         if wood.order[a] == 0 and wood.parent[a] <= 0:
             line = stem_line(wood, int(a), int(b))
-            total += line.volume_m3() if line is not None else 0.0
+            total += volume_m3(line) if line is not None else 0.0
         else:
-            total += branch_lines(wood, np.array([a]), np.array([b])).volume_m3()
+            total += volume_m3(branch_lines(wood, np.array([a]), np.array([b])))
     return total
 
 
@@ -99,7 +100,7 @@ def assert_closed(mesh: Mesh) -> None:
 
 
 def both(wood: Skeleton, *, plain: bool, ratio: float = 1.0) -> Mesh:
-    parts = [wood_mesh(wood, trunk, 0.3, height_ratio=ratio, plain=plain)[0] for trunk in (True, False)]
+    parts = [wood_mesh(wood, trunk, 0.3, height_ratio=ratio, plain=plain) for trunk in (True, False)]
     return concatenate([part for part in parts if part.triangles])
 
 
@@ -165,7 +166,7 @@ def test_the_skeleton_s_volume_is_that_of_the_union(angle_deg: float) -> None:
 @pytest.mark.parametrize("angle_deg", [35.0, 60.0, 90.0, 120.0])
 def test_a_collar_swells_towards_the_bearer_and_is_small(angle_deg: float) -> None:
     wood = tee(angle_deg)
-    plain, whole = (wood_mesh(wood, False, 0.0, plain=flag)[0] for flag in (True, False))
+    plain, whole = (wood_mesh(wood, False, 0.0, plain=flag) for flag in (True, False))
     assert_closed(whole)
     assert volume(plain) < volume(whole) < 1.15 * volume(plain)
     turn = np.radians(angle_deg)
@@ -183,7 +184,7 @@ def test_a_collar_swells_towards_the_bearer_and_is_small(angle_deg: float) -> No
 
 def test_a_branch_begins_inside_its_bearer_without_a_gap() -> None:
     wood = tee(70.0)
-    mesh = wood_mesh(wood, False, 0.0)[0]
+    mesh = wood_mesh(wood, False, 0.0)
     radial = np.hypot(mesh.vertices_m[:, 0], mesh.vertices_m[:, 1])
     below = np.abs(mesh.vertices_m[:, 2] - 1.5) < 0.5
     assert radial[below].min() < 0.15 - 0.06
@@ -193,7 +194,7 @@ def test_a_branch_begins_inside_its_bearer_without_a_gap() -> None:
 
 def test_shading_at_the_foot_of_a_collar_turns_into_the_bearers() -> None:
     wood = tee(90.0)
-    mesh = wood_mesh(wood, False, 0.0)[0]
+    mesh = wood_mesh(wood, False, 0.0)
     assert mesh.normals is not None
     radial = np.hypot(mesh.vertices_m[:, 0], mesh.vertices_m[:, 1])
     outward = mesh.vertices_m * [1.0, 1.0, 0.0] / np.maximum(radial, 1e-9)[:, None]
@@ -206,7 +207,7 @@ def test_shading_at_the_foot_of_a_collar_turns_into_the_bearers() -> None:
 
 def test_twigs_without_collars_are_what_plain_wood_is() -> None:
     wood = tee(thickness=0.004, bearer=0.01)
-    plain, whole = (wood_mesh(wood, False, 0.0, plain=flag)[0] for flag in (True, False))
+    plain, whole = (wood_mesh(wood, False, 0.0, plain=flag) for flag in (True, False))
     np.testing.assert_array_equal(plain.vertices_m, whole.vertices_m)
 
 
@@ -218,11 +219,11 @@ def test_an_axis_that_ends_in_a_fork_ends_in_a_dome() -> None:
         [0, 0, 1, 1],
         [0, 0, 1, 2],
     )
-    stem = wood_mesh(fork, True, 0.0)[0]
+    stem = wood_mesh(fork, True, 0.0)
     assert_closed(stem)
     assert 1.05 < stem.vertices_m[:, 2].max() <= 1.1 + 1e-6
-    assert_closed(wood_mesh(fork, False, 0.0)[0])
-    flat = wood_mesh(replace(fork, radius_m=np.array([0.1, 0.1, 0.03, 0.03], np.float32)), True, 0.0)[0]
+    assert_closed(wood_mesh(fork, False, 0.0))
+    flat = wood_mesh(replace(fork, radius_m=np.array([0.1, 0.1, 0.03, 0.03], np.float32)), True, 0.0)
     assert flat.vertices_m[:, 2].max() == pytest.approx(1.0)
 
 
@@ -234,7 +235,7 @@ def test_threads_between_pieces_leave_no_trace() -> None:
         [0, 0, 1, 1, 1],
         [0, 0, 1, 2, 2],
     )
-    mesh = wood_mesh(joined, False, 0.0)[0]
+    mesh = wood_mesh(joined, False, 0.0)
     assert_closed(mesh)
     assert mesh.vertices_m[:, 2].min() > 1.9, "nothing of the thread from 1 m to 2 m"
     assert mesh.triangles > 0
@@ -242,7 +243,7 @@ def test_threads_between_pieces_leave_no_trace() -> None:
 
 def test_a_log_on_the_ground_has_no_foot_below_it() -> None:
     log = skeleton([-1, 0, 1], [[0, 0, 0.1], [1, 0, 0.1], [2, 0, 0.1]], [0.1, 0.1, 0.1], [0, 0, 0], [0, 0, 0])
-    mesh = wood_mesh(log, True, 0.0, plain=True)[0]
+    mesh = wood_mesh(log, True, 0.0, plain=True)
     assert_closed(mesh)
     assert mesh.vertices_m[:, 0].min() == pytest.approx(0.0, abs=1e-6)
     assert volume(mesh) == pytest.approx(np.pi * 0.01 * 2.0, rel=1e-4)
@@ -250,7 +251,7 @@ def test_a_log_on_the_ground_has_no_foot_below_it() -> None:
 
 def test_flare_widens_the_foot_alone() -> None:
     stem = skeleton([-1, 0, 1], [[0, 0, 0], [0, 0, 4], [0, 0, 8]], [0.2, 0.2, 0.15], [0] * 3, [0] * 3)
-    narrow, wide = (wood_mesh(stem, True, flare)[0].vertices_m for flare in (0.0, 0.5))
+    narrow, wide = (wood_mesh(stem, True, flare).vertices_m for flare in (0.0, 0.5))
     reach = [np.hypot(v[:, 0], v[:, 1]) for v in (narrow, wide)]
     assert reach[1][np.abs(wide[:, 2]) < 0.01].max() > 1.3 * reach[0][np.abs(narrow[:, 2]) < 0.01].max()
     np.testing.assert_allclose(reach[1][wide[:, 2] > 7.9].max(), reach[0][narrow[:, 2] > 7.9].max(), rtol=0.01)
@@ -258,13 +259,13 @@ def test_flare_widens_the_foot_alone() -> None:
 
 def test_texture_keeps_its_scale() -> None:
     wood = grown("poplar")
-    mesh = wood_mesh(wood, False, 0.0, tile_m=(0.25, 0.5))[0]
+    mesh = wood_mesh(wood, False, 0.0, tile_m=(0.25, 0.5))
     assert mesh.uv is not None
     assert mesh.uv[:, 1].max() < 12.0 / 0.5
 
 
 def test_parts_with_and_without_texture_are_joined() -> None:
-    with_uv = wood_mesh(tee(), True, 0.0)[0]
+    with_uv = wood_mesh(tee(), True, 0.0)
     without = Mesh(with_uv.vertices_m, with_uv.faces, with_uv.normals)
     joined = concatenate([with_uv, without])
     assert joined.uv is not None
@@ -286,7 +287,7 @@ def test_thick_branches_have_the_stems_material() -> None:
         (Part.BRANCH, "bark"),
     ]
     assert sum(organ.mesh.triangles for organ in split) == sum(organ.mesh.triangles for organ in whole)
-    thick = wood_mesh(wood, False, 0.3, plain=True, foot_m=(limit, np.inf))[0]
-    assert volume(thick) > 0.5 * volume(wood_mesh(wood, False, 0.3, plain=True)[0])
+    thick = wood_mesh(wood, False, 0.3, plain=True, foot_m=(limit, np.inf))
+    assert volume(thick) > 0.5 * volume(wood_mesh(wood, False, 0.3, plain=True))
     same = organ_meshes(wood, {}, Wood(material="bark", thick_branch_m=limit))
     assert len(same) == 2, "meshes of one part and material are one"
