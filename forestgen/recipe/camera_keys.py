@@ -1,38 +1,31 @@
-"""Keys of a recipe's cameras, and what follows from them; `cameras.Camera` checks them.
-
-A camera with a path is as many images as the path has frames. Times run in equal steps over the whole path; each of
-the two lists of points is a polyline of its own over that time, every piece of it as long in time as the next.
-A camera with a rig (scene/rigs) is several images, too.
-"""
+"""Sections of a recipe's cameras: sensor, path, rig and exposure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
-from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, SerializeAsAny, model_validator
+from pydantic import Field, model_validator
 
 from forestgen.recipe.fields import (
+    Coordinate,
     Flag,
     Fraction,
-    Name,
     NonNegative,
     Number,
+    PartSection,
     Point,
     Positive,
     Section,
     Text,
     Whole,
-    known_part,
-    list_names,
-    shorthand,
     violation,
 )  # fmt: skip
-from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS, RIGS
-from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, RigKeys
+from forestgen.recipe.registries import RIGS
 from forestgen.recipe.spectra import MOST_BYTES
+
+MOST_FRAMES = 1000  # of all cameras together
+GroundPoint = tuple[Coordinate, Coordinate]
+FramesPerSecond = Annotated[Number, Field(ge=0.001, le=1000)]
 
 _METER_CONSTANT = 12.5  # K of ISO 2720 in cd s/m²/lx for reflected light, as most makers set it
 Pixels = Annotated[Whole, Field(ge=8, le=16384)]
@@ -67,6 +60,15 @@ class CameraPath(Section):
     look_at_m: tuple[Point, ...] = Field(
         (), max_length=1000, description="Points in the image's middle after look_at_m, metres."
     )
+
+
+class RigKeys(PartSection):
+    """Several images of one entry of a recipe's cameras. How many follows from the recipe alone."""
+
+    registry = RIGS
+    selector = "kind"
+
+    kind: Annotated[Text, Field(description="The rig.")]
 
 
 class Exposure(Section):
@@ -128,196 +130,3 @@ class Exposure(Section):
             return 1.0
         metered_s = _METER_CONSTANT * self.f_number**2 / (luminance_cd_m2 * self.iso)
         return float(metered_s * 2.0**self.compensation_ev)
-
-
-class CameraKeys(Section):
-    """Keys that cameras of all projections have; site frame: x east, y north, z up, metres.
-
-    The class of a projection's cameras adds keys of its own, and overrides the class variables and what follows.
-    """
-
-    default_size_px: ClassVar[tuple[int, int]] = (640, 360)
-    default_look: ClassVar[Look | None] = None  # None: over the site, by look_at_m
-    default_place: ClassVar[Point] = (0.5, 0.02, 1.7)  # shares of the site's width and depth, and metres above ground
-    is_level: ClassVar[bool] = False  # whatever it looks at
-    covers_ground: ClassVar[bool] = False  # whether `footprint_m` is known, as drone_grid needs
-
-    name: Name = Field(description="Name in file names; default camera0, camera1, ...")
-    kind: Annotated[Text, known_part(PROJECTIONS)] = Field(
-        DEFAULT_PROJECTION,
-        json_schema_extra=partial(list_names, registry=PROJECTIONS),
-        description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, and "
-        "its defaults of position_m, look and size_px.",
-    )
-    position_m: Point | None = Field(
-        None,
-        description="Where it stands: x, y, z, metres. Default by kind; of perspective eye level, southern edge's "
-        "middle.",
-    )
-    look_at_m: Point | None = Field(
-        None, description="The point in the image's middle: x, y, z, metres. Default: amid the site."
-    )
-    look: Look | None = Field(
-        None,
-        description="Instead of look_at_m. Up and down have north at the top: down shows east on the right, up shows "
-        "it on the left. Default by kind; of perspective look_at_m.",
-    )
-    size_px: tuple[Pixels, Pixels] = Field(
-        (640, 360), description="Width and height of the image, pixels. Default by kind; of perspective [640, 360]."
-    )
-    height_above_ground: Flag = Field(
-        True, description="Whether the z of position_m and look_at_m count from the ground below or from z = 0."
-    )
-    obstructed: Literal["error", "note"] = Field(
-        "error",
-        description="How a camera below the ground, in a house or in a trunk is treated. error: reported before it is "
-        "rendered. note: rendered with a note, for data sets with random cameras.",
-    )
-    path: CameraPath | None = Field(
-        None, description="Where it moves to; each frame is an image. None: it stands still."
-    )
-    rig: SerializeAsAny[RigKeys] | None = Field(
-        None,
-        description="Several images of one entry, of those that `forestgen models --kind rig` lists; its page has its "
-        "keys. None: one.",
-    )
-    bands: Annotated[SensorFile | None, shorthand("name")] = Field(
-        None,
-        description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. None: "
-        "colour.",
-    )
-    exposure: Exposure | None = Field(None, description="For a raw image beside the linear one. None: no such.")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _filled(cls, data: Any) -> Any:
-        """What a projection has by default."""
-        if not isinstance(data, Mapping):
-            return data
-        filled, rig = dict(data), rig_of(data)
-        if filled.get("size_px") is None:
-            filled["size_px"] = cls.default_size_px
-        if all(filled.get(key) is None for key in ("look", "look_at_m")) and _keeps_view(data, rig):
-            filled["look"] = cls.default_look
-        return filled
-
-    @property
-    def field_of_view_deg(self) -> float:
-        """Across the image's width; 0 where there is none. A lens' is that of focusing far away."""
-        return 0.0
-
-    @property
-    def view_width_m(self) -> float:
-        """What the image's width shows of the world; 0 where that depends on the distance."""
-        return 0.0
-
-    @property
-    def lens_mm(self) -> tuple[float, float] | None:
-        """Radius of a thin lens' pupil, and its focal length; None for a pinhole."""
-        return None
-
-    @property
-    def lens_focus_m(self) -> float | None:
-        """Distance of a thin lens' plane of focus; None for a pinhole."""
-        return None
-
-    @property
-    def own_numbers(self) -> Mapping[str, float]:
-        """What its projection needs beside these: `Camera.numbers` of the scene has them, and camera.json."""
-        return {}
-
-    def footprint_m(self, altitude_m: float) -> tuple[float, float]:
-        """Width and height of the level ground that an image shows from above, if the projection `covers_ground`."""
-        raise NotImplementedError
-
-    @property
-    def rig_part(self) -> Any:
-        """The `forestgen.scene.rigs.rig.Rig`, if it has one."""
-        return None if self.rig is None else RIGS.load(self.rig.kind)
-
-    @property
-    def frames(self) -> int:
-        """How many images it makes of one scene."""
-        return self.steps if self.rig is None else int(self.rig_part.frames(self))
-
-    @property
-    def steps(self) -> int:
-        """Points in time of its path, if it has one."""
-        return 1 if self.path is None else self.path.frames
-
-    @property
-    def frame_names(self) -> list[str]:
-        """Names of its images: its own, NAME-0000, NAME-0001, ... along a path, or what its rig says."""
-        if self.rig is not None:
-            return list(self.rig_part.frame_names(self))
-        return [self.name] if self.path is None else [f"{self.name}-{index:04d}" for index in range(self.steps)]
-
-    @property
-    def positions_m(self) -> list[Point]:
-        """Where it stands in each step, as the recipe counts heights."""
-        assert self.position_m is not None
-        return _along([self.position_m, *(self.path.position_m if self.path else ())], self.steps)
-
-    @property
-    def looks_at_m(self) -> list[Point]:
-        """The point in each step's middle, as the recipe counts heights."""
-        if self.look is not None:
-            (x, y, z) = DIRECTIONS[self.look]
-            return [(a + x, b + y, c + z) for a, b, c in self.positions_m]
-        assert self.look_at_m is not None
-        return _along([self.look_at_m, *(self.path.look_at_m if self.path else ())], self.steps)
-
-    @property
-    def moves(self) -> bool:
-        """Whether not all images along its path are taken alike."""
-        if self.path is None:
-            return False
-        ways = ((self.position_m, *self.path.position_m), (self.look_at_m, *self.path.look_at_m))
-        return any(a != b for way in ways for a, b in pairwise(way))
-
-
-def _along(points: Sequence[Point], frames: int) -> list[Point]:
-    """`frames` points at equal steps of time from the first to the last, through the others at equal times."""
-    pieces = len(points) - 1
-    if not pieces or frames == 1:
-        return [points[0]] * frames
-    way = []
-    for frame in range(frames):
-        # In whole numbers: a frame at a given point is exactly there.
-        piece, rest = divmod(frame * pieces, frames - 1)
-        if not rest:
-            way.append(points[piece])
-            continue
-        share = rest / (frames - 1)
-        x, y, z = (a + share * (b - a) for a, b in zip(points[piece], points[piece + 1], strict=True))
-        way.append((x, y, z))
-    return way
-
-
-def rig_of(camera: Mapping[str, Any]) -> Any:
-    """The rig that a recipe's camera names; None: it has none, or one that validation will refuse."""
-    keys = camera.get("rig")
-    kind = keys.get("kind") if isinstance(keys, Mapping) else None
-    return RIGS.load(kind) if isinstance(kind, str) and kind in RIGS else None
-
-
-def _keeps_view(camera: Mapping[str, Any], rig: Any) -> bool:
-    """Whether the camera stands and looks as it would without a rig."""
-    return bool(rig.keeps_view) if rig is not None else not isinstance(camera.get("rig"), Mapping)
-
-
-def default_view(camera: Mapping[str, Any], size_m: tuple[float, float], of_kind: type[CameraKeys]) -> dict[str, Any]:
-    """Keys that a recipe's camera has by the site's extent, where it gives none; metres.
-
-    `of_kind` is the class of its projection's cameras.
-    """
-    (width, depth), rig = size_m, rig_of(camera)
-    view: dict[str, Any] = {}
-    if rig is not None and (keys := rig.with_defaults(camera["rig"], size_m)) != camera["rig"]:
-        view["rig"] = keys
-    if rig is None or "position_m" not in rig.decides:
-        across, along, above_m = of_kind.default_place
-        view["position_m"] = [across * width, along * depth, above_m]
-    if of_kind.default_look is None and _keeps_view(camera, rig) and camera.get("look") is None:
-        view["look_at_m"] = [0.5 * width, 0.6 * depth, 6.0]
-    return {key: value for key, value in view.items() if key == "rig" or camera.get(key) is None}

@@ -1,41 +1,107 @@
-"""Cameras of a recipe, and what is wrong with them, one by one and together."""
+"""Cameras of a recipe, what follows from their keys, and what is wrong with them, one by one and together.
+
+A camera with a path is as many images as the path has frames. Times run in equal steps over the whole path; each of
+the two lists of points is a polyline of its own over that time, every piece of it as long in time as the next.
+A camera with a rig (scene/rigs) is several images, too.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Self
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, GetJsonSchemaHandler, SerializeAsAny, model_validator
+from pydantic import Field, SerializeAsAny, model_validator
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import CameraKeys
-from forestgen.recipe.fields import violation
-from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS
-from forestgen.recipe.rigs import MOST_FRAMES
+from forestgen.recipe.camera_keys import (
+    DIRECTIONS,
+    MOST_FRAMES,
+    CameraPath,
+    Exposure,
+    Look,
+    Pixels,
+    RigKeys,
+    SensorFile,
+)  # fmt: skip
+from forestgen.recipe.fields import Flag, Name, PartSection, Point, Text, shorthand, violation
+from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS, RIGS
 
 
-class Camera(CameraKeys):
-    """A camera; site frame: x east, y north, z up, metres. Each projection has a subclass with its own keys."""
+class Camera(PartSection):
+    """A camera; site frame: x east, y north, z up, metres.
+
+    The class of a projection's cameras adds keys of its own, and overrides the class variables and what follows.
+    """
+
+    registry = PROJECTIONS
+    selector = "kind"
+
+    default_size_px: ClassVar[tuple[int, int]] = (640, 360)
+    default_look: ClassVar[Look | None] = None  # None: over the site, by look_at_m
+    default_place: ClassVar[Point] = (0.5, 0.02, 1.7)  # shares of the site's width and depth, and metres above ground
+    is_level: ClassVar[bool] = False  # whatever it looks at
+    covers_ground: ClassVar[bool] = False  # whether `footprint_m` is known, as drone_grid needs
+
+    name: Name = Field(description="Name in file names; default camera0, camera1, ...")
+    kind: Text = Field(
+        DEFAULT_PROJECTION,
+        description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, and "
+        "its defaults of position_m, look and size_px.",
+    )
+    position_m: Point | None = Field(
+        None,
+        description="Where it stands: x, y, z, metres. Default by kind; of perspective eye level, southern edge's "
+        "middle.",
+    )
+    look_at_m: Point | None = Field(
+        None, description="The point in the image's middle: x, y, z, metres. Default: amid the site."
+    )
+    look: Look | None = Field(
+        None,
+        description="Instead of look_at_m. Up and down have north at the top: down shows east on the right, up shows "
+        "it on the left. Default by kind; of perspective look_at_m.",
+    )
+    size_px: tuple[Pixels, Pixels] = Field(
+        (640, 360), description="Width and height of the image, pixels. Default by kind; of perspective [640, 360]."
+    )
+    height_above_ground: Flag = Field(
+        True, description="Whether the z of position_m and look_at_m count from the ground below or from z = 0."
+    )
+    obstructed: Literal["error", "note"] = Field(
+        "error",
+        description="How a camera below the ground, in a house or in a trunk is treated. error: reported before it is "
+        "rendered. note: rendered with a note, for data sets with random cameras.",
+    )
+    path: CameraPath | None = Field(
+        None, description="Where it moves to; each frame is an image. None: it stands still."
+    )
+    rig: SerializeAsAny[RigKeys] | None = Field(
+        None,
+        description="Several images of one entry, of those that `forestgen models --kind rig` lists; its page has its "
+        "keys. None: one.",
+    )
+    bands: Annotated[SensorFile | None, shorthand("name")] = Field(
+        None,
+        description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. None: "
+        "colour.",
+    )
+    exposure: Exposure | None = Field(None, description="For a raw image beside the linear one. None: no such.")
 
     @model_validator(mode="before")
     @classmethod
-    def _has_no_keys_of_others(cls, data: Any) -> Any:
-        """Keys of other projections are refused by name; keys that are null are ignored."""
-        strange = [key for key in data if key not in cls.model_fields] if isinstance(data, Mapping) else []
-        owners = _owners_of_keys() if strange else {}
-        kind = data.get("kind", DEFAULT_PROJECTION) if strange else ""
-        for key in strange:
-            if cls is not Camera and key in owners and data[key] is not None:
-                mine = cls.own_keys()
-                expected = f"of these keys: {', '.join(mine)}" if mine else f"none of {', '.join(owners)}"
-                problem, hint = f"{_article(kind)} camera has no {key}", f"choose kind: {' or '.join(owners[key])}"
-                raise violation(
-                    expected, problem=problem, got=str(data[key]), hint=f"leave {key} out, or {hint}", at=key
-                )
-        unsaid = {key for key in strange if key in owners}
-        unsaid |= {key for key in cls.own_keys() if isinstance(data, Mapping) and data.get(key, 0) is None}
-        return {key: value for key, value in data.items() if key not in unsaid} if unsaid else data
+    def _filled(cls, data: Any) -> Any:
+        """What a projection has by default; its own keys that are null are left out."""
+        if not isinstance(data, Mapping):
+            return data
+        filled = {key: value for key, value in data.items() if value is not None or key in Camera.model_fields}
+        rig = rig_of(data)
+        if filled.get("size_px") is None:
+            filled["size_px"] = cls.default_size_px
+        if all(filled.get(key) is None for key in ("look", "look_at_m")) and _keeps_view(data, rig):
+            filled["look"] = cls.default_look
+        return filled
 
     @model_validator(mode="after")
     def _is_one_camera(self) -> Self:
@@ -48,61 +114,134 @@ class Camera(CameraKeys):
         """What is wrong with the projection's own keys, or with the image's size for it."""
         return None
 
-    @classmethod
-    def own_keys(cls) -> list[str]:
-        """Names of the keys that cameras of other projections do not all have."""
-        return [key for key in cls.model_fields if key not in CameraKeys.model_fields]
+    @property
+    def field_of_view_deg(self) -> float:
+        """Across the image's width; 0 where there is none. A lens' is that of focusing far away."""
+        return 0.0
 
-    @classmethod
-    def class_for(cls, data: object) -> type[Camera]:
-        """The class of cameras like `data`; this one where its projection is none."""
-        kind = data.get("kind", DEFAULT_PROJECTION) if isinstance(data, Mapping) else None
-        return class_of(kind) if isinstance(kind, str) and kind in PROJECTIONS else Camera
+    @property
+    def view_width_m(self) -> float:
+        """What the image's width shows of the world; 0 where that depends on the distance."""
+        return 0.0
 
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Of all projections' cameras together, with all of their keys."""
-        made = handler.resolve_ref_schema(handler(core_schema))
-        if cls is Camera:
-            for _, part in PROJECTIONS.parts():
-                own = part.Parameters
-                properties = own.model_json_schema()["properties"]
-                made["properties"] |= {key: properties[key] for key in own.own_keys() if key not in made["properties"]}
-        return made
+    @property
+    def lens_mm(self) -> tuple[float, float] | None:
+        """Radius of a thin lens' pupil, and its focal length; None for a pinhole."""
+        return None
+
+    @property
+    def lens_focus_m(self) -> float | None:
+        """Distance of a thin lens' plane of focus; None for a pinhole."""
+        return None
+
+    @property
+    def own_numbers(self) -> Mapping[str, float]:
+        """What its projection needs beside these: `Camera.numbers` of the scene has them, and camera.json."""
+        return {}
+
+    def footprint_m(self, altitude_m: float) -> tuple[float, float]:
+        """Width and height of the level ground that an image shows from above, if the projection `covers_ground`."""
+        raise NotImplementedError
+
+    @property
+    def rig_part(self) -> Any:
+        """The `forestgen.scene.rigs.rig.Rig`, if it has one."""
+        return None if self.rig is None else RIGS.load(self.rig.kind)
+
+    @property
+    def frames(self) -> int:
+        """How many images it makes of one scene."""
+        return self.steps if self.rig is None else int(self.rig_part.frames(self))
+
+    @property
+    def steps(self) -> int:
+        """Points in time of its path, if it has one."""
+        return 1 if self.path is None else self.path.frames
+
+    @property
+    def frame_names(self) -> list[str]:
+        """Names of its images: its own, NAME-0000, NAME-0001, ... along a path, or what its rig says."""
+        if self.rig is not None:
+            return list(self.rig_part.frame_names(self))
+        return [self.name] if self.path is None else [f"{self.name}-{index:04d}" for index in range(self.steps)]
+
+    @property
+    def positions_m(self) -> list[Point]:
+        """Where it stands in each step, as the recipe counts heights."""
+        assert self.position_m is not None
+        return _along([self.position_m, *(self.path.position_m if self.path else ())], self.steps)
+
+    @property
+    def looks_at_m(self) -> list[Point]:
+        """The point in each step's middle, as the recipe counts heights."""
+        if self.look is not None:
+            (x, y, z) = DIRECTIONS[self.look]
+            return [(a + x, b + y, c + z) for a, b, c in self.positions_m]
+        assert self.look_at_m is not None
+        return _along([self.look_at_m, *(self.path.look_at_m if self.path else ())], self.steps)
+
+    @property
+    def moves(self) -> bool:
+        """Whether not all images along its path are taken alike."""
+        if self.path is None:
+            return False
+        ways = ((self.position_m, *self.path.position_m), (self.look_at_m, *self.path.look_at_m))
+        return any(a != b for way in ways for a, b in pairwise(way))
 
 
-def class_of(kind: str) -> type[Camera]:
-    """The class of a projection's cameras."""
-    found: type[Camera] = PROJECTIONS.load(kind).Parameters
-    return found
+def _along(points: Sequence[Point], frames: int) -> list[Point]:
+    """`frames` points at equal steps of time from the first to the last, through the others at equal times."""
+    pieces = len(points) - 1
+    if not pieces or frames == 1:
+        return [points[0]] * frames
+    way = []
+    for frame in range(frames):
+        # In whole numbers: a frame at a given point is exactly there.
+        piece, rest = divmod(frame * pieces, frames - 1)
+        if not rest:
+            way.append(points[piece])
+            continue
+        share = rest / (frames - 1)
+        x, y, z = (a + share * (b - a) for a, b in zip(points[piece], points[piece + 1], strict=True))
+        way.append((x, y, z))
+    return way
 
 
-def camera_section(data: Mapping[str, Any]) -> Camera:
-    """A recipe's camera from its keys, of the class of its projection."""
-    return Camera.class_for(data).model_validate(data)
+def rig_of(camera: Mapping[str, Any]) -> Any:
+    """The rig that a recipe's camera names; None: it has none, or one that validation will refuse."""
+    keys = camera.get("rig")
+    kind = keys.get("kind") if isinstance(keys, Mapping) else None
+    return RIGS.load(kind) if isinstance(kind, str) and kind in RIGS else None
 
 
-def _of_its_class(data: Any) -> Any:
-    return camera_section(data) if isinstance(data, Mapping) else data  # validation reports what is no mapping
+def _keeps_view(camera: Mapping[str, Any], rig: Any) -> bool:
+    """Whether the camera stands and looks as it would without a rig."""
+    return bool(rig.keeps_view) if rig is not None else not isinstance(camera.get("rig"), Mapping)
 
 
-AnyCamera = Annotated[SerializeAsAny[Camera], BeforeValidator(_of_its_class)]
-
-
-def _owners_of_keys() -> dict[str, list[str]]:
-    """Key -> the projections whose cameras have it."""
-    owners: dict[str, list[str]] = {}
-    for name, part in PROJECTIONS.parts():
-        for key in part.Parameters.own_keys():
-            owners.setdefault(key, []).append(name)
-    return owners
+def default_view(camera: Mapping[str, Any], size_m: tuple[float, float]) -> dict[str, Any]:
+    """Keys that a recipe's camera has by the site's extent, where it gives none; metres."""
+    try:
+        of_kind = Camera.class_for(camera)
+    except PydanticCustomError:  # validation reports a projection that there is not
+        of_kind = Camera
+    (width, depth), rig = size_m, rig_of(camera)
+    view: dict[str, Any] = {}
+    if rig is not None and (keys := rig.with_defaults(camera["rig"], size_m)) != camera["rig"]:
+        view["rig"] = keys
+    if rig is None or "position_m" not in rig.decides:
+        across, along, above_m = of_kind.default_place
+        view["position_m"] = [across * width, along * depth, above_m]
+    if of_kind.default_look is None and _keeps_view(camera, rig) and camera.get("look") is None:
+        view["look_at_m"] = [0.5 * width, 0.6 * depth, 6.0]
+    return {key: value for key, value in view.items() if key == "rig" or camera.get(key) is None}
 
 
 def _article(noun: str) -> str:
     return f"{'an' if noun[:1] in 'aeiou' else 'a'} {noun}"
 
 
-def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
+def _rigged(camera: Camera) -> PydanticCustomError | None:
     """What is wrong with a rig beside the camera's other keys."""
     if camera.rig is None:
         needed = ("position_m", "look_at_m") if camera.look is None else ("position_m",)
@@ -119,7 +258,7 @@ def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
     return wrong
 
 
-def _looking(camera: CameraKeys) -> PydanticCustomError | None:
+def _looking(camera: Camera) -> PydanticCustomError | None:
     if camera.look is None:
         return None
     if camera.look_at_m is not None or (camera.path is not None and camera.path.look_at_m):
@@ -131,7 +270,7 @@ def _looking(camera: CameraKeys) -> PydanticCustomError | None:
     return None
 
 
-def _looks_at_itself(camera: CameraKeys) -> PydanticCustomError | None:
+def _looks_at_itself(camera: Camera) -> PydanticCustomError | None:
     if camera.look is not None or not (camera.rig is None or camera.rig_part.keeps_view):
         return None
     # Heights above ground do not matter: a point above another has the same ground.

@@ -57,8 +57,8 @@ class GivenSection(Section):
         return {key: value for key, value in handler(self).items() if value is not None}
 
 
-def known_part(registry: Registry) -> AfterValidator:
-    """Validator of a registered part's name."""
+def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
+    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
 
     def known(name: str) -> str:
         try:
@@ -67,22 +67,12 @@ def known_part(registry: Registry) -> AfterValidator:
             raise _as_violation(error) from error
         return name
 
-    return AfterValidator(known)
-
-
-def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
-    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
-    return known_part(registry), Field(json_schema_extra=partial(_add_names, registry=registry))
-
-
-def list_names(schema: dict[str, Any], registry: Registry) -> None:
-    """Add to the JSON Schema of a part's name the names that are registered when it is made."""
-    schema["enum"] = registry.ids()
+    return AfterValidator(known), Field(json_schema_extra=partial(_add_names, registry=registry))
 
 
 def _add_names(schema: dict[str, Any], registry: Registry) -> None:
-    """The same, with the parts' descriptions."""
-    list_names(schema, registry)
+    """Add to the JSON Schema of a part's name the names that are registered when it is made, and descriptions."""
+    schema["enum"] = registry.ids()
     about = "; ".join(f"{name}: {registry.describe(name)}" for name in registry)
     schema["description"] = f"{schema.get('description', 'The part.')} {about}."
 
@@ -157,7 +147,7 @@ class PartSection(Section):
                 "one of " + ", ".join(sorted(own.model_fields)),
                 problem=f"the {cls.registry.kind} {cls.named_by(data)} has no {key}",
                 got=key,
-                hint=own.instead.get(key, f"it is a key of {', '.join(owners)}"),
+                hint=own.instead.get(key, f"leave {key} out, or choose {cls.selector}: {' or '.join(owners)}"),
                 at=(key,),
             )
 

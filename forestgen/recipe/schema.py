@@ -22,8 +22,7 @@ from pydantic import (
 )
 
 from forestgen.recipe.buildings import Building
-from forestgen.recipe.camera_keys import default_view
-from forestgen.recipe.cameras import AnyCamera, Camera, check_cameras, check_motion
+from forestgen.recipe.cameras import Camera, check_cameras, check_motion, default_view
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.fields import (
@@ -344,7 +343,7 @@ class Recipe(Section):
     sky: SerializeAsAny[SkySection] = Field(
         default_factory=lambda: SkySection.model_validate({}), description="Everything above: sun, sky, clouds."
     )
-    cameras: list[AnyCamera] = Field(min_length=1, max_length=1000, description="Cameras, at least one.")
+    cameras: list[SerializeAsAny[Camera]] = Field(min_length=1, max_length=1000, description="Cameras, at least one.")
     render: Render = Field(Render.model_validate({}), description="The light's computation.")
     labels: Labels = Field(Labels.model_validate({}), description="The labels' computation.")
     wind: Wind = Field(Wind.model_validate({}), description="How plants lean and sway.")
@@ -361,9 +360,7 @@ class Recipe(Section):
             return data
         size = _size_m(data.get("site"))
         filled = [
-            {"name": f"camera{i}", **camera, **default_view(camera, size, Camera.class_for(camera))}
-            if isinstance(camera, Mapping)
-            else camera
+            {"name": f"camera{i}", **camera, **default_view(camera, size)} if isinstance(camera, Mapping) else camera
             for i, camera in enumerate(cameras)
         ]
         return {**data, "cameras": filled}

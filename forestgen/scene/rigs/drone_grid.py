@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import DIRECTIONS, CameraKeys
+from forestgen.recipe.camera_keys import DIRECTIONS, GroundPoint, RigKeys
+from forestgen.recipe.cameras import Camera
 from forestgen.recipe.fields import Number, Positive, violation
 from forestgen.recipe.registries import PROJECTIONS
-from forestgen.recipe.rigs import GroundPoint, RigKeys
 from forestgen.scene.rigs.rig import Poses, Rig, lifted
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
@@ -56,7 +56,7 @@ class DroneGrid(Rig[DroneGridKeys]):
     def with_defaults(self, keys: Mapping[str, Any], size_m: tuple[float, float]) -> Mapping[str, Any]:
         return {**keys, "area_m": [[0.0, 0.0], list(size_m)]} if keys.get("area_m") is None else keys
 
-    def check(self, camera: CameraKeys) -> PydanticCustomError | None:
+    def check(self, camera: Camera) -> PydanticCustomError | None:
         if not camera.covers_ground:
             expected = " or ".join(name for name, part in PROJECTIONS.parts() if part.Parameters.covers_ground)
             return violation(expected, problem="no camera for a grid", got=camera.kind, at=("kind",))
@@ -64,10 +64,10 @@ class DroneGrid(Rig[DroneGridKeys]):
             return violation("two corners", problem="the grid needs an area_m", got="none", at=("rig",))
         return None
 
-    def frames(self, camera: CameraKeys) -> int:
+    def frames(self, camera: Camera) -> int:
         return math.prod(_counts(self.keys_of(camera), camera.footprint_m(self.keys_of(camera).altitude_m)))
 
-    def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
+    def poses(self, camera: Camera, height: HeightField, trunks: Trunks | None) -> Poses:
         rig = self.keys_of(camera)
         there = np.array(_middles_m(rig, camera.footprint_m(rig.altitude_m)))
         position = lifted(camera, np.column_stack([there, np.full(len(there), rig.altitude_m)]), height)

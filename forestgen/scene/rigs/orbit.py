@@ -8,9 +8,9 @@ import numpy as np
 from pydantic import Field
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import CameraKeys
+from forestgen.recipe.camera_keys import MOST_FRAMES, FramesPerSecond, RigKeys
+from forestgen.recipe.cameras import Camera
 from forestgen.recipe.fields import Coordinate, Number, Positive, Whole, violation
-from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, RigKeys
 from forestgen.scene.rigs.rig import Poses, Rig, lifted
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
@@ -40,18 +40,18 @@ class Orbit(Rig[OrbitKeys]):
     Parameters = OrbitKeys
     decides = ("position_m", "look", "path")
 
-    def check(self, camera: CameraKeys) -> PydanticCustomError | None:
+    def check(self, camera: Camera) -> PydanticCustomError | None:
         if camera.look_at_m is None:
             return violation("the circle's middle", problem="an orbit needs look_at_m", got="no look_at_m", at=("rig",))
         return None
 
-    def frames(self, camera: CameraKeys) -> int:
+    def frames(self, camera: Camera) -> int:
         return self.keys_of(camera).count
 
-    def sequence(self, camera: CameraKeys, index: int) -> str | None:
+    def sequence(self, camera: Camera, index: int) -> str | None:
         return None if self.keys_of(camera).frames_per_s is None else camera.name
 
-    def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
+    def poses(self, camera: Camera, height: HeightField, trunks: Trunks | None) -> Poses:
         rig = self.keys_of(camera)
         angle = np.radians(rig.first_deg) + np.arange(rig.count) / rig.count * 2 * np.pi  # clockwise from north
         target = np.repeat(lifted(camera, np.array([camera.look_at_m], dtype=np.float64), height), rig.count, axis=0)

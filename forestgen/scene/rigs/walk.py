@@ -9,9 +9,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.camera_keys import DIRECTIONS, CameraKeys
+from forestgen.recipe.camera_keys import DIRECTIONS, MOST_FRAMES, FramesPerSecond, GroundPoint, RigKeys
+from forestgen.recipe.cameras import Camera
 from forestgen.recipe.fields import Number, Positive, Whole, violation
-from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, GroundPoint, RigKeys
 from forestgen.scene.rigs.rig import Floats, Poses, Rig, lifted, on_ground
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
@@ -55,13 +55,13 @@ class Walk(Rig[WalkKeys]):
     Parameters = WalkKeys
     decides = ("position_m", "path")
 
-    def frames(self, camera: CameraKeys) -> int:
+    def frames(self, camera: Camera) -> int:
         return self.keys_of(camera).frames
 
-    def sequence(self, camera: CameraKeys, index: int) -> str | None:
+    def sequence(self, camera: Camera, index: int) -> str | None:
         return camera.name
 
-    def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
+    def poses(self, camera: Camera, height: HeightField, trunks: Trunks | None) -> Poses:
         rig = self.keys_of(camera)
         way = _way(camera, rig, trunks)
         walked = np.linspace(0.0, length_m(way), rig.frames)
@@ -77,7 +77,7 @@ class Walk(Rig[WalkKeys]):
         return Poses(position, target, np.arange(rig.frames) / rig.frames_per_s)
 
 
-def _way(camera: CameraKeys, rig: WalkKeys, trunks: Trunks | None) -> Floats:
+def _way(camera: Camera, rig: WalkKeys, trunks: Trunks | None) -> Floats:
     """(P, 2) polyline."""
     way = np.array(rig.waypoints_m, dtype=np.float64)
     if trunks is None:
