@@ -13,6 +13,7 @@ from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, ErrorList, RecipeError
 from forestgen.recipe.assets import find_asset, list_assets, scenes_dir
 from forestgen.recipe.distributions import is_distribution
+from forestgen.recipe.draws import is_reference
 from forestgen.recipe.sources import Keys, Place, SourceMap, dotted, parse_yaml, read_yaml
 from forestgen.recipe.spectra import (
     KIND,
@@ -25,7 +26,6 @@ from forestgen.recipe.spectra import (
     surface_columns,
     table_text,
 )  # fmt: skip
-from forestgen.recipe.variables import is_reference
 
 _LARGEST_PROGRAM_BYTES = 1_000_000
 MOST_SPECIES = 1000

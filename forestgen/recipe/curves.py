@@ -8,7 +8,7 @@
     internode_m: {formula: "0.3 - 0.22 * x^2"}                # of the position x
 
 A formula is arithmetic of named numbers, compiled from text, without access to Python. A curve's formula knows its
-position ``x``; a drawn number's formula knows the recipe's variables (recipe/variables.py).
+position ``x``; a drawn number's formula knows the recipe's variables (recipe/draws.py).
 """
 
 from __future__ import annotations

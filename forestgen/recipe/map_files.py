@@ -18,8 +18,12 @@ from forestgen.recipe.assets import inside
 from forestgen.recipe.distributions import is_distribution
 from forestgen.recipe.sources import Keys, SourceMap
 
-SECTION = "community"
-SLOTS = ("map", "keep_out")  # keys below the section whose text is a file's name
+_NAMES_BELOW: dict[Keys, frozenset[str]] = {  # section -> keys anywhere below it whose text is a file's name
+    ("community",): frozenset({"map", "keep_out"}),
+    ("site", "terrain"): frozenset({"map"}),
+    ("sky", "clouds"): frozenset({"map", "sounding"}),
+}
+_SINGLE: tuple[Keys, ...] = (("community", "soil"), ("sky", "clouds", "file"))
 MOST_BYTES = 2_000_000_000
 _SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy", ".csv", ".nc", ".vol")
 _Slot = tuple[Keys, Any, str | int]  # key path, parent and key of a value that may be a file
@@ -109,52 +113,30 @@ def is_map_file(value: object) -> bool:
 
 def _all_slots(data: dict[str, Any]) -> Iterator[_Slot]:
     """Key path, parent and key of every value that may be a file."""
-    yield from _slots(data.get(SECTION), (SECTION,))
-    yield from _own_slot(data, (SECTION, "soil"))
-    yield from _own_slot(data, ("site", "terrain", "map"))
-    sky = data.get("sky")
-    clouds = sky.get("clouds") if isinstance(sky, dict) else None
-    if not isinstance(clouds, dict):
-        return
-    keys: Keys = ("sky", "clouds")
-    if "file" in clouds:
-        yield (*keys, "file"), clouds, "file"
-    yield from _weather_slots(clouds, keys)
-    story = clouds.get("story")
-    for index, chapter in enumerate(story if isinstance(story, list) else ()):
-        yield from _weather_slots(chapter, (*keys, "story", index))
+    for section, names in _NAMES_BELOW.items():
+        yield from _slots(_at(data, section), section, names)
+    for keys in _SINGLE:
+        parent = _at(data, keys[:-1])
+        if isinstance(parent, dict) and keys[-1] in parent:
+            yield keys, parent, keys[-1]
 
 
-def _own_slot(data: dict[str, Any], keys: tuple[str, ...]) -> Iterator[_Slot]:
-    """A map that has one place in a recipe."""
-    parent: Any = data
-    for key in keys[:-1]:
-        parent = parent.get(key) if isinstance(parent, dict) else None
-    if isinstance(parent, dict) and keys[-1] in parent:
-        yield keys, parent, keys[-1]
+def _at(data: Any, keys: Keys) -> Any:
+    for key in keys:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data
 
 
-def _weather_slots(value: Any, keys: Keys) -> Iterator[_Slot]:
-    """The files of one kind of weather: its sounding, and the map of its emission."""
-    if not isinstance(value, dict):
-        return
-    if "sounding" in value:
-        yield (*keys, "sounding"), value, "sounding"
-    emission = value.get("emission")
-    if isinstance(emission, dict) and "map" in emission:
-        yield (*keys, "emission", "map"), emission, "map"
-
-
-def _slots(value: Any, keys: Keys) -> Iterator[_Slot]:
-    """Key path, parent and key of every value that may be a map."""
+def _slots(value: Any, keys: Keys, names: frozenset[str]) -> Iterator[_Slot]:
+    """Key path, parent and key of every value below a section whose key is one of these."""
     if isinstance(value, dict):
         for key, item in value.items():
-            if key in SLOTS:
+            if key in names:
                 yield (*keys, key), value, key
-            yield from _slots(item, (*keys, key))  # into a slot too: a species may be named so
+            yield from _slots(item, (*keys, key), names)  # into a slot too: a species may be named so
     elif isinstance(value, list):
         for index, item in enumerate(value):
-            yield from _slots(item, (*keys, index))
+            yield from _slots(item, (*keys, index), names)
 
 
 def _identified(

@@ -31,10 +31,10 @@ from forestgen.recipe.distributions import Sequence as InOrder
 from forestgen.recipe.fields import Number, Section, Text, Whole, violation
 from forestgen.recipe.points import MOST_KEYS, InfeasibleError, Method, cell_of, cholesky_factor, correlated, point
 from forestgen.recipe.sources import Keys, SourceMap, dotted
-from forestgen.recipe.variables import SECTION as VARIABLES
 
 _EDGE = 2.0**-32  # how near to a bin's edge a value comes: nearer, rounding might put it beyond
 MOST_CELLS = 10_000
+VARIABLES: Keys = ("sampling", "variables")
 _Key = Annotated[Text, Field(min_length=1, max_length=300)]
 _Variable = Annotated[Text, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 _Level = bool | int | float | str | None
@@ -233,8 +233,13 @@ class _Keys:
         raise RecipeError(problem, where=where, expected=expected, got=name, hint=advice)
 
 
+def is_variable(keys: Keys) -> bool:
+    """Whether a key path is that of a variable."""
+    return keys[:2] == VARIABLES and len(keys) == 3
+
+
 def _name(keys: Keys) -> str:
-    return str(keys[-1]) if keys[: len(VARIABLES)] == VARIABLES and len(keys) == 3 else dotted(keys)
+    return str(keys[-1]) if is_variable(keys) else dotted(keys)
 
 
 def _some(names: Sequence[str]) -> str:
