@@ -181,31 +181,23 @@ def _mappings(section: Any) -> list[tuple[str, dict[str, Any]]]:
     return [(name, entry) for name, entry in entries if isinstance(entry, dict)]
 
 
-def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
-    """Replace ``program: NAME`` of the community and of plants in place by the L-system program's name and text.
+def embed_files(data: dict[str, Any], sources: SourceMap, folder: Path, errors: ErrorList) -> None:
+    """Replace the names of L-system programs, spectra and sensors by name and text, in place; see `_embed_table`.
 
-    So a recipe's hash covers the program, and a drawn recipe holds all that it needs. A species file's own program was
-    embedded when the file was read: its path is relative to that file.
+    So a recipe's hash covers the files, and a drawn recipe holds all that it needs. A species file's own were taken
+    when it was read: their paths are relative to that file. `errors` takes the errors of each.
     """
-    _embed(data.get("community"), sources, ("community", "program"), folder)
-    for name, entry in _mappings(data.get("species")):
-        _embed(entry.get("plant"), sources, ("species", name, "plant", "program"), folder)
-
-
-def embed_tables(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
-    """Check the spectra that species and cameras name, in place, and keep the user's own as text: see `_embed_table`.
-
-    As with programs, a species file's own tables were taken when the file was read.
-    """
-    plants = data.get("plants")
+    plants, cameras = data.get("plants"), data.get("cameras")
     season = plants.get("season", "summer") if isinstance(plants, dict) else "summer"
     for name, entry in _mappings(data.get("species")):
-        _embed_spectra(entry.get("materials"), sources, ("species", name, "materials"), folder, season)
-    cameras = data.get("cameras")
+        keys: Keys = ("species", name)
+        errors.attempt(_embed, entry.get("plant"), sources, (*keys, "plant", "program"), folder)
+        errors.attempt(_embed_spectra, entry.get("materials"), sources, (*keys, "materials"), folder, season)
+    errors.attempt(_embed, data.get("community"), sources, ("community", "program"), folder)
     for index, camera in enumerate(cameras) if isinstance(cameras, list) else ():
         where = sources.where(("cameras", index, "bands"))
         find, read = partial(sensor_file, folder=folder, where=where), partial(bands_of, where=where)
-        _embed_table(camera, "bands", find, read)
+        errors.attempt(_embed_table, camera, "bands", find, read)
 
 
 def _embed_spectra(

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import ResourceError
 from forestgen.recipe.draws import find_written
-from forestgen.recipe.load import LoadedRecipe, Loading, read_recipe, read_recipe_data, read_recipe_text
+from forestgen.recipe.load import LoadedRecipe, Loading, read_recipe
 from forestgen.recipe.messages import Explainer
 
 
@@ -25,12 +25,7 @@ def load_checked(source: Path | str | Mapping[str, Any], overrides: Sequence[str
     `source`: a file, or the content of one, as a mapping or a text of several lines; paths in that are relative to the
     working folder.
     """
-    if isinstance(source, Mapping):
-        loading = read_recipe_data(source, "recipe", overrides=overrides)
-    elif isinstance(source, str) and "\n" in source:
-        loading = read_recipe_text(source, overrides)
-    else:
-        loading = read_recipe(source, overrides)
+    loading = read_recipe(source, overrides)
     _check_model(loading)
     if loading.errors and loading.sound is not None:
         from forestgen.scene.planning import collect_plan
