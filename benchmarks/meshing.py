@@ -29,7 +29,7 @@ from forestgen.geometry.sweep import Polylines, sweep
 from forestgen.plants import build, meshing
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 ROUNDS, PEER_ROUNDS = 9, 30
 SWEEP_BOUND, PEER_BOUND, PLAIN_BOUND, TREE_BOUND_S = 3e6, 2.0, 1.5, 0.5

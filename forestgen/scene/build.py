@@ -16,17 +16,15 @@ from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.scene.building import building_materials
-from forestgen.scene.camera_path import next_frame
 from forestgen.scene.exemplars import ExemplarPlan, SizeError
-from forestgen.scene.ground import wetness_of
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
 from forestgen.scene.plan import Plan
-from forestgen.scene.sky import sky_of
+from forestgen.scene.site import sky_of, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from forestgen.scene.surfaces import infrared_notes, materials_of, surface_of
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
-from forestgen.scene.views import check_trunks, drawn_cameras
+from forestgen.scene.views import check_trunks, drawn_cameras, next_frame
 from forestgen.scene.wind import Sway, spec_at, sway_in
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out

@@ -28,7 +28,7 @@ def load_checked(source: Path | str | Mapping[str, Any], overrides: Sequence[str
     loading = read_recipe(source, overrides)
     _check_model(loading)
     if loading.errors and loading.sound is not None:
-        from forestgen.scene.planning import collect_plan
+        from forestgen.scene.plan import collect_plan
 
         with suppress(ResourceError):  # raised when the recipe is right
             collect_plan(loading.sound.draw(0), loading.errors, loading.stand_ins)

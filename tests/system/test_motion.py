@@ -19,10 +19,10 @@ from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.load import load_recipe
 from forestgen.render.frame import Surface
 from forestgen.scene.build import BuiltScene, build_scene
-from forestgen.scene.camera_path import expand
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.scene.terrain import HeightField
+from forestgen.scene.views import expand
 from forestgen.scene.wind import Sway, posed, sway_in
 from support.scenes import blade_cloud, plain_ground, scattered_scene
 from support.twins import Oracle

@@ -19,8 +19,7 @@ from forestgen.render.light import sky_map
 from forestgen.render.variant import using
 from forestgen.scene.build import build_scene
 from forestgen.scene.channels import RGB
-from forestgen.scene.plan import estimate_bytes
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import estimate_bytes, make_plan
 from forestgen.scene.spec import SceneSpec
 
 ROOT = Path(__file__).parents[2]

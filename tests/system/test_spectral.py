@@ -29,7 +29,7 @@ from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBy
 from forestgen.scene.build import build_scene
 from forestgen.scene.channels import Channels
 from forestgen.scene.colour import colour_of_radiance, colour_of_reflectance, observer
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
 from support.scenes import camera_at, plain_ground, scattered_scene
 

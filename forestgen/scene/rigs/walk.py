@@ -14,8 +14,7 @@ from forestgen.recipe.cameras import Camera
 from forestgen.recipe.fields import Number, Positive, Whole, violation
 from forestgen.scene.rigs.rig import Floats, Poses, Rig, lifted, on_ground
 from forestgen.scene.terrain import HeightField
-from forestgen.scene.trunks import Trunks
-from forestgen.scene.walking import BlockedError, at_lengths, length_m, way_around
+from forestgen.scene.trunks import BlockedError, Trunks, at_lengths, length_m, way_around
 
 _AHEAD_M = 4.0  # a walker looks at a point of the way so far ahead
 _HEADROOM_M = 0.3  # trunks count up to so far above the eye

@@ -17,7 +17,7 @@ from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.foliage import Foliage
 from forestgen.plants.organs.shapes import OrganForm, OrganShape
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 ORGAN_SHAPE = TypeAdapter(OrganShape)
 

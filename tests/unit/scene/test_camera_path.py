@@ -11,10 +11,10 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.camera_path import expand, next_frame
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.terrains.rolling import Waves
+from forestgen.scene.views import expand, next_frame
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 FLAT = HeightField((100.0, 100.0))

@@ -14,15 +14,13 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.camera_path import expand, next_frame
-from forestgen.scene.planning import check_plan, make_plan
+from forestgen.scene.plan import check_plan, make_plan
 from forestgen.scene.projection import project
 from forestgen.scene.spec import Instances
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.terrains.rolling import Waves
-from forestgen.scene.trunks import Trunks
-from forestgen.scene.views import check_trunks, drawn_cameras
-from forestgen.scene.walking import BlockedError, at_lengths, length_m, way_around
+from forestgen.scene.trunks import BlockedError, Trunks, at_lengths, length_m, way_around
+from forestgen.scene.views import check_trunks, drawn_cameras, expand, next_frame
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 FLAT = HeightField((100.0, 100.0))
