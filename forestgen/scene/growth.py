@@ -37,7 +37,6 @@ from forestgen.scene.exemplars import (
     ExemplarPlan,
     SizeError,
     check_traits,
-    library_of,
     modelled_species,
     origin_of,
     plan_exemplars,
@@ -81,7 +80,7 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
         traits=section.traits,
         variants=section.variants_per_size,
         given=given,
-        library=library_of(plan.drawn),
+        library=section.library,
     )
     if not section.levels or pixel_m is None:
         return chosen
