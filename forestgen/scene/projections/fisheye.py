@@ -18,7 +18,7 @@ pixel = f theta (x, y) / hypot(x, y) + size / 2 with theta = atan2(hypot(x, y), 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -38,9 +38,9 @@ class FisheyeCamera(CameraSection):
     default_look: ClassVar[Look | None] = "up"
     default_place: ClassVar[Point] = (0.5, 0.5, 1.7)
 
-    hfov_deg: Annotated[
-        Number, Field(ge=0.1, le=360, description="Whole angle of the circle, which is as wide as the image, degrees.")
-    ] = 180.0
+    hfov_deg: Number = Field(
+        180.0, ge=0.1, le=360, description="Whole angle of the circle, which is as wide as the image, degrees."
+    )
 
     @property
     def field_of_view_deg(self) -> float:

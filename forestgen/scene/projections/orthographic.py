@@ -16,7 +16,7 @@ camera.json: `model: orthographic` with `width_m`; pixel = (x, y) width / width_
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
@@ -38,19 +38,13 @@ class OrthographicCamera(CameraSection):
     default_place: ClassVar[Point] = (0.5, 0.5, 100.0)
     covers_ground: ClassVar[bool] = True
 
-    width_m: Annotated[
-        Positive | None, Field(le=1e5, description="Of orthographic: what the image's width shows, metres.")
-    ] = None
+    width_m: Positive | None = Field(None, le=1e5, description="Of orthographic: what the image's width shows, metres.")
 
     def wrong_optics(self) -> PydanticCustomError | None:
         if self.width_m is not None:
             return None
-        return violation(
-            "the width of what the image shows, metres",
-            problem="an orthographic camera needs width_m",
-            got="no width_m",
-            at=("width_m",),
-        )
+        expected, problem = "the width of what the image shows, metres", "an orthographic camera needs width_m"
+        return violation(expected, problem=problem, got="no width_m", at="width_m")
 
     @property
     def view_width_m(self) -> float:

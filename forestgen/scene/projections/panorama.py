@@ -41,13 +41,9 @@ class PanoramaCamera(CameraSection):
         width, height = self.size_px
         if width == 2 * height:
             return None
-        return violation(
-            "twice as many pixels across as down: 360 by 180 degrees",
-            problem="a panorama's image is 2:1",
-            got=f"[{width}, {height}]",
-            hint=f"size_px: [{2 * height}, {height}]",
-            at=("size_px",),
-        )
+        expected, problem = "twice as many pixels across as down: 360 by 180 degrees", "a panorama's image is 2:1"
+        got, hint = f"[{width}, {height}]", f"size_px: [{2 * height}, {height}]"
+        return violation(expected, problem=problem, got=got, hint=hint, at="size_px")
 
 
 class Panorama(CurvedProjection):

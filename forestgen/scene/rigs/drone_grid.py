@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -22,17 +22,16 @@ from forestgen.scene.trunks import Trunks
 class DroneGridKeys(RigKeys):
     """Straight down, north at the top, in lines from south to north and back, the first in the west."""
 
-    altitude_m: Annotated[Positive, Field(le=10_000, description="Above the ground below, metres.")]
-    forward_overlap: Annotated[
-        Number, Field(ge=0, le=0.98, description="Share of an image's height that the next one in its line shows too.")
-    ] = 0.8
-    side_overlap: Annotated[
-        Number, Field(ge=0, le=0.98, description="Share of an image's width that the next line shows too.")
-    ] = 0.7
-    area_m: Annotated[
-        tuple[GroundPoint, GroundPoint] | None,
-        Field(description="South-western and north-eastern corner of what is seen: [x, y], metres. Default: the site."),
-    ] = None
+    altitude_m: Positive = Field(le=10_000, description="Above the ground below, metres.")
+    forward_overlap: Number = Field(
+        0.8, ge=0, le=0.98, description="Share of an image's height that the next one in its line shows too."
+    )
+    side_overlap: Number = Field(
+        0.7, ge=0, le=0.98, description="Share of an image's width that the next line shows too."
+    )
+    area_m: tuple[GroundPoint, GroundPoint] | None = Field(
+        None, description="South-western and north-eastern corner of what is seen: [x, y], metres. Default: the site."
+    )
 
     @model_validator(mode="after")
     def _area_is_one(self) -> Self:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from pydantic import Field
 from pydantic_core import PydanticCustomError
@@ -19,18 +17,17 @@ from forestgen.scene.trunks import Trunks
 class OrbitKeys(RigKeys):
     """Cameras on a level circle around look_at_m, clockwise seen from above, all looking at it."""
 
-    radius_m: Annotated[Positive, Field(le=1e5, description="From look_at_m, level, metres.")]
-    height_m: Annotated[
-        Coordinate, Field(description="Of the cameras, metres; above the ground below each, as height_above_ground.")
-    ]
-    count: Annotated[Whole, Field(ge=1, le=MOST_FRAMES, description="Cameras, evenly around.")]
-    first_deg: Annotated[
-        Number, Field(ge=-360, le=360, description="Where the first stands, degrees from north: 180 is in the south.")
-    ] = 180.0
-    frames_per_s: Annotated[
-        FramesPerSecond | None,
-        Field(description="Images a second of one camera going around. Default: all at one time, a camera each."),
-    ] = None
+    radius_m: Positive = Field(le=1e5, description="From look_at_m, level, metres.")
+    height_m: Coordinate = Field(
+        description="Of the cameras, metres; above the ground below each, as height_above_ground."
+    )
+    count: Whole = Field(ge=1, le=MOST_FRAMES, description="Cameras, evenly around.")
+    first_deg: Number = Field(
+        180.0, ge=-360, le=360, description="Where the first stands, degrees from north: 180 is in the south."
+    )
+    frames_per_s: FramesPerSecond | None = Field(
+        None, description="Images a second of one camera going around. Default: all at one time, a camera each."
+    )
 
 
 class Orbit(Rig[OrbitKeys]):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from pydantic import Field
 
@@ -20,7 +18,7 @@ _SIDES = ("left", "right")
 class StereoKeys(RigKeys):
     """Two cameras side by side, each half the baseline from position_m; with a path, both go along it."""
 
-    baseline_m: Annotated[Positive, Field(le=1000, description="Distance of the two cameras, metres.")]
+    baseline_m: Positive = Field(le=1000, description="Distance of the two cameras, metres.")
 
 
 class Stereo(Rig[StereoKeys]):

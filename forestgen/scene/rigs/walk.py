@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Self
+from typing import Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -23,16 +23,15 @@ _HEADROOM_M = 0.3  # trunks count up to so far above the eye
 class WalkKeys(RigKeys):
     """At eye height from point to point at an even pace, around the trunks that stand in the way."""
 
-    waypoints_m: Annotated[
-        tuple[GroundPoint, ...],
-        Field(min_length=2, max_length=1000, description="From the first to the last: [x, y] each, metres."),
-    ]
-    frames: Annotated[Whole, Field(ge=2, le=MOST_FRAMES, description="Images along the way, both ends included.")]
-    frames_per_s: Annotated[FramesPerSecond, Field(description="Images a second: of motion and wind.")] = 24.0
-    eye_height_m: Annotated[Positive, Field(le=100, description="Above the ground, metres.")] = 1.7
-    clearance_m: Annotated[
-        Number, Field(ge=0.1, le=5, description="Kept from the surface of trunks, metres, where there is room.")
-    ] = 0.5
+    waypoints_m: tuple[GroundPoint, ...] = Field(
+        min_length=2, max_length=1000, description="From the first to the last: [x, y] each, metres."
+    )
+    frames: Whole = Field(ge=2, le=MOST_FRAMES, description="Images along the way, both ends included.")
+    frames_per_s: FramesPerSecond = Field(24.0, description="Images a second: of motion and wind.")
+    eye_height_m: Positive = Field(1.7, le=100, description="Above the ground, metres.")
+    clearance_m: Number = Field(
+        0.5, ge=0.1, le=5, description="Kept from the surface of trunks, metres, where there is room."
+    )
 
     @model_validator(mode="after")
     def _goes_somewhere(self) -> Self:
