@@ -101,14 +101,9 @@ class Registry:
         """Raise `RecipeError` that lists the valid names for an unknown one; imports no part."""
         if name not in self:
             near = difflib.get_close_matches(name, known := self.ids(), n=1)
-            raise RecipeError(
-                f"unknown {self.kind}",
-                where=where,
-                parameter=parameter,
-                expected="one of " + ", ".join(known),
-                got=repr(name),
-                hint=f"did you mean {near[0]!r}?" if near else None,
-            )
+            problem, expected = f"unknown {self.kind}", "one of " + ", ".join(known)
+            hint = f"did you mean {near[0]!r}?" if near else None
+            raise RecipeError(problem, where=where, parameter=parameter, expected=expected, got=repr(name), hint=hint)
 
     def load(self, name: str, *, where: str | None = None) -> Any:
         """The part to use, which counts among `registrations` if it is another package's.

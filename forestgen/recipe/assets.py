@@ -194,10 +194,5 @@ def inside(
 
 
 def _out(written: str, where: str | None) -> AssetError:
-    return AssetError(
-        "the path leads out of the recipe's folder",
-        where=where,
-        expected=_RELATIVE,
-        got=f"{written!r:.80}",
-        hint="put the file beside the recipe; or allow its folder: `allow_folders='DIR'`",
-    )
+    got, hint = f"{written!r:.80}", "put the file beside the recipe; or allow its folder: `allow_folders='DIR'`"
+    return AssetError("the path leads out of the recipe's folder", where=where, expected=_RELATIVE, got=got, hint=hint)

@@ -146,13 +146,10 @@ def choose_species(temperature_c: float, precipitation_mm_per_yr: float, *, wher
         return chosen
     best = ranked[0]
     closest = f"{best.name} comes closest with {best.adaptation:.2g}: it likes {_likes(best.plant_type)}"
-    raise RecipeError(
-        "no species fits this climate",
-        where=where,
-        expected=f"an adaptation of at least {ADAPTATION_MIN:g} for one of {len(ranked)} species",
-        got=f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {closest}",
-        hint="name species yourself, with a modules section of their own climate",
-    )
+    expected = f"an adaptation of at least {ADAPTATION_MIN:g} for one of {len(ranked)} species"
+    got = f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {closest}"
+    hint = "name species yourself, with a modules section of their own climate"
+    raise RecipeError("no species fits this climate", where=where, expected=expected, got=got, hint=hint)
 
 
 def _likes(plant_type: PlantType) -> str:
@@ -240,13 +237,10 @@ def _number(biome: Mapping[str, Any], key: str, sources: SourceMap) -> float:
     if good and value is not None:
         return float(value)
     written = key in biome
-    raise RecipeError(
-        "bad value" if written else "half a biome",
-        where=sources.where(("community", "biome", *((key,) if written else ()))),
-        expected=f"{key}, a number from {least:g} to {most:g} {unit}",
-        got=f"{value!r:.60}" if written else "no such key",
-        hint=None if written else "biome: {temperature_c: 5.6, precipitation_mm_per_yr: 940} or {place: Helsinki}",
-    )
+    where = sources.where(("community", "biome", *((key,) if written else ())))
+    expected, got = f"{key}, a number from {least:g} to {most:g} {unit}", f"{value!r:.60}" if written else "no such key"
+    hint = None if written else "biome: {temperature_c: 5.6, precipitation_mm_per_yr: 940} or {place: Helsinki}"
+    raise RecipeError("bad value" if written else "half a biome", where=where, expected=expected, got=got, hint=hint)
 
 
 def _initial_plants(data: Mapping[str, Any]) -> int:

@@ -308,13 +308,11 @@ def check_motion(cameras: Sequence[Camera], *, plants_move: bool) -> None:
     """Raise an error of validation if all images of a path would be the same."""
     for index, camera in enumerate(cameras):
         if camera.path is not None and not camera.moves and not plants_move:
-            raise violation(
-                "points in position_m or look_at_m that differ from the camera's own, or gusty wind",
-                problem="nothing moves along this path: all of its images would be the same",
-                got=f"{camera.frames} frames",
-                hint="add path.position_m, set wind.speed_m_per_s and wind.gustiness, or leave the path out",
-                at=("cameras", index, "path"),
-            )
+            expected = "points in position_m or look_at_m that differ from the camera's own, or gusty wind"
+            problem = "nothing moves along this path: all of its images would be the same"
+            got = f"{camera.frames} frames"
+            hint = "add path.position_m, set wind.speed_m_per_s and wind.gustiness, or leave the path out"
+            raise violation(expected, problem=problem, got=got, hint=hint, at=("cameras", index, "path"))
 
 
 def _collision(cameras: Sequence[Camera], first: int, second: int, name: str) -> PydanticCustomError:

@@ -143,13 +143,9 @@ class PartSection(Section):
             hint = did_you_mean(key, keys, cutoff=0.5)
             raise violation("one of " + ", ".join(sorted(keys)), problem=f"unknown key {key!r}", hint=hint, at=(key,))
         elif owners:
-            raise violation(
-                "one of " + ", ".join(sorted(own.model_fields)),
-                problem=f"the {cls.registry.kind} {cls.named_by(data)} has no {key}",
-                got=key,
-                hint=own.instead.get(key, f"leave {key} out, or choose {cls.selector}: {' or '.join(owners)}"),
-                at=(key,),
-            )
+            problem = f"the {cls.registry.kind} {cls.named_by(data)} has no {key}"
+            hint, at = own.instead.get(key, f"leave {key} out, or choose {cls.selector}: {' or '.join(owners)}"), (key,)
+            raise violation("one of " + ", ".join(sorted(own.model_fields)), problem=problem, got=key, hint=hint, at=at)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:

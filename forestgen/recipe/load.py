@@ -393,13 +393,10 @@ def _check_version(data: Mapping[str, Any], sources: SourceMap) -> None:
     if version == SCHEMA_VERSION and not isinstance(version, bool):
         return
     newer = isinstance(version, int) and version > SCHEMA_VERSION
-    raise RecipeError(
-        "unknown version of the recipe's schema",
-        where=sources.where(("forestgen",)),
-        expected=f"forestgen: {SCHEMA_VERSION}",
-        got=show(version) if "forestgen" in data else "no such key",
-        hint="this recipe is for a newer forestgen" if newer else f"write 'forestgen: {SCHEMA_VERSION}' at the top",
-    )
+    problem, where = "unknown version of the recipe's schema", sources.where(("forestgen",))
+    got = show(version) if "forestgen" in data else "no such key"
+    hint = "this recipe is for a newer forestgen" if newer else f"write 'forestgen: {SCHEMA_VERSION}' at the top"
+    raise RecipeError(problem, where=where, expected=f"forestgen: {SCHEMA_VERSION}", got=got, hint=hint)
 
 
 def dump_yaml(drawn: DrawnRecipe) -> str:

@@ -329,10 +329,7 @@ def _correlations(
         return tuple(ordered), cholesky_factor(len(ordered), numbered)
     except InfeasibleError as cause:
         entry = section.correlations[cause.pair]
-        raise RecipeError(
-            "these correlations cannot all hold",
-            where=sources.where(("sampling", "correlations", cause.pair)),
-            expected=f"rank: {cause.nearest:g} at the nearest, for {' and '.join(entry.keys)}, beside the other pairs",
-            got=f"{entry.rank:g}",
-            hint="pairs that are not named have no correlation; name them too if they should have one",
-        ) from cause
+        problem, where = "these correlations cannot all hold", sources.where(("sampling", "correlations", cause.pair))
+        expected = f"rank: {cause.nearest:g} at the nearest, for {' and '.join(entry.keys)}, beside the other pairs"
+        hint = "pairs that are not named have no correlation; name them too if they should have one"
+        raise RecipeError(problem, where=where, expected=expected, got=f"{entry.rank:g}", hint=hint) from cause

@@ -140,13 +140,8 @@ def check_traits(traits: Sequence[str], population: Population, where: str) -> N
     for trait in traits:
         if trait not in known:
             near = difflib.get_close_matches(trait, known, n=1)
-            raise RecipeError(
-                "the plants have no such trait",
-                where=where,
-                expected="one of " + ", ".join(known),
-                got=repr(trait),
-                hint=f"did you mean {near[0]!r}?" if near else None,
-            )
+            problem, hint = "the plants have no such trait", f"did you mean {near[0]!r}?" if near else None
+            raise RecipeError(problem, where=where, expected="one of " + ", ".join(known), got=repr(trait), hint=hint)
 
 
 def _is_numeric(column: NDArray[np.generic]) -> bool:

@@ -167,26 +167,20 @@ def check_memory(
         "libraries": ((), "close other programs"),
     }[largest]
     there = "is free" if memory_budget_bytes is None else "there is"
-    raise ResourceError(
-        f"this would need more memory than {there}, most of it for the {largest}",
-        where=plan.drawn.where(*where),
-        expected=f"at most {show_bytes(free)}",
-        got=f"about {show_bytes(need)} ({largest}: {show_bytes(parts[largest])})",
-        hint=hint,
-    )
+    problem = f"this would need more memory than {there}, most of it for the {largest}"
+    expected, got = f"at most {show_bytes(free)}", f"about {show_bytes(need)} ({largest}: {show_bytes(parts[largest])})"
+    raise ResourceError(problem, where=plan.drawn.where(*where), expected=expected, got=got, hint=hint)
 
 
 def check_own_triangles(plan: Plan, triangles: float) -> None:
     """Raise `ResourceError` if so many triangles of plants as themselves do not fit into the memory that is free."""
     free, need = int(free_bytes() * _SHARE_OF_MEMORY), int(triangles * _BYTES_PER_OWN_TRIANGLE)
     if need > free:
-        raise ResourceError(
-            "plants with branches of their own would need more memory than is free",
-            where=plan.drawn.where("plants", "unique"),
-            expected=f"at most {show_bytes(free)}",
-            got=f"about {show_bytes(need)} for {triangles / 1e6:,.0f} million triangles",
-            hint="set plants.unique to auto, or to a smaller number",
-        )
+        problem = "plants with branches of their own would need more memory than is free"
+        where = plan.drawn.where("plants", "unique")
+        got = f"about {show_bytes(need)} for {triangles / 1e6:,.0f} million triangles"
+        hint = "set plants.unique to auto, or to a smaller number"
+        raise ResourceError(problem, where=where, expected=f"at most {show_bytes(free)}", got=got, hint=hint)
 
 
 def make_plan(drawn: DrawnRecipe) -> Plan:
@@ -292,13 +286,9 @@ def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
 
 def _check_named_species(drawn: DrawnRecipe, keys: Keys, name: str) -> None:
     if name not in drawn.species:
-        raise RecipeError(
-            "the recipe has no species of this name",
-            where=drawn.where("community", *keys),
-            expected="one of " + ", ".join(drawn.species),
-            got=repr(name),
-            hint=did_you_mean(name, drawn.species),
-        )
+        problem, expected = "the recipe has no species of this name", "one of " + ", ".join(drawn.species)
+        hint = did_you_mean(name, drawn.species)
+        raise RecipeError(problem, where=drawn.where("community", *keys), expected=expected, got=repr(name), hint=hint)
 
 
 def _check_disturbances(plan: CommunityPlan) -> None:
@@ -311,30 +301,20 @@ def _check_disturbances(plan: CommunityPlan) -> None:
         if step > parameters.steps:
             key, got = ("at_yr", f"{one.at_yr:g} years, in step {step}") if one.at_step is None else ("at_step", step)
             end_yr = parameters.steps * parameters.step_yr
-            raise RecipeError(
-                "the simulation ends before this happens",
-                where=drawn.where(*keys, key),
-                expected=f"at most step {parameters.steps}, which is year {end_yr:g}",
-                got=str(got),
-                hint="raise community.steps",
-            )
+            problem, where = "the simulation ends before this happens", drawn.where(*keys, key)
+            expected = f"at most step {parameters.steps}, which is year {end_yr:g}"
+            raise RecipeError(problem, where=where, expected=expected, got=str(got), hint="raise community.steps")
         for beyond, point in one.off_site(ground):
             width, height = ground.size_m
-            raise RecipeError(
-                "this does not lie on the site",
-                where=drawn.where(*keys, *beyond),
-                expected=f"x from 0 to {width:g} and y from 0 to {height:g} metres",
-                got=f"[{point[0]:g}, {point[1]:g}]",
-            )
+            problem, where = "this does not lie on the site", drawn.where(*keys, *beyond)
+            expected = f"x from 0 to {width:g} and y from 0 to {height:g} metres"
+            raise RecipeError(problem, where=where, expected=expected, got=f"[{point[0]:g}, {point[1]:g}]")
         if one.plant is not None and one.plant.radius_m is not None:
             largest = drawn.species[one.plant.species].ecology.max_radius_m
             if one.plant.radius_m > largest:
-                raise RecipeError(
-                    f"no {one.plant.species} is so large",
-                    where=drawn.where(*keys, "plant", "radius_m"),
-                    expected=f"at most ecology.max_radius_m = {largest:g} m",
-                    got=f"{one.plant.radius_m:g} m",
-                )
+                problem, where = f"no {one.plant.species} is so large", drawn.where(*keys, "plant", "radius_m")
+                expected = f"at most ecology.max_radius_m = {largest:g} m"
+                raise RecipeError(problem, where=where, expected=expected, got=f"{one.plant.radius_m:g} m")
 
 
 def _check_clouds(views: Views) -> None:
@@ -352,26 +332,19 @@ def _check_clouds(views: Views) -> None:
         if highest_m >= base_m:
             later = section.path is not None and cameras[0].position_m[2] < base_m
             key = ("rig",) if section.position_m is None else ("path", "position_m") if later else ("position_m",)
-            raise RecipeError(
-                "the camera stands in or above the clouds",
-                where=drawn.where("cameras", index, *key),
-                expected=f"a height below sky.clouds.base_m = {base_m:g} m",
-                got=f"{highest_m:g} m",
-                hint="set render.clouds to exact; or lower the camera, raise base_m, or set sky.clouds to none",
-            )
+            problem, where = "the camera stands in or above the clouds", drawn.where("cameras", index, *key)
+            expected = f"a height below sky.clouds.base_m = {base_m:g} m"
+            hint = "set render.clouds to exact; or lower the camera, raise base_m, or set sky.clouds to none"
+            raise RecipeError(problem, where=where, expected=expected, got=f"{highest_m:g} m", hint=hint)
 
 
 def _check_buildings(plan: CommunityPlan) -> None:
     """A community that knows of buildings."""
     drawn = plan.drawn
     if drawn.recipe.site.buildings and capability(plan.model, HasObstacles) is None:
-        raise RecipeError(
-            "plants of this community would grow into the buildings",
-            where=drawn.where("site", "buildings"),
-            expected=f"community.model: {models_with(HasObstacles)}",
-            got=drawn.recipe.community.model,
-            hint="leave out site.buildings",
-        )
+        problem, where = "plants of this community would grow into the buildings", drawn.where("site", "buildings")
+        expected, got = f"community.model: {models_with(HasObstacles)}", drawn.recipe.community.model
+        raise RecipeError(problem, where=where, expected=expected, got=got, hint="leave out site.buildings")
 
 
 def _check_traits(plan: Plan) -> None:

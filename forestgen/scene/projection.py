@@ -295,12 +295,8 @@ def load_projection(name: str, *, where: str | None = None) -> Projection:
     """
     found = PROJECTIONS.load(name, where=where)
     if not isinstance(found, Projection) or getattr(found, "name", None) != name:
-        raise RecipeError(
-            "what is registered under this name is no projection of this name",
-            where=where,
-            expected=f"a Projection whose name is {name!r}",
-            got=f"{found!r:.100}",
-        )
+        problem = "what is registered under this name is no projection of this name"
+        raise RecipeError(problem, where=where, expected=f"a Projection whose name is {name!r}", got=f"{found!r:.100}")
     return found
 
 

@@ -61,13 +61,11 @@ def check_sun(drawn: DrawnRecipe) -> None:
         return
     sun, site = sun_of(drawn.recipe), drawn.recipe.site
     if sun.elevation_deg <= 0:
-        raise RecipeError(
-            "the sun is below the horizon",
-            where=drawn.where("sky", "sun", "time" if drawn.recipe.sky.sun.time is not None else "date"),
-            expected=f"a time of day at latitude {site.latitude_deg:g}, longitude {site.longitude_deg:g}",
-            got=f"{moment:%Y-%m-%d %H:%M:%S %Z}, when the sun stands at {sun.elevation_deg:.1f} degrees",
-            hint="choose another time; check utc_offset_h and the sign of longitude_deg, which is positive in the east",
-        )
+        where = drawn.where("sky", "sun", "time" if drawn.recipe.sky.sun.time is not None else "date")
+        expected = f"a time of day at latitude {site.latitude_deg:g}, longitude {site.longitude_deg:g}"
+        got = f"{moment:%Y-%m-%d %H:%M:%S %Z}, when the sun stands at {sun.elevation_deg:.1f} degrees"
+        hint = "choose another time; check utc_offset_h and the sign of longitude_deg, which is positive in the east"
+        raise RecipeError("the sun is below the horizon", where=where, expected=expected, got=got, hint=hint)
 
 
 def height_field(drawn: DrawnRecipe) -> HeightField:
@@ -107,13 +105,9 @@ def check_wet_soil(plan: CommunityPlan) -> None:
     """Raise `RecipeError` for a recipe that says how wet soil shows where its community knows of none."""
     drawn, section = plan.drawn, plan.drawn.recipe.site.wet_soil
     if section is not None and section.shown and capability(plan.model, SoilWater) is None:
-        raise RecipeError(
-            "this community knows no water in its soil",
-            where=drawn.where("site", "wet_soil"),
-            expected=f"community.model: {models_with(SoilWater)}",
-            got=drawn.recipe.community.model,
-            hint="leave out site.wet_soil; site.ground: soil_wet is wet everywhere",
-        )
+        problem, expected = "this community knows no water in its soil", f"community.model: {models_with(SoilWater)}"
+        got, hint = drawn.recipe.community.model, "leave out site.wet_soil; site.ground: soil_wet is wet everywhere"
+        raise RecipeError(problem, where=drawn.where("site", "wet_soil"), expected=expected, got=got, hint=hint)
 
 
 def wetness_of(plan: CommunityPlan, population: Population) -> Wetness | None:

@@ -36,12 +36,9 @@ class DroneGridKeys(RigKeys):
     @model_validator(mode="after")
     def _area_is_one(self) -> Self:
         if self.area_m is not None and not all(b > a for a, b in zip(*self.area_m, strict=True)):
-            raise violation(
-                "a south-western corner, then a north-eastern one",
-                problem="the area is empty",
-                got=str([list(corner) for corner in self.area_m]),
-                at=("area_m",),
-            )
+            expected = "a south-western corner, then a north-eastern one"
+            got = str([list(corner) for corner in self.area_m])
+            raise violation(expected, problem="the area is empty", got=got, at=("area_m",))
         return self
 
 

@@ -37,12 +37,8 @@ class WalkKeys(RigKeys):
     def _goes_somewhere(self) -> Self:
         for index in range(1, len(self.waypoints_m)):
             if math.dist(self.waypoints_m[index - 1], self.waypoints_m[index]) < 0.01:
-                raise violation(
-                    "points that differ from the one before",
-                    problem="the walk stands still",
-                    got=str(list(self.waypoints_m[index])),
-                    at=("waypoints_m", index),
-                )
+                expected, got = "points that differ from the one before", str(list(self.waypoints_m[index]))
+                raise violation(expected, problem="the walk stands still", got=got, at=("waypoints_m", index))
         return self
 
 
@@ -84,13 +80,10 @@ def _way(camera: Camera, rig: WalkKeys, trunks: Trunks | None) -> Floats:
         return way_around(way, *trunks.circles_m(rig.eye_height_m + _HEADROOM_M), rig.clearance_m)
     except BlockedError as cause:
         first, second = rig.waypoints_m[cause.piece], rig.waypoints_m[cause.piece + 1]
-        raise RecipeError(
-            f"trunks block the walk of camera {camera.name}",
-            where=f"rig.waypoints_m.{cause.piece}",
-            expected="a way between two waypoints, 10 cm from all trunks",
-            got=f"none from {list(first)} to {list(second)}",
-            hint="move these waypoints, or add one in between",
-        ) from cause
+        problem, where = f"trunks block the walk of camera {camera.name}", f"rig.waypoints_m.{cause.piece}"
+        expected = "a way between two waypoints, 10 cm from all trunks"
+        got, hint = f"none from {list(first)} to {list(second)}", "move these waypoints, or add one in between"
+        raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint) from cause
 
 
 RIG = Walk()
