@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import importlib.util
 import re
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -202,18 +201,15 @@ def part_at(path: str) -> Any:
         raise _error("this is no place of a part", path)
     module, name = match.groups()
     try:
-        there = importlib.util.find_spec(module) is not None
-        found = importlib.import_module(module) if there else None
+        found = importlib.import_module(module)
     except Exception as error:  # whatever another package's code raises
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
-        there = missing is None or not f"{module}.".startswith(f"{missing}.")
-        if there:
-            said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-            problem, expected = f"the module {module} cannot be imported", f"{path!r:.200}"
-            raise RecipeError(problem, parameter="part", expected=expected, got=said) from error
-    if not there:
-        hint = "install its package, or add its folder to sys.path and, for worker processes, to PYTHONPATH"
-        raise _error(f"there is no module {module}", path, hint)
+        if missing is not None and f"{module}.".startswith(f"{missing}."):
+            hint = "install its package, or add its folder to sys.path and, for worker processes, to PYTHONPATH"
+            raise _error(f"there is no module {module}", path, hint) from error
+        said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        problem, expected = f"the module {module} cannot be imported", f"{path!r:.200}"
+        raise RecipeError(problem, parameter="part", expected=expected, got=said) from error
     if not hasattr(found, name):
         raise _error(f"the module {module} has no {name}", path)
     return getattr(found, name)
