@@ -21,7 +21,6 @@ from pydantic import (
     model_validator,
 )
 
-from forestgen.recipe.buildings import Building
 from forestgen.recipe.cameras import Camera, check_cameras, check_motion, default_view
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
@@ -47,7 +46,7 @@ from forestgen.recipe.fields import (
 from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, TERRAINS
 from forestgen.recipe.sampler import Sampling
 from forestgen.recipe.sky import SkySection
-from forestgen.recipe.species import Species
+from forestgen.recipe.species import Building, Species
 from forestgen.recipe.spectra import Season
 
 SCHEMA_VERSION = 1

@@ -45,7 +45,7 @@ from forestgen.render.cloud_paths import ORDERS, CloudField, CloudLight, Gathere
 from forestgen.render.cloud_shadow import content_key
 from forestgen.render.light import SUN_RADIUS_DEG, envmap, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import SceneSpec, Sky, Terrain
 

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.render.variant import mitsuba
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import Material, Terrain
 

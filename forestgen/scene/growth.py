@@ -30,8 +30,7 @@ from forestgen.plants.levels import level_for, level_of_index
 from forestgen.plants.parameters import CrownProfile, PlantParameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.solids import as_solids
-from forestgen.recipe.buildings import Building
-from forestgen.recipe.species import Material, Species
+from forestgen.recipe.species import Building, Material, Species
 from forestgen.scene.building import exemplar_of, plan_buildings
 from forestgen.scene.exemplars import (
     ExemplarPlan,

@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.recipe.spectra import load_table
-from forestgen.scene.channels import Channels
-from forestgen.scene.colour import colours_of_surface
+from forestgen.scene.colour import Channels, colours_of_surface
 from forestgen.scene.spec import Terrain, WetGround
 
 Floats = NDArray[np.float64]

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
 from forestgen.core.spectrum import Band
-from forestgen.recipe.buildings import Building
 from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.species import Building
 from forestgen.recipe.spectra import bands_of, load_bands
 from forestgen.scene.rigs.rig import Poses, path_poses
 from forestgen.scene.site import height_field

@@ -29,9 +29,8 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from forestgen.geometry.mesh import Mesh
-from forestgen.recipe.buildings import Building
 from forestgen.recipe.fields import violation
-from forestgen.recipe.species import Material
+from forestgen.recipe.species import Building, Material
 from forestgen.scene.building import BuildingKind
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.recipe.spectra import load_spectra
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.soil_colour import (
     Wetness,
     film_factor,
