@@ -111,7 +111,10 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path, errors
     if len(species) > MOST_SPECIES:
         expected, where = f"at most {MOST_SPECIES} species", sources.where(("species",))
         raise RecipeError("too many species", where=where, expected=expected, got=str(len(species)))
-    written = _sources_by_species(sources)
+    written: dict[str | int, dict[Keys, Place]] = {}  # where the recipe's own keys of each species were written
+    for keys, place in sources.places.items():
+        if len(keys) > 1 and keys[0] == "species":
+            written.setdefault(keys[1], {})[keys] = place
     files: _Files = {}
     shipped = frozenset(list_assets("species")) if any(map(_is_partial, species.values())) else frozenset()
     failed = []
@@ -163,15 +166,6 @@ def _is_partial(entry: Any) -> bool:
         return False
     plant = entry.get("plant")
     return not ({"ecology", "allometry"} <= entry.keys() and isinstance(plant, dict) and "generator" in plant)
-
-
-def _sources_by_species(sources: SourceMap) -> dict[str | int, dict[Keys, Place]]:
-    """Where the recipe's own keys of each species were written."""
-    written: dict[str | int, dict[Keys, Place]] = {}
-    for keys, place in sources.places.items():
-        if len(keys) > 1 and keys[0] == "species":
-            written.setdefault(keys[1], {})[keys] = place
-    return written
 
 
 def _mappings(section: Any) -> list[tuple[str, dict[str, Any]]]:

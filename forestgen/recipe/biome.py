@@ -27,6 +27,7 @@ from pydantic import ValidationError
 from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.assets import list_assets, scenes_dir
+from forestgen.recipe.fields import extent_m
 from forestgen.recipe.sources import SourceMap, parse_yaml
 from forestgen.recipe.species import PlantType
 
@@ -197,7 +198,9 @@ def settle_biome(data: dict[str, Any], sources: SourceMap) -> bool:
     data["species"] = {one.name: {"from": one.name} for one in chosen}
     given = community.get("initial_plants")
     if given is None or (isinstance(given, int) and not isinstance(given, bool)):
-        community["initial_plants"] = _shares(chosen, _initial_plants(data) if given is None else given)
+        width_m, depth_m = extent_m(data.get("site"))
+        plants = max(1, min(MOST_PLANTS, round(PLANTS_PER_M2 * width_m * depth_m))) if given is None else given
+        community["initial_plants"] = _shares(chosen, plants)
     return True
 
 
@@ -236,16 +239,6 @@ def _number(biome: Mapping[str, Any], key: str, sources: SourceMap) -> float:
     expected, got = f"{key}, a number from {least:g} to {most:g} {unit}", f"{value!r:.60}" if written else "no such key"
     hint = None if written else "biome: {temperature_c: 5.6, precipitation_mm_per_yr: 940} or {place: Helsinki}"
     raise RecipeError("bad value" if written else "half a biome", where=where, expected=expected, got=got, hint=hint)
-
-
-def _initial_plants(data: Mapping[str, Any]) -> int:
-    """How many plants a site of this size starts with."""
-    site = data.get("site")
-    size = site.get("size_m") if isinstance(site, dict) else None
-    sides = size if isinstance(size, list) and len(size) == 2 else [100.0, 100.0]
-    if not all(isinstance(side, int | float) and 0 < side <= 5000 for side in sides):
-        return 1  # validation reports what is wrong with it
-    return max(1, min(MOST_PLANTS, round(PLANTS_PER_M2 * sides[0] * sides[1])))
 
 
 def _shares(chosen: list[Chosen], total: int) -> dict[str, int]:

@@ -33,7 +33,7 @@ from pydantic import ValidationError
 
 from forestgen.core.errors import ErrorList, RecipeError
 from forestgen.core.randomness import child_rng
-from forestgen.recipe.curves import VARIABLE, check_formula_of, evaluate_number, formula_names, is_whole
+from forestgen.recipe.curves import VARIABLE, check_formula, evaluate_number, formula_names, is_whole
 from forestgen.recipe.dataset import DEFAULT_SPLITS
 from forestgen.recipe.distributions import (
     BadDistributionError,
@@ -285,7 +285,7 @@ def _reference(value: Mapping[str, str], variables: list[str], where: str) -> Re
     try:
         if kind == "formula":
             names = tuple(sorted(formula_names(text)))
-            check_formula_of(text, names)
+            check_formula(text, names)
     except ValueError as cause:
         expected = "arithmetic of variables, such as '10 + 30 * wetness'"
         got, hint = f"{text!r:.80}", str(cause)

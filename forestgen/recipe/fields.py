@@ -187,6 +187,14 @@ def spelled_out(value: Any, key: str) -> Any:
     return {key: value} if isinstance(value, str) else value
 
 
+def extent_m(site: Any) -> tuple[float, float]:
+    """A recipe's site's extent; its default instead of a bad one, which is left for validation to name."""
+    size = site.get("size_m") if isinstance(site, Mapping) else None
+    pair = size if isinstance(size, list | tuple) and len(size) == 2 else (0, 0)
+    good = all(isinstance(extent, int | float) and 0 < extent <= 5000 for extent in pair)
+    return (float(pair[0]), float(pair[1])) if good else (100.0, 100.0)
+
+
 def shorthand(key: str) -> BeforeValidator:
     """Validator of a field whose section may be written as the text of its `key` alone."""
     return BeforeValidator(partial(spelled_out, key=key))

@@ -263,17 +263,14 @@ def _bins(distribution: Distribution, wanted: Any, where: str) -> int:
         hint = f"{bins:g} bins have each value as often as its weight says" if bins == int(bins) else None
         expected = "a number of bins, for a choice with weights"
         raise RecipeError("strata would undo the weights", where=where, expected=expected, got="all", hint=hint)
-    if wanted != "all":
-        _check_levels(distribution, wanted, where)
-    return len(distribution.values)
-
-
-def _check_levels(distribution: Choice, wanted: Sequence[Any], where: str) -> None:
-    if distribution.numbered:
+    if wanted != "all" and distribution.numbered:
         raise RecipeError("bad strata", where=where, expected="all, where mappings or lists are chosen")
-    if len(wanted) != len(distribution.values) or any(value not in wanted for value in distribution.values):
+    if wanted != "all" and (
+        len(wanted) != len(distribution.values) or any(one not in wanted for one in distribution.values)
+    ):
         expected = f"all, or every value of the choice: {_some([str(value) for value in distribution.values])}"
         raise RecipeError("bad strata", where=where, expected=expected, got=_some([str(value) for value in wanted]))
+    return len(distribution.values)
 
 
 def _check_cells(section: Sampling, strata: Sequence[tuple[Keys, int]], sources: SourceMap) -> None:

@@ -39,6 +39,7 @@ from forestgen.recipe.fields import (
     Text,
     Whole,
     each_once,
+    extent_m,
     part_name,
     shorthand,
     violation,
@@ -357,7 +358,7 @@ class Recipe(Section):
         cameras = data.get("cameras", [{}])
         if not isinstance(cameras, list):
             return data
-        size = _size_m(data.get("site"))
+        size = extent_m(data.get("site"))
         filled = [
             {"name": f"camera{i}", **camera, **default_view(camera, size)} if isinstance(camera, Mapping) else camera
             for i, camera in enumerate(cameras)
@@ -400,11 +401,3 @@ class Recipe(Section):
             raise wrong
         check_motion(self.cameras, plants_move=self.wind.speed_m_per_s > 0 and self.wind.gustiness > 0)
         return self
-
-
-def _size_m(site: Any) -> tuple[float, float]:
-    """The site's extent; its default instead of a bad one, which is left for validation to name."""
-    size = site.get("size_m") if isinstance(site, Mapping) else None
-    pair = size if isinstance(size, list | tuple) and len(size) == 2 else (0, 0)
-    good = all(isinstance(extent, int | float) and 0 < extent <= 5000 for extent in pair)
-    return (float(pair[0]), float(pair[1])) if good else (100.0, 100.0)

@@ -136,16 +136,15 @@ def check_traits(traits: Sequence[str], population: Population, where: str) -> N
 
     Raises `RecipeError`: with the columns that there are.
     """
-    known = [*_OWN_TRAITS, *(name for name, column in population.columns.items() if _is_numeric(column))]
+    numeric = (
+        name for name, one in population.columns.items() if one.ndim == 1 and np.issubdtype(one.dtype, np.number)
+    )
+    known = [*_OWN_TRAITS, *numeric]
     for trait in traits:
         if trait not in known:
             near = difflib.get_close_matches(trait, known, n=1)
             problem, hint = "the plants have no such trait", f"did you mean {near[0]!r}?" if near else None
             raise RecipeError(problem, where=where, expected="one of " + ", ".join(known), got=repr(trait), hint=hint)
-
-
-def _is_numeric(column: NDArray[np.generic]) -> bool:
-    return column.ndim == 1 and np.issubdtype(column.dtype, np.number)
 
 
 def plan_exemplars(

@@ -25,11 +25,10 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
 from forestgen.recipe.schema import Plants
-from forestgen.recipe.sources import Keys
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
 from forestgen.scene.site import check_sun, check_wet_soil, community_site
-from forestgen.scene.views import Views
+from forestgen.scene.views import Views, place_key
 
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
@@ -246,7 +245,10 @@ def _check_community(plan: CommunityPlan, errors: ErrorList, stand_ins: frozense
     if "species" not in stand_ins:
         had = len(errors.found)
         for keys, name in parameters.named_species():
-            errors.attempt(_check_named_species, drawn, keys, name)
+            if name not in drawn.species:
+                problem, where = "the recipe has no species of this name", drawn.where("community", *keys)
+                expected, hint = "one of " + ", ".join(drawn.species), did_you_mean(name, drawn.species)
+                errors.add(RecipeError(problem, where=where, expected=expected, got=repr(name), hint=hint))
         if len(errors.found) > had:
             stand_ins |= {"species"}
     if "site" in stand_ins:
@@ -282,13 +284,6 @@ def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:
                 skeletons.check_foliage(plan.drawn, plan.community.parameters, plan.plants.foliage)
     assert plans[0] is not None
     return plans[0]
-
-
-def _check_named_species(drawn: DrawnRecipe, keys: Keys, name: str) -> None:
-    if name not in drawn.species:
-        problem, expected = "the recipe has no species of this name", "one of " + ", ".join(drawn.species)
-        hint = did_you_mean(name, drawn.species)
-        raise RecipeError(problem, where=drawn.where("community", *keys), expected=expected, got=repr(name), hint=hint)
 
 
 def _check_disturbances(plan: CommunityPlan) -> None:
@@ -331,7 +326,7 @@ def _check_clouds(views: Views) -> None:
         highest_m = max(camera.position_m[2] for camera in cameras)
         if highest_m >= base_m:
             later = section.path is not None and cameras[0].position_m[2] < base_m
-            key = ("rig",) if section.position_m is None else ("path", "position_m") if later else ("position_m",)
+            key = place_key(section, path=later)
             problem, where = "the camera stands in or above the clouds", drawn.where("cameras", index, *key)
             expected = f"a height below sky.clouds.base_m = {base_m:g} m"
             hint = "set render.clouds to exact; or lower the camera, raise base_m, or set sky.clouds to none"

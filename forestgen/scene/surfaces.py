@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from forestgen.core.spectrum import Spectrum
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe import species as recipe_species
 from forestgen.recipe.spectra import Season, load_spectra, of_season, surface_columns
@@ -27,11 +26,14 @@ def materials_of(species: Mapping[str, Species], season: Season = "summer") -> d
 
 def surface_of(material: recipe_species.Material, season: Season, name: str) -> Material:
     """A recipe's material; `name`, such as "birch/bark", seeds its texture."""
-    spectra = None if material.spectrum is None else spectra_of(material.spectrum, material.season or season)
-    if spectra is None:
+    file, spectra = material.spectrum, None
+    if file is None:
         assert material.reflectance is not None  # the recipe's own check
         reflectance, transmittance = material.reflectance, material.transmittance
     else:
+        columns = load_spectra(file.name) if file.text is None else surface_columns(file.text, file.name)
+        spectra = of_season(columns, material.season or season)
+        assert spectra is not None  # the same
         reflectance, transmittance = colours_of_surface(*spectra)
     return Material(
         reflectance,
@@ -67,11 +69,3 @@ def infrared_notes(materials: Mapping[tuple[str, str], Material], cameras: Seque
 
 def _few(names: Sequence[str]) -> str:
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-
-
-def spectra_of(file: recipe_species.SpectrumFile, season: Season) -> tuple[Spectrum, Spectrum | None]:
-    """(reflectance, transmittance or None) of a season; the recipe has checked that the table has it."""
-    columns = load_spectra(file.name) if file.text is None else surface_columns(file.text, file.name)
-    found = of_season(columns, season)
-    assert found is not None
-    return found

@@ -180,7 +180,7 @@ def _note_or_error(drawn: DrawnRecipe, index: int, problem: str, *, expected: st
     section = drawn.recipe.cameras[index]
     if section.obstructed == "note":
         return problem
-    where = drawn.where("cameras", index, *_place_key(section))
+    where = drawn.where("cameras", index, *place_key(section))
     raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
 
 
@@ -188,11 +188,12 @@ def _numbers(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
 
 
-def _place_key(section: CameraSection) -> tuple[str, ...]:
-    """The key that says where a camera is."""
+def place_key(section: CameraSection, *, path: bool = True) -> tuple[str, ...]:
+    """The key that says where a camera is; `path`: of its path, where that has places."""
     if section.position_m is None:
         return ("rig",)
-    return ("path", "position_m") if section.path is not None and section.path.position_m else ("position_m",)
+    on_path = path and section.path is not None and section.path.position_m
+    return ("path", "position_m") if on_path else ("position_m",)
 
 
 def expand(
