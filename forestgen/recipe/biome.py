@@ -190,7 +190,12 @@ def settle_biome(data: dict[str, Any], sources: SourceMap) -> bool:
     biome = community.get("biome") if isinstance(community, dict) else None
     if not isinstance(community, dict) or not isinstance(biome, dict):
         return False
-    _numbers_of_place(biome, sources)
+    place, where = biome.get("place"), sources.where(("community", "biome", "place"))
+    if not isinstance(place, str | None):
+        raise RecipeError("bad value", where=where, expected="the name of a place", got=f"{place!r:.60}")
+    station = None if place is None else find_station(place, where=where)
+    for key in _NUMBERS if station is not None else ():
+        biome[key] = getattr(station, key) if biome.get(key) is None else biome[key]
     if data.get("species"):
         return False
     t, p = (_number(biome, key, sources) for key in _NUMBERS)
@@ -212,20 +217,6 @@ def forget_drawn_biome(drawn: dict[str, Any], written: Mapping[str, Any]) -> Non
         drawn["community"].pop("initial_plants", None)
         if "initial_plants" in written["community"]:
             drawn["community"]["initial_plants"] = copy.deepcopy(written["community"]["initial_plants"])
-
-
-def _numbers_of_place(biome: dict[str, Any], sources: SourceMap) -> None:
-    """Add a named place's numbers to the biome; those that the recipe gives stay."""
-    place = biome.get("place")
-    if place is None:
-        return
-    where = sources.where(("community", "biome", "place"))
-    if not isinstance(place, str):
-        raise RecipeError("bad value", where=where, expected="the name of a place", got=f"{place!r:.60}")
-    station = find_station(place, where=where)
-    for key in _NUMBERS:
-        if biome.get(key) is None:
-            biome[key] = getattr(station, key)
 
 
 def _number(biome: Mapping[str, Any], key: str, sources: SourceMap) -> float:

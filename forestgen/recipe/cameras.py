@@ -299,9 +299,15 @@ def check_cameras(cameras: Sequence[Camera]) -> None:
             raise violation(expected, problem="too many frames", got=str(got), at=at)
         for name in {camera.name: None, **dict.fromkeys(camera.frame_names)}:
             # Compared without case: the names become files, and some file systems ignore case.
-            first = owner.setdefault(name.lower(), index)
-            if first != index:
-                raise _collision(cameras, first, index, name)
+            first = cameras[owner.setdefault(name.lower(), index)]
+            if first is camera:
+                continue
+            expected, problem = "a different name for each camera", "two cameras of one name"
+            got = camera.name
+            if first.name.lower() != camera.name.lower():
+                expected = "other names than those of a path's frames, NAME-0000, NAME-0001, ..."
+                problem, got = f"two images of one name, {name}", f"{camera.name}, beside the camera {first.name}"
+            raise violation(expected, problem=problem, got=got, at=(index, "name"))
 
 
 def check_motion(cameras: Sequence[Camera], *, plants_move: bool) -> None:
@@ -313,13 +319,3 @@ def check_motion(cameras: Sequence[Camera], *, plants_move: bool) -> None:
             got = f"{camera.frames} frames"
             hint = "add path.position_m, set wind.speed_m_per_s and wind.gustiness, or leave the path out"
             raise violation(expected, problem=problem, got=got, hint=hint, at=("cameras", index, "path"))
-
-
-def _collision(cameras: Sequence[Camera], first: int, second: int, name: str) -> PydanticCustomError:
-    one, other, at = cameras[first].name, cameras[second].name, (second, "name")
-    if one.lower() == other.lower():
-        return violation("a different name for each camera", problem="two cameras of one name", got=other, at=at)
-    expected = "other names than those of a path's frames, NAME-0000, NAME-0001, ..."
-    return violation(
-        expected, problem=f"two images of one name, {name}", got=f"{other}, beside the camera {one}", at=at
-    )

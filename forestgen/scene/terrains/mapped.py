@@ -204,7 +204,12 @@ def read_heights(path: Path, lowest_m: float | None = None, highest_m: float | N
     if coloured:
         raise AssetError("a picture in colour holds no heights", expected="grey levels, or metres", got=name)
     if holes.any():
-        got, hint = f"{name}: {_how_many(holes)}", "fill them, as `gdal_fillnodata.py` does"
+        count = int(holes.sum())
+        cells, which = ("1 cell", "") if count == 1 else (f"{count:,} cells of {holes.size:,}", "the first ")
+        got, hint = (
+            f"{name}: {cells} without a height, {which}{_first(holes)}",
+            "fill them, as `gdal_fillnodata.py` does",
+        )
         raise AssetError("the terrain has holes", expected="a height in every cell", got=got, hint=hint)
     values = picture.values.astype(np.float64)
     levels, given = picture.white != 1.0, lowest_m is not None or highest_m is not None
@@ -220,7 +225,11 @@ def read_heights(path: Path, lowest_m: float | None = None, highest_m: float | N
         raise AssetError("grey levels are no heights yet", expected=expected, got=name, hint=hint)
     wrong = (values < LOWEST_M) | (values > HIGHEST_M)
     if wrong.any():
-        expected, got = f"values from {LOWEST_M:g} to {HIGHEST_M:g}", f"{name}: {_first(values, wrong)}"
+        more = f", and {int(wrong.sum()) - 1:,} more" if wrong.sum() > 1 else ""
+        expected, got = (
+            f"values from {LOWEST_M:g} to {HIGHEST_M:g}",
+            f"{name}: {values[wrong][0]:g} {_first(wrong)}{more}",
+        )
         raise AssetError("these are no heights in metres", expected=expected, got=got)
     return values
 
@@ -254,18 +263,10 @@ def _number(text: Any) -> float | None:
         return None
 
 
-def _how_many(holes: NDArray[np.bool_]) -> str:
-    """Number and first place of holes, for people."""
-    row, col = np.argwhere(holes)[0]
-    count = int(holes.sum())
-    cells = "1 cell" if count == 1 else f"{count:,} cells of {holes.size:,}"
-    return f"{cells} without a height, {'' if count == 1 else 'the first '}in row {row + 1}, column {col + 1}"
-
-
-def _first(values: NDArray[np.float64], wrong: NDArray[np.bool_]) -> str:
+def _first(wrong: NDArray[np.bool_]) -> str:
+    """Place of the first of some cells, for people."""
     row, col = np.argwhere(wrong)[0]
-    more = f", and {int(wrong.sum()) - 1:,} more" if wrong.sum() > 1 else ""
-    return f"{values[row, col]:g} in row {row + 1}, column {col + 1}{more}"
+    return f"in row {row + 1}, column {col + 1}"
 
 
 SHAPE = MapTerrain()
