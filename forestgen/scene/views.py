@@ -102,14 +102,9 @@ class Views:
     def check_above_ground(self) -> None:
         """Raise `RecipeError` for a camera below the ground, unless its entry's `obstructed` is a note."""
         for index, camera, above_m in self._below_ground():
-            _note_or_error(
-                self.drawn,
-                index,
-                f"the camera {camera.name} stands below the ground",
-                expected=f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground",
-                got=f"{above_m:.3g} m",
-                hint="raise it; or set obstructed: note, to look at it all the same",
-            )
+            problem, way_out = f"the camera {camera.name} stands below the ground", "raise it"
+            expected = f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground"
+            _note_or_error(self.drawn, index, problem, expected, f"{above_m:.3g} m", way_out)
 
     def check_outside_of_buildings(self) -> list[str]:
         """Notes on cameras inside of buildings, which see dark walls, of entries whose `obstructed` is a note.
@@ -127,15 +122,9 @@ class Views:
                 inside = _is_within(building, at_m - [*building.position_m, float(ground_m[number])])
                 for camera in (cameras[k] for k in np.flatnonzero(inside)):
                     place = f"site.buildings.{number}, at [{_numbers(building.position_m)}]"
-                    note = _note_or_error(
-                        self.drawn,
-                        index,
-                        f"the camera {camera.name} stands inside of a {building.kind}",
-                        expected=f"a place outside of {place}",
-                        got=f"[{_numbers(camera.position_m)}]",
-                        hint="move it; or set obstructed: note, to look at it all the same",
-                    )
-                    notes.append(note)
+                    problem, got = f"the camera {camera.name} stands inside of a {building.kind}", camera.position_m
+                    expected = f"a place outside of {place}"
+                    notes.append(_note_or_error(self.drawn, index, problem, expected, f"[{_numbers(got)}]", "move it"))
         return notes
 
 
@@ -163,24 +152,20 @@ def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks
             apart_m, plant = trunks.clearance_m(np.array(camera.position_m), LEAST_FROM_TRUNKS_M)
             if plant:
                 stands = "in" if apart_m < 0 else f"{apart_m * 100:.2g} cm from"
-                note = _note_or_error(
-                    drawn,
-                    index,
-                    f"the camera {camera.name} stands {stands} the trunk of plant {plant}",
-                    expected=f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk",
-                    got=f"[{_numbers(camera.position_m)}]",
-                    hint="move it; rig: {kind: walk} goes around trunks; or set obstructed: note",
-                )
-                notes.append(note)
+                problem = f"the camera {camera.name} stands {stands} the trunk of plant {plant}"
+                expected, got = f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk", _numbers(camera.position_m)
+                way_out = "move it; rig: {kind: walk} goes around trunks"
+                notes.append(_note_or_error(drawn, index, problem, expected, f"[{got}]", way_out))
     return notes
 
 
-def _note_or_error(drawn: DrawnRecipe, index: int, problem: str, *, expected: str, got: str, hint: str) -> str:
+def _note_or_error(drawn: DrawnRecipe, index: int, problem: str, expected: str, got: str, way_out: str) -> str:
     """The problem as a note, where the entry of cameras lets it be one; else a `RecipeError` at the camera's place."""
     section = drawn.recipe.cameras[index]
     if section.obstructed == "note":
         return problem
     where = drawn.where("cameras", index, *place_key(section))
+    hint = f"{way_out}; or set obstructed: note, to look at it all the same"
     raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
 
 
