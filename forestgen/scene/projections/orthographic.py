@@ -112,21 +112,8 @@ class Orthographic(FlatProjection):
         scale = width / float(values["width_m"])
         if not 0 < scale < np.inf:
             raise ValueError("width_m is no width")
-        return OrthographicFile(self, values, size_px, (scale, scale), (width / 2, height / 2))
-
-
-class OrthographicFile(FileGeometry):
-    """Parallel rays by a camera.json."""
-
-    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
-        return points_m[..., :2] * self.focal_px + self.centre_px, points_m[..., 2]
-
-    def rays(self, size_px: tuple[int, int]) -> Floats:
-        return np.broadcast_to([0.0, 0.0, 1.0], (size_px[1], size_px[0], 3))
-
-    def starts(self, size_px: tuple[int, int]) -> Floats:
-        flat = self.flat(size_px)
-        return np.concatenate([flat, np.zeros_like(flat[..., :1])], axis=-1)
+        camera = self.plain_camera(size_px, width_m=width / scale)
+        return FileGeometry(camera, (scale, scale), (width / 2, height / 2))
 
 
 PROJECTION = Orthographic()

@@ -118,21 +118,8 @@ class Panorama(CurvedProjection):
 
     def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
         width, height = size_px
-        return PanoramaFile(self, values, size_px, (width / (2 * np.pi), height / np.pi), (width / 2, height / 2))
-
-
-class PanoramaFile(FileGeometry):
-    """A panorama by a camera.json."""
-
-    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
-        x, y, z = np.moveaxis(points_m, -1, 0)
-        level = np.sqrt(x * x + z * z)
-        flat = np.stack([np.angle(z + 1j * x), np.angle(level + 1j * y)], axis=-1)
-        return flat * self.focal_px + self.centre_px, np.sqrt((points_m**2).sum(axis=-1))
-
-    def rays(self, size_px: tuple[int, int]) -> Floats:
-        x, y = np.moveaxis(self.flat(size_px), -1, 0)
-        return np.stack([np.sin(x) * np.cos(y), np.sin(y), np.cos(x) * np.cos(y)], axis=-1)
+        focal_px = width / (2 * np.pi), height / np.pi
+        return FileGeometry(self.plain_camera(size_px), focal_px, (width / 2, height / 2))
 
 
 PROJECTION = Panorama()

@@ -41,6 +41,7 @@ from forestgen.scene.projection import (
     Rays,
     Sensor,
     matrix_k,
+    read_angle_rad,
     read_k,
 )
 from forestgen.scene.projections.hulls import FlatProjection, extent
@@ -235,24 +236,10 @@ class Perspective(FlatProjection):
         return {"hfov_deg": float(camera.hfov_deg), "K": k, "distortion": [0.0] * 5, **lens}
 
     def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
-        return PerspectiveFile(self, values, size_px, *read_k(values))
-
-
-class PerspectiveFile(FileGeometry):
-    """A pinhole by a camera.json."""
-
-    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
-        z = points_m[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return points_m[..., :2] / z[..., None] * self.focal_px + self.centre_px, z
-
-    def rays(self, size_px: tuple[int, int]) -> Floats:
-        flat = self.flat(size_px)
-        return np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1)
-
-    def focal_of_angle(self) -> float | None:
-        angle = self.values.get("hfov_deg")
-        return None if angle is None else self.size_px[0] / 2 / float(np.tan(np.radians(float(angle)) / 2))
+        focal_px, centre_px = read_k(values)
+        of_angle = None if values.get("hfov_deg") is None else size_px[0] / 2 / math.tan(read_angle_rad(values) / 2)
+        camera = self.plain_camera(size_px, _field_of_view_deg(focal_px[0], size_px[0]))
+        return FileGeometry(camera, focal_px, centre_px, of_angle)
 
 
 PROJECTION = Perspective()
