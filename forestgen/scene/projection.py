@@ -264,7 +264,8 @@ class FileGeometry:
 
     def sees(self, size_px: tuple[int, int]) -> Bools:
         """(H, W) whether a pixel's centre has a ray."""
-        return self._rays(size_px).valid
+        beyond_px = self.beyond_rim_px(pixel_centres(size_px))
+        return self._rays(size_px).valid if beyond_px is None else np.asarray(beyond_px <= 0)
 
     def beyond_rim_px(self, at_px: Floats) -> Floats | None:
         """(...) how far (..., 2) image points lie outside of what the image shows; None: it shows all of itself."""
