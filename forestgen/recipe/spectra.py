@@ -16,7 +16,6 @@ scale. Names are those of files under ``scenes/spectra`` (``leaves/birch``) or p
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from functools import lru_cache
@@ -30,6 +29,7 @@ from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.recipe.assets import find_asset, list_assets
+from forestgen.recipe.suggestions import did_you_mean
 
 Season = Literal["spring", "summer", "autumn", "dry"]
 SEASONS: tuple[Season, ...] = ("spring", "summer", "autumn", "dry")
@@ -77,9 +77,8 @@ def sensor_file(name: str, folder: Path | None, where: str | None) -> Path:
     if name in sensors:
         name = f"{_SENSORS}{name}"
     elif "/" not in name and not name.endswith(".csv"):
-        near = difflib.get_close_matches(name, sensors, n=1)
         expected = f"one of {', '.join(sensors)}, or a path such as ./{name or 'name'}.csv"
-        hint = f"did you mean {near[0]!r}?" if near else None
+        hint = did_you_mean(name, sensors)
         raise AssetError("no sensor has this name", where=where, expected=expected, got=repr(name), hint=hint)
     return find_asset(KIND, name, folder=folder, where=where)
 

@@ -33,7 +33,6 @@ Deussen, O. et al. (1998). Realistic modeling and rendering of plant ecosystems.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -46,6 +45,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Species
+from forestgen.recipe.suggestions import did_you_mean
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -142,8 +142,7 @@ def check_traits(traits: Sequence[str], population: Population, where: str) -> N
     known = [*_OWN_TRAITS, *numeric]
     for trait in traits:
         if trait not in known:
-            near = difflib.get_close_matches(trait, known, n=1)
-            problem, hint = "the plants have no such trait", f"did you mean {near[0]!r}?" if near else None
+            problem, hint = "the plants have no such trait", did_you_mean(trait, known)
             raise RecipeError(problem, where=where, expected="one of " + ", ".join(known), got=repr(trait), hint=hint)
 
 

@@ -242,8 +242,12 @@ def test_what_a_file_says_is_what_its_formulas_say(kind, stretch):
     np.testing.assert_array_equal(depth > 0, front)
     np.testing.assert_allclose(depth[front], expected_depth[front], rtol=1e-12)
     np.testing.assert_allclose(pixel[front], expected[front] + found.centre_px, atol=1e-9)
-    if stretch != 1.0:
-        return
+
+
+@pytest.mark.parametrize("kind", ["perspective", "fisheye", "orthographic", "panorama"])
+def test_a_files_rays_lead_to_their_pixels(kind):
+    camera = camera_of(kind, (64, 32), POSITION_M)
+    found = projection_of(camera).read(projection_of(camera).file_keys(camera), camera.size_px)
     there = found.starts((8, 6)) + 2.5 * found.rays((8, 6))
     again, depth = found.project(there)
     sees = found.sees((8, 6))
