@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
@@ -28,7 +28,7 @@ from forestgen.recipe.curves import RESERVED
 from forestgen.recipe.dataset import place_in_splits
 from forestgen.recipe.distributions import Choice, Distribution, Integers
 from forestgen.recipe.distributions import Sequence as InOrder
-from forestgen.recipe.fields import Number, Section, Text, Whole, violation
+from forestgen.recipe.fields import Number, Section, Text, Whole, each_once, violation
 from forestgen.recipe.points import MOST_KEYS, InfeasibleError, Method, cell_of, cholesky_factor, correlated, point
 from forestgen.recipe.sources import Keys, SourceMap, dotted
 
@@ -78,7 +78,7 @@ class Sampling(Section):
     block: Whole = Field(
         128, ge=2, le=65_536, description="Of latin_hypercube: images of a split that make a whole hypercube."
     )
-    keys: tuple[_Key, ...] | None = Field(
+    keys: Annotated[tuple[_Key, ...], AfterValidator(each_once)] | None = Field(
         None,
         min_length=1,
         description="Keys or variables that the method spreads, such as sky.sun.elevation_deg. Default: all that are "
@@ -194,7 +194,12 @@ def make_sampler(
         for name, wanted in section.strata.items()
         for keys in [keys_of.find(name, ("sampling", "strata", name))]
     )
-    _check_cells(section, strata, sources)
+    cells = math.prod(bins for _, bins in strata)
+    if cells > MOST_CELLS:
+        where, expected = sources.where(("sampling", "strata")), f"at most {MOST_CELLS:,} combinations of bins"
+        got = f"{' x '.join(str(bins) for _, bins in strata)} = {cells:,}"
+        hint = "fewer bins, or leave some of these keys to the method"
+        raise RecipeError("too many strata", where=where, expected=expected, got=got, hint=hint)
     correlated, factor = _correlations(section, keys_of, [keys for keys, _ in strata], sources)
     spread = _spread(section, keys_of, {keys for keys, _ in strata})
     return Sampler(seed, splits, section.method, section.block, spread, strata, correlated, factor)
@@ -273,26 +278,12 @@ def _bins(distribution: Distribution, wanted: Any, where: str) -> int:
     return len(distribution.values)
 
 
-def _check_cells(section: Sampling, strata: Sequence[tuple[Keys, int]], sources: SourceMap) -> None:
-    cells, where = math.prod(bins for _, bins in strata), sources.where(("sampling", "strata"))
-    if cells > MOST_CELLS:
-        expected, got = f"at most {MOST_CELLS:,} combinations of bins", " x ".join(str(bins) for _, bins in strata)
-        hint = "fewer bins, or leave some of these keys to the method"
-        raise RecipeError("too many strata", where=where, expected=expected, got=f"{got} = {cells:,}", hint=hint)
-    if len({keys for keys, _ in strata}) < len(section.strata):
-        raise RecipeError("a key twice", where=where, expected="each key once")
-
-
 def _spread(section: Sampling, keys_of: _Keys, in_strata: set[Keys]) -> tuple[Keys, ...]:
     """What the method places, in the order that it is listed or written."""
     if section.method == "independent":
         return ()
-    names = list(keys_of.names) if section.keys is None else list(section.keys)
+    names = keys_of.names if section.keys is None else section.keys
     found = [keys_of.find(name, ("sampling", "keys", n)) for n, name in enumerate(names)]
-    for n, keys in enumerate(found):
-        if keys in found[:n]:
-            where = keys_of.sources.where(("sampling", "keys", n))
-            raise RecipeError("a key twice", where=where, expected="each key once", got=names[n])
     spread = tuple(keys for keys in found if keys not in in_strata)
     if len(spread) > MOST_KEYS:
         where, expected = keys_of.sources.where(("sampling", "method")), f"at most {MOST_KEYS}"
@@ -310,7 +301,7 @@ def _correlations(
         path = ("sampling", "correlations", n)
         one, other = (keys_of.find(name, (*path, "keys", k)) for k, name in enumerate(entry.keys))
         where, got = sources.where(path), " and ".join(entry.keys)
-        if (one, other) in pairs or (other, one) in pairs or one == other:
+        if (one, other) in pairs or (other, one) in pairs:
             raise RecipeError("a pair twice", where=where, expected="each pair once", got=got)
         if one in in_strata and other in in_strata:
             expected = "at most one key of a pair among sampling.strata, for all their combinations are equally often"
