@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.registries import PROJECTIONS
 from forestgen.scene.spec import Camera
@@ -308,14 +307,8 @@ def read_k(values: Mapping[str, Any]) -> tuple[tuple[float, float], tuple[float,
 
 
 def load_projection(name: str, *, where: str | None = None) -> Projection:
-    """The projection of a name.
-
-    Raises `RecipeError`: there is none, or what is registered under the name is no projection of this name.
-    """
-    found = PROJECTIONS.load(name, where=where)
-    if not isinstance(found, Projection) or getattr(found, "name", None) != name:
-        problem = "what is registered under this name is no projection of this name"
-        raise RecipeError(problem, where=where, expected=f"a Projection whose name is {name!r}", got=f"{found!r:.100}")
+    """The projection of a name; raises `RecipeError` as `Registry.load` does."""
+    found: Projection = PROJECTIONS.load(name, where=where)
     return found
 
 
