@@ -30,10 +30,7 @@ from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS, RIGS
 
 
 class Camera(PartSection):
-    """A camera; site frame: x east, y north, z up, metres.
-
-    The class of a projection's cameras adds keys of its own, and overrides the class variables and what follows.
-    """
+    """A camera; site frame: x east, y north, z up, metres. Each projection has a subclass with its own keys."""
 
     registry = PROJECTIONS
     selector = "kind"

@@ -30,6 +30,8 @@ _SHORTHANDS = (
     ("Site", "terrain", "Terrain", "kind"),
     ("Site", "wet_soil", "WetSoil", "shown"),
     ("SkySection", "clouds", "Clouds", "type"),
+    ("Camera", "bands", "SensorFile", "name"),
+    ("Material", "spectrum", "SpectrumFile", "name"),
 )  # section, its key, that key's section, and the key of it that may stand alone
 
 

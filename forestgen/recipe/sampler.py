@@ -78,9 +78,8 @@ class Sampling(Section):
     block: Whole = Field(
         128, ge=2, le=65_536, description="Of latin_hypercube: images of a split that make a whole hypercube."
     )
-    keys: Annotated[tuple[_Key, ...], AfterValidator(each_once)] | None = Field(
+    keys: Annotated[tuple[_Key, ...], Field(min_length=1), AfterValidator(each_once)] | None = Field(
         None,
-        min_length=1,
         description="Keys or variables that the method spreads, such as sky.sun.elevation_deg. Default: all that are "
         "drawn.",
     )
