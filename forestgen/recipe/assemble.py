@@ -73,7 +73,7 @@ def apply_override(data: dict[str, Any], sources: SourceMap, text: str) -> None:
         keys = (*keys, key)
         if container[key] is None:
             container[key] = [] if following == "0" else {}
-            sources.set(keys, place)
+            sources.places[keys] = place
         container = container[key]
     key = _step(container, parts[-1], keys, place)
     keys = (*keys, key)
@@ -152,7 +152,7 @@ def _from_file(
     recipe_sources = SourceMap(written)
     merged = SourceMap(dict(recipe_sources.places))  # of this species alone, for dropping keys looks at all
     merged.take(base_sources, (), keys)
-    merged.set(keys, sources.place(keys))
+    merged.places[keys] = sources.place(keys)
     result = _merged(_without_other_generator(base, entry, merged, keys), entry, merged, recipe_sources, keys)
     for one in recipe_sources.places:
         del sources.places[one]
@@ -287,7 +287,7 @@ def _merged(base: Any, override: Any, sources: SourceMap, override_sources: Sour
         else:
             result[key] = value
         if inner in override_sources.places:
-            sources.set(inner, override_sources.places[inner])
+            sources.places[inner] = override_sources.places[inner]
         if key not in base:
             sources.take(override_sources, inner, inner)
     return result
