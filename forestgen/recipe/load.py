@@ -32,6 +32,7 @@ from forestgen.recipe.sources import Keys, Place, SourceMap, copied, mapping_of,
 from forestgen.recipe.species import Species
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+Source = Path | str | Mapping[str, Any]
 # Words of keys that files are found by, or checked with: see `LoadedRecipe._template`.
 _OF_FILES = frozenset({"program", "spectrum", "season", "bands", "biome"})
 _MOST_TEMPLATES = 16
@@ -238,11 +239,10 @@ class LoadedRecipe:
         recipe = recipe.model_copy(update=alone)
         sources, written = self.draws.placed(values, self.sources)
         drawn = self.draws.active(values)
-        split = recipe.same_stand == "by_split"
-        name = (
-            ("split", split_of(recipe.dataset.splits, image)) if split else ("image", 0 if recipe.same_stand else image)
-        )
-        seed = child_root(self.seed, *name)
+        if recipe.same_stand == "by_split":
+            seed = child_root(self.seed, "split", split_of(recipe.dataset.splits, image))
+        else:
+            seed = child_root(self.seed, "image", 0 if recipe.same_stand else image)
         return DrawnRecipe(recipe, _plain(recipe), image, seed, self.path.parent, sources, written, drawn)
 
 
@@ -279,13 +279,7 @@ class Loading:
         return self.sound
 
 
-def read_recipe(
-    source: Path | str | Mapping[str, Any],
-    overrides: Sequence[str] = (),
-    *,
-    name: str = "recipe",
-    folder: Path = Path(),
-) -> Loading:
+def read_recipe(source: Source, overrides: Sequence[str] = (), name: str = "recipe", folder: Path = Path()) -> Loading:
     """Read a recipe as `load_recipe` does, and keep its errors; those of a text that is no YAML mapping are raised.
 
     Parameters
