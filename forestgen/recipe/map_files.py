@@ -61,13 +61,13 @@ def known_file(
 
     Raises `AssetError` where there is none, or its SHA-256 is another one.
     """
-    path, known = inside(folder, named, sha256=sha256, where=where), {} if known is None else known
-    if path not in known:
-        known[path] = file_sha256(path, named, where)
-    if sha256 is not None and sha256 != known[path]:
+    path, found = inside(folder, named, sha256=sha256, where=where), {} if known is None else known
+    if path not in found:
+        found[path] = file_sha256(path, named, where)
+    if sha256 is not None and sha256 != found[path]:
         problem, expected = "this is not the file that the recipe was made with", f"SHA-256 {sha256[:16]}..."
         hint = "bring the file back; or remove sha256, and the file is taken as it is now"
-        raise AssetError(problem, where=where, expected=expected, got=f"{path}: {known[path][:16]}...", hint=hint)
+        raise AssetError(problem, where=where, expected=expected, got=f"{path}: {found[path][:16]}...", hint=hint)
     return path
 
 

@@ -281,7 +281,7 @@ def _spread(section: Sampling, keys_of: _Keys, in_strata: set[Keys]) -> tuple[Ke
     """What the method places, in the order that it is listed or written."""
     if section.method == "independent":
         return ()
-    names = keys_of.names if section.keys is None else section.keys
+    names = list(section.keys or keys_of.names)
     found = [keys_of.find(name, ("sampling", "keys", n)) for n, name in enumerate(names)]
     spread = tuple(keys for keys in found if keys not in in_strata)
     if len(spread) > MOST_KEYS:

@@ -269,7 +269,7 @@ class FileGeometry:
     def beyond_rim_px(self, at_px: Floats) -> Floats | None:
         """(...) how far (..., 2) image points lie outside of what the image shows; None: it shows all of itself."""
         rim_px = self.projection.rim_px(self.camera)
-        return None if rim_px is None else np.linalg.norm(at_px - self.centre_px, axis=-1) - rim_px
+        return None if rim_px is None else np.asarray(np.linalg.norm(at_px - self.centre_px, axis=-1) - rim_px)
 
 
 def pixel_centres(size_px: tuple[int, int]) -> Floats:

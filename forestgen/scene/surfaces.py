@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from forestgen.core.spectrum import Spectrum
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe import species as recipe_species
 from forestgen.recipe.spectra import Season, load_spectra, of_season, surface_columns
@@ -26,22 +27,24 @@ def materials_of(species: Mapping[str, Species], season: Season = "summer") -> d
 
 def surface_of(material: recipe_species.Material, season: Season, name: str) -> Material:
     """A recipe's material; `name`, such as "birch/bark", seeds its texture."""
-    file, spectra = material.spectrum, None
+    file = material.spectrum
+    spectra: tuple[Spectrum | None, Spectrum | None] = None, None
     if file is None:
         assert material.reflectance is not None  # the recipe's own check
         reflectance, transmittance = material.reflectance, material.transmittance
     else:
         columns = load_spectra(file.name) if file.text is None else surface_columns(file.text, file.name)
-        spectra = of_season(columns, material.season or season)
-        assert spectra is not None  # the same
-        reflectance, transmittance = colours_of_surface(*spectra)
+        found = of_season(columns, material.season or season)
+        assert found is not None  # the same
+        spectra = found
+        reflectance, transmittance = colours_of_surface(*found)
     return Material(
         reflectance,
         transmittance,
         material.roughness,
         None if material.bark is None else bark_texture(material.bark, reflectance, name),
         material.gloss,
-        *(spectra or (None, None)),
+        *spectra,
     )
 
 
