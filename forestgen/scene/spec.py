@@ -14,7 +14,7 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
-from forestgen.recipe.camera_keys import Exposure
+from forestgen.recipe.cameras import Exposure
 from forestgen.recipe.registries import DEFAULT_PROJECTION
 
 

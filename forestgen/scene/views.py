@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
 from forestgen.core.spectrum import Band
-from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import SensorFile
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Building
 from forestgen.recipe.spectra import bands_of, load_bands

@@ -14,8 +14,8 @@ from forestgen.core.frames import look_at
 from forestgen.core.progress import Silent, Timings
 from forestgen.labels.channels.motion import motion_px
 from forestgen.recipe.assets import recipes_dir
-from forestgen.recipe.camera_keys import CameraPath
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import CameraPath
 from forestgen.recipe.load import load_recipe
 from forestgen.render.frame import Surface
 from forestgen.scene.build import BuiltScene, build_scene

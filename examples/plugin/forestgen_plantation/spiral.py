@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from forestgen.recipe.camera_keys import RigKeys
-from forestgen.recipe.cameras import Camera
+from forestgen.recipe.cameras import Camera, RigKeys
 from forestgen.scene.rigs.rig import Poses, Rig, lifted
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks

@@ -24,8 +24,8 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import Look
 from forestgen.recipe.fields import Number, Point
 from forestgen.scene.projection import (
     DeviceRays,

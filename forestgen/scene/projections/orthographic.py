@@ -22,8 +22,8 @@ import numpy as np
 from pydantic import Field
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import Look
 from forestgen.recipe.fields import Point, Positive, violation
 from forestgen.scene.projection import Bools, DeviceRays, FileGeometry, Floats, Pixels, Rays, Sensor
 from forestgen.scene.projections.hulls import FlatProjection, extent

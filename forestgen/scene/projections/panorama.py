@@ -21,8 +21,8 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import Look
 from forestgen.recipe.fields import Point, violation
 from forestgen.scene.projection import DeviceRays, Exchange, FileGeometry, Floats, Pixels, Rays
 from forestgen.scene.projections.hulls import CurvedProjection, lies_over

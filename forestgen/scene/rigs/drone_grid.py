@@ -10,8 +10,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import DIRECTIONS, GroundPoint, RigKeys
-from forestgen.recipe.cameras import Camera
+from forestgen.recipe.cameras import DIRECTIONS, Camera, GroundPoint, RigKeys
 from forestgen.recipe.fields import Number, Positive, violation
 from forestgen.recipe.registries import PROJECTIONS
 from forestgen.scene.rigs.rig import Poses, Rig, lifted

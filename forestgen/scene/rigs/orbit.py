@@ -6,8 +6,7 @@ import numpy as np
 from pydantic import Field
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import MOST_FRAMES, FramesPerSecond, RigKeys
-from forestgen.recipe.cameras import Camera
+from forestgen.recipe.cameras import MOST_FRAMES, Camera, FramesPerSecond, RigKeys
 from forestgen.recipe.fields import Coordinate, Number, Positive, Whole, violation
 from forestgen.scene.rigs.rig import Poses, Rig, lifted
 from forestgen.scene.terrain import HeightField

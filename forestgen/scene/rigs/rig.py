@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import DIRECTIONS, RigKeys
-from forestgen.recipe.cameras import Camera
+from forestgen.recipe.cameras import DIRECTIONS, Camera, RigKeys
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from forestgen.recipe.camera_keys import RigKeys
-from forestgen.recipe.cameras import Camera
+from forestgen.recipe.cameras import Camera, RigKeys
 from forestgen.recipe.fields import Positive
 from forestgen.scene.rigs.rig import Poses, Rig, path_poses
 from forestgen.scene.terrain import HeightField

@@ -9,8 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.camera_keys import DIRECTIONS, MOST_FRAMES, FramesPerSecond, GroundPoint, RigKeys
-from forestgen.recipe.cameras import Camera
+from forestgen.recipe.cameras import DIRECTIONS, MOST_FRAMES, Camera, FramesPerSecond, GroundPoint, RigKeys
 from forestgen.recipe.fields import Number, Positive, Whole, violation
 from forestgen.scene.rigs.rig import Floats, Poses, Rig, lifted, on_ground
 from forestgen.scene.terrain import HeightField
