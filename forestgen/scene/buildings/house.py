@@ -316,9 +316,9 @@ def _add_roof(builder: _Builder, form: _Form, sign: float, course_m: float) -> N
         strip("roof", (lower, form.over(lower)), (upper, form.over(upper) - up * (upper > 0)))
     strip("frame", (y, form.under(y)), (y, form.over(y) - up))
     strip("frame", (0.0, form.under(0.0)), (y, form.under(y)))
-    section = [(y, form.under(y)), (y, form.over(y)), (0.0, form.over(0.0)), (0.0, form.under(0.0))]
+    section = [(sign * y, form.under(y)), (sign * y, form.over(y)), (0.0, form.over(0.0)), (0.0, form.under(0.0))]
     for end in (-1.0, 1.0):
-        corners = [(end * x, sign * at, z) for at, z in section]
+        corners = [(end * x, at, z) for at, z in section]
         builder.quad("frame", corners if end * sign < 0 else corners[::-1])
 
 
