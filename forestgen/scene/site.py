@@ -17,8 +17,8 @@ from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import TERRAINS
 from forestgen.recipe.schema import Recipe, Terrain, WetSoil
 from forestgen.recipe.sky import SkySection
-from forestgen.scene.soil_colour import Wetness
 from forestgen.scene.spec import Sky
+from forestgen.scene.surfaces import Wetness
 from forestgen.scene.terrain import HeightField, smooth_step
 
 _LEAST_MM = 1e-6  # of water: less would divide to infinity, or by 0

@@ -55,7 +55,7 @@ class Instances:
 
 @dataclass(frozen=True)
 class WetGround:
-    """What water makes of a ground; scene/soil_colour.py."""
+    """What water makes of a ground; scene/surfaces.py."""
 
     share: NDArray[np.float32]  # (V,) by vertex: 0 dry, 1 under a film of water
     reflectance: tuple[float, float, float]  # mean colour under the film, linear Rec. 709

@@ -22,8 +22,8 @@ from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import LLVM, drjit, mitsuba, require, tracing_variant, using
 from forestgen.scene.colour import RGB
 from forestgen.scene.projection import HASH_ROUNDS, LENS_STEPS, DeviceRays, Projection, Rays, projection_of
-from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import Camera, Material, SceneSpec
+from forestgen.scene.surfaces import film_factor
 
 NONE = 2**32 - 1  # instead of a first row: the mesh has none
 

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import RGB, Channels
-from forestgen.scene.soil_colour import (
+from forestgen.scene.surfaces import (
     Wetness,
     film_factor,
     film_reflectances,

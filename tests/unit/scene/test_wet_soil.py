@@ -15,7 +15,7 @@ from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import Plan, make_plan
 from forestgen.scene.site import wetness_of
-from forestgen.scene.soil_colour import Wetness
+from forestgen.scene.surfaces import Wetness
 
 RECIPE = """\
 forestgen: 1
