@@ -108,12 +108,11 @@ class Orthographic(FlatProjection):
         return {"width_m": float(camera.width_m)}
 
     def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
-        width, height = size_px
-        scale = width / float(values["width_m"])
-        if not 0 < scale < np.inf:
+        (width, height), width_m = size_px, float(values["width_m"])
+        if not 1e-6 < width_m < 1e9:
             raise ValueError("width_m is no width")
-        camera = self.plain_camera(size_px, width_m=width / scale)
-        return FileGeometry(camera, (scale, scale), (width / 2, height / 2))
+        scale = width / width_m
+        return FileGeometry(self.plain_camera(size_px, width_m=width_m), (scale, scale), (width / 2, height / 2))
 
 
 PROJECTION = Orthographic()
