@@ -18,6 +18,7 @@ from forestgen.recipe.sources import Keys, Place, SourceMap, dotted, parse_yaml,
 from forestgen.recipe.spectra import (
     KIND,
     SEASONS,
+    Columns,
     bands_of,
     of_season,
     seasons_of,
@@ -204,10 +205,8 @@ def _embed_spectra(
         where = sources.where((*keys, name, "spectrum"))
         find = partial(find_asset, KIND, folder=folder, root=root, where=where)
         found = _embed_table(material, "spectrum", find, partial(surface_columns, where=where))
-        wanted = material.get("season") or season
-        if found is not None and wanted in SEASONS and of_season(found[1], wanted) is None:
-            expected, hint = f"one of {', '.join(seasons_of(found[1]))}", "a material's `season` precedes plants.season"
-            raise AssetError(f"{found[0]} has no {wanted}", where=where, expected=expected, got=wanted, hint=hint)
+        if found is not None:
+            _check_season(found[1], material.get("season") or season, found[0], where)
 
 
 def _embed_table(
@@ -234,6 +233,14 @@ def _embed_table(
     if not path.is_relative_to(scenes_dir()) or ".." in path.parts:
         written["name"], written["text"] = path.name, text
     return name, found
+
+
+def _check_season(columns: Columns, season: object, name: str, where: str) -> None:
+    """The table serves the season, if that is one."""
+    if season in SEASONS and of_season(columns, season) is None:
+        expected = f"one of {', '.join(seasons_of(columns))}"
+        hint = "the material's own `season` takes precedence over plants.season"
+        raise AssetError(f"{name} has no {season}", where=where, expected=expected, got=str(season), hint=hint)
 
 
 def _embed(section: Any, sources: SourceMap, keys: Keys, folder: Path, root: Path | None = None) -> None:

@@ -145,14 +145,19 @@ def choose_species(temperature_c: float, precipitation_mm_per_yr: float, *, wher
     chosen = [one for one in ranked if one.adaptation >= ADAPTATION_MIN][:MOST_SPECIES]
     if chosen:
         return chosen
-    best, likes = ranked[0], ranked[0].plant_type
-    warmth = f"{likes.temperature_c:g} ± {likes.temperature_width_c:g} deg C"
-    rain = f"{likes.precipitation_mm_per_yr:g} ± {likes.precipitation_width_mm_per_yr:g} mm/year"
-    closest = f"{best.name} comes closest with {best.adaptation:.2g}: it likes {warmth} and {rain}"
+    best = ranked[0]
+    closest = f"{best.name} comes closest with {best.adaptation:.2g}: it likes {_likes(best.plant_type)}"
     expected = f"an adaptation of at least {ADAPTATION_MIN:g} for one of {len(ranked)} species"
     got = f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {closest}"
     hint = "name species yourself, with a modules section of their own climate"
     raise RecipeError("no species fits this climate", where=where, expected=expected, got=got, hint=hint)
+
+
+def _likes(plant_type: PlantType) -> str:
+    return (
+        f"{plant_type.temperature_c:g} ± {plant_type.temperature_width_c:g} deg C and "
+        f"{plant_type.precipitation_mm_per_yr:g} ± {plant_type.precipitation_width_mm_per_yr:g} mm/year"
+    )
 
 
 @cache

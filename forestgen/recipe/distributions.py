@@ -237,24 +237,22 @@ def _integers(value: Any) -> Integers:
 
 
 def _choice(value: Any) -> Choice:
-    weighted = isinstance(value, Mapping)
-    if weighted and value.keys() != {"values", "weights"}:
+    if not isinstance(value, Mapping):
+        values = _entries(value)
+        return Choice(values, None, _is_structured(values))
+    if value.keys() != {"values", "weights"}:
         expected = "{choice: [x, y, ...]} or {choice: {values: [x, y, ...], weights: [3, 1, ...]}}"
         raise BadDistributionError(expected, _weights_hint(value))
-    values = _entries(value["values"] if weighted else value, "choice")
-    structured = any(isinstance(one, Mapping | list | tuple) for one in values)
-    if not weighted:
-        return Choice(values, None, structured)
-    weights = value["weights"]
+    values, weights = _entries(value["values"]), value["weights"]
     if not isinstance(weights, list | tuple) or len(weights) != len(values):
         raise BadDistributionError(f"as many weights as values: {len(values)}")
     if not all(_is_number(weight) and 0 <= weight <= 1e100 for weight in weights) or not any(weights):
         raise BadDistributionError("weights of 0 and more, not all of them 0")
     # What is never drawn stays among the values of a numbered choice, whose draws are its entries' numbers.
-    if not all(weights) and structured:
+    if not all(weights) and _is_structured(values):
         raise BadDistributionError("weights above 0", "leave out the mapping or list that is never to be drawn")
     kept = [(one, float(weight)) for one, weight in zip(values, weights, strict=True) if weight > 0]
-    return Choice(tuple(one for one, _ in kept), tuple(weight for _, weight in kept), structured)
+    return Choice(tuple(one for one, _ in kept), tuple(weight for _, weight in kept), _is_structured(values))
 
 
 def _weights_hint(value: Mapping[str, Any]) -> str | None:
@@ -265,19 +263,29 @@ def _weights_hint(value: Mapping[str, Any]) -> str | None:
     return f"{{choice: {{values: [{', '.join(map(str, value))}], weights: [{weights}]}}}}"
 
 
-def _entries(value: Any, kind: str) -> tuple[Any, ...]:
-    """What a choice or a sequence is of; only a choice may be of mappings or lists."""
-    written, nested = (
-        f"{{{kind}: [x, y, ...]}}",
-        ", mappings or lists" if kind == "choice" else ", not lists or mappings",
-    )
+def _is_structured(values: tuple[Any, ...]) -> bool:
+    return any(isinstance(value, Mapping | list | tuple) for value in values)
+
+
+def _entries(value: Any) -> tuple[Any, ...]:
     if not isinstance(value, list | tuple) or not 1 <= len(value) <= MOST_VALUES:
-        raise BadDistributionError(f"{written} with 1 to {MOST_VALUES} values")
-    for one in value:
-        scalar = one is None or isinstance(one, str | bool) or _is_number(one)
-        if not scalar and not (kind == "choice" and isinstance(one, Mapping | list | tuple)):
-            raise BadDistributionError(f"{written} of finite numbers, texts, true or false{nested}")
+        raise BadDistributionError(f"{{choice: [x, y, ...]}} with 1 to {MOST_VALUES} values")
+    if not all(_is_scalar(one) or isinstance(one, Mapping | list | tuple) for one in value):
+        raise BadDistributionError("{choice: [x, y, ...]} of finite numbers, texts, true or false, mappings or lists")
     return tuple(value)
+
+
+def _sequence(value: Any) -> Sequence:
+    if not isinstance(value, list | tuple) or not 1 <= len(value) <= MOST_VALUES:
+        raise BadDistributionError(f"{{sequence: [x, y, ...]}} with 1 to {MOST_VALUES} values")
+    if not all(_is_scalar(one) for one in value):
+        expected = "{sequence: [x, y, ...]} of finite numbers, texts, true or false, not lists or mappings"
+        raise BadDistributionError(expected)
+    return Sequence(tuple(value))
+
+
+def _is_scalar(value: object) -> bool:
+    return value is None or isinstance(value, str | bool) or _is_number(value)
 
 
 def _gaussian(value: Any, kind: str, centre: str, spread: str) -> tuple[float, float, float, float]:
@@ -318,5 +326,5 @@ def _with_mass(normal: Normal) -> Normal:
 
 _PARSERS: dict[str, Callable[[Any], Distribution]] = {
     "uniform": _uniform, "normal": _normal, "lognormal": _lognormal, "integers": _integers, "choice": _choice,
-    "sequence": lambda value: Sequence(_entries(value, "sequence")),
+    "sequence": _sequence,
 }  # fmt: skip
