@@ -406,8 +406,9 @@ def check_cameras(cameras: Sequence[Camera]) -> None:
         frames += camera.frames
         if frames > MOST_FRAMES:
             at = (index, "path", "frames") if camera.path else (index, "rig") if camera.rig else (index,)
-            expected, got = f"at most {MOST_FRAMES} frames of all cameras together", sum(one.frames for one in cameras)
-            raise violation(expected, problem="too many frames", got=str(got), at=at)
+            expected = f"at most {MOST_FRAMES} frames of all cameras together"
+            got = str(sum(one.frames for one in cameras))
+            raise violation(expected, problem="too many frames", got=got, at=at)
         for name in {camera.name: None, **dict.fromkeys(camera.frame_names)}:
             # Compared without case: the names become files, and some file systems ignore case.
             first = cameras[owner.setdefault(name.lower(), index)]
