@@ -39,7 +39,7 @@ from forestgen.render.light import sky_light, sun_disc
 from forestgen.render.radiance import render_radiance
 from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import build_view, sky_pixels
-from forestgen.scene.channels import RGB
+from forestgen.scene.colour import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cloud_box import cloud_volume
 from support.scenes import camera_at, plain_ground, scattered_scene

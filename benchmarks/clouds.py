@@ -29,7 +29,7 @@ from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.light import emitters_of
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, drjit, mitsuba, path_tracer, using
-from forestgen.scene.channels import RGB
+from forestgen.scene.colour import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cloud_box import cloud_volume
 

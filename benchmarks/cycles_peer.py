@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from forestgen.render.light import SUN_RADIUS_DEG, sky_map, sun_irradiance
 from forestgen.render.surfaces import LEAFLIKE, sides_of
-from forestgen.scene.channels import RGB
+from forestgen.scene.colour import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 
 WAYS = tuple((tree, sky) for tree in ("flat", "tree") for sky in ("sampled", "found"))  # see cycles_scene.py

@@ -32,7 +32,7 @@ from forestgen.community.population import Population
 from forestgen.community.soil_water import Ground, SoilWater
 from forestgen.core.progress import Timings
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 Floats = NDArray[np.float64]
 RECIPES = Path(__file__).resolve().parents[1] / "recipes" / "ecoclimates"

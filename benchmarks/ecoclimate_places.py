@@ -17,8 +17,7 @@ from forestgen.community.population import Population
 from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.float64]  # (N, 2) world x and y, metres

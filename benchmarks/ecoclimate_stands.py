@@ -19,8 +19,7 @@ from forestgen.community.population import Population
 from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 from support.field_measures import FieldMeasures, measure_field
 from support.persistence import field_features, holes
 

@@ -20,9 +20,9 @@ from forestgen.core.threads import limit_cores
 from forestgen.plants.growing import forget_shared
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.scene.build import stand_on
-from forestgen.scene.ground import height_field
 from forestgen.scene.growth import choose_exemplars, grow_planned
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
+from forestgen.scene.site import height_field
 from forestgen.scene.views import drawn_cameras
 
 RECIPE = Path(__file__).resolve().parents[1] / "recipes" / "mixed_stand.yaml"

@@ -21,7 +21,7 @@ from forestgen.render.capture import sensor_of
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba
-from forestgen.scene.channels import RGB
+from forestgen.scene.colour import RGB
 from forestgen.scene.spec import SceneSpec
 from support.radiometry import lights
 from support.scenes import scattered_scene

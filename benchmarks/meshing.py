@@ -29,7 +29,7 @@ from forestgen.geometry.sweep import Polylines
 from forestgen.plants import build, meshing
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 from support.swept import sweep
 
 ROUNDS, PEER_ROUNDS = 9, 30

@@ -19,7 +19,7 @@ from forestgen.core.cache import DiskCache
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.growing import ExemplarRequest, grow_exemplars
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 SPECIES = Path(__file__).resolve().parents[1] / "scenes" / "species"
 EXEMPLARS, WORKERS, ROUNDS = 60, 2, 2

@@ -51,7 +51,7 @@ from forestgen.render.radiance import render_radiance
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.build import build_scene
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 from forestgen.scene.spec import Camera, SceneSpec
 
 RECIPE = Path(__file__).parents[1] / "recipes" / "quickstart.yaml"

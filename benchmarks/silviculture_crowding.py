@@ -33,7 +33,7 @@ from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.species import PlantType
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 from support.module_spheres import intersection_ratio
 
 MOST_RATIO = 0.05  # 18a

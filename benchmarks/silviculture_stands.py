@@ -18,7 +18,7 @@ from forestgen.community.population import Population, Status
 from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 WOOD_KG_PER_M3 = 500.0  # homogeneous, as the paper assumes
 LEAF_KG_PER_M2 = 0.2  # dry mass of foliage over its area

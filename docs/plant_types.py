@@ -20,8 +20,7 @@ from forestgen.recipe.biome import shipped_plant_types
 from forestgen.recipe.load import load_recipe_data
 from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph
 from forestgen.scene.growth import choose_exemplars, grow_planned
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import Plan, make_plan
 from forestgen.scene.surfaces import materials_of
 
 PICTURES = Path(__file__).parent / "pictures"

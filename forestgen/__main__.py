@@ -6,7 +6,7 @@ import signal
 import sys
 from types import FrameType
 
-from forestgen.core.streams import open_streams
+from forestgen.core.processes import open_streams
 
 
 def _stop_before_work(_number: int, _frame: FrameType | None) -> None:

@@ -37,8 +37,7 @@ from forestgen.render.frame import Frame
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import haze_notes, noise_notes, render_frame
 from forestgen.scene.build import BuiltScene, build_scene
-from forestgen.scene.plan import Plan, check_memory
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_memory, check_plan
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import Camera
 

@@ -194,8 +194,7 @@ class Recipe(Rendering, Instruments):
         ------
         RecipeError, AssetError, ResourceError : what is wrong, or would not fit into memory.
         """
-        from forestgen.scene.plan import estimate_bytes
-        from forestgen.scene.planning import check_plan
+        from forestgen.scene.plan import check_plan, estimate_bytes
 
         loaded = self._loaded
         plan = check_plan(loaded)

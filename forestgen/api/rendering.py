@@ -44,7 +44,7 @@ class Rendering:
         """
         from forestgen.api.frames import frames_of
         from forestgen.runs.start import RunOptions
-        from forestgen.scene.planning import check_plan
+        from forestgen.scene.plan import check_plan
 
         loaded = self._loaded
         end = NUMBERS_END - int(loaded.complete["first_image"])

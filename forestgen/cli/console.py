@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, cast
 import typer
 
 from forestgen.core.errors import ForestgenError, OutputError, ResourceError, plain
-from forestgen.core.streams import output_failure, redirect_failed_streams
+from forestgen.core.processes import output_failure, redirect_failed_streams
 
 if TYPE_CHECKING:
     from rich.console import Console

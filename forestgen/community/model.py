@@ -15,10 +15,10 @@ from forestgen.community.disturbance import Disturbance, Ground, Planting
 from forestgen.community.ecology import Ecologies
 from forestgen.community.population import Floats, Population
 from forestgen.core.randomness import child_rng
-from forestgen.recipe.buildings import Building
 from forestgen.recipe.fields import Whole, violation
 from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
+from forestgen.recipe.species import Building
 
 GroundHeight = Callable[[Floats, Floats], Floats]
 

@@ -10,8 +10,8 @@ import numpy as np
 from forestgen.community.ecology import SpeciesEcology, ecology_of
 from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.population import Population
-from forestgen.recipe.buildings import Building
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.species import Building
 
 
 @dataclass(frozen=True)

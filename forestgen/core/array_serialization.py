@@ -1,14 +1,14 @@
 """Frozen dataclasses of NumPy arrays as bytes and back, the same to the last bit.
 
-Layout: magic, length of the header (8 bytes) and CRC-32 of all that follows (4 bytes), both little-endian; the header,
-JSON; the arrays, raw, each at a multiple of 64 bytes. No code is stored and none is run when bytes are read.
+Layout: length of the header (8 bytes, little-endian); the header, JSON; the arrays, raw, each at a multiple of 64
+bytes. No code is stored and none is run when bytes are read. Whoever keeps the bytes checks that they are whole, as
+`forestgen.core.cache.DiskCache` does.
 """
 
 from __future__ import annotations
 
 import json
 import struct
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_MAGIC = b"fgpack1\n"
-_HEAD = struct.Struct("<8sQI")
+_HEAD = struct.Struct("<Q")
 _ALIGNED = 64
 
 
@@ -41,27 +40,22 @@ def pack(value: Any) -> bytes:
         offset += array.nbytes + gap
     header = json.dumps({"tree": tree, "arrays": table}).encode()
     header += b" " * (-(len(header) + _HEAD.size) % _ALIGNED)
-    body = b"".join([header, *blobs])
-    return _HEAD.pack(_MAGIC, len(header), zlib.crc32(body)) + body
+    return b"".join([_HEAD.pack(len(header)), header, *blobs])
 
 
 def unpack(data: bytes | bytearray | NDArray[np.uint8], classes: Sequence[type]) -> Any:
     """What `pack` was given, made of these dataclasses and enums. The arrays are views of `data`.
 
-    Raises `UnreadableError` where `data` is not what `pack` wrote, or names classes or fields that no longer exist.
+    Raises `UnreadableError` where `data` is cut short, or names classes or fields that no longer exist.
     """
     view = memoryview(data)  # type: ignore[arg-type]  # NumPy's types do not tell that arrays are buffers
-    if len(view) < _HEAD.size:
-        raise UnreadableError("too short")
-    magic, length, checksum = _HEAD.unpack_from(view)
-    if magic != _MAGIC or zlib.crc32(view[_HEAD.size :]) != checksum:
-        raise UnreadableError("not what was written")
-    start = _HEAD.size + length
     try:
+        (length,) = _HEAD.unpack_from(view)
+        start = _HEAD.size + length
         header = json.loads(bytes(view[_HEAD.size : start]))
         arrays = [_array(view, start, row) for row in header["arrays"]]
         return _value(header["tree"], arrays, {one.__name__: one for one in classes})
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError, struct.error) as error:
         raise UnreadableError(str(error)) from error
 
 

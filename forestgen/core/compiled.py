@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -15,42 +16,12 @@ from numba.core.extending import _Intrinsic
 from numba.extending import intrinsic
 
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function as machine code, which runs without Python's lock.
+def compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+    """The function as machine code, which runs without Python's lock; `options` are those of Numba.
 
     It is compiled again when its own file changes, or a file from which that file imports a kernel, a named tuple or
     the whole module. So read another file's constants from its module: `layout.FIRST`.
     """
-    return _compiled(function)
-
-
-def fma_njit(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `compiled`; a product that is added is rounded once, with the sum, where the processor can do so.
-
-    For kernels whose results need not equal bit by bit those of a processor that cannot (x86 from before 2013).
-    """
-    return _compiled(function, fastmath={"contract"})
-
-
-def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `fma_njit`, for small functions, whose machine code becomes part of their callers."""
-    return _compiled(function, fastmath={"contract"}, forceinline=True)
-
-
-def inlined_exactly(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `inlined`, but every product is rounded: results are the same on every processor."""
-    return _compiled(function, forceinline=True)
-
-
-def unchecked(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `compiled`; a division by zero gives infinity and no error, so that loops with one become vector instructions.
-
-    Sums are not re-ordered: results are the same on every processor.
-    """
-    return _compiled(function, error_model="numpy")
-
-
-def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
     try:
         kernel: Any = numba.njit(cache=True, nogil=True, **options)(function)
     except RuntimeError:  # neither the package nor the home directory can be written to: no place for a cache
@@ -62,6 +33,18 @@ def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any
     stamps = ((path.name, path.stat()) for path in map(Path, sorted(used)))
     index._source_stamp = (index._source_stamp, *((name, one.st_mtime_ns, one.st_size) for name, one in stamps))
     return kernel  # type: ignore[no-any-return]
+
+
+#: As `compiled`; a product that is added is rounded once, with the sum, where the processor can do so. For kernels
+#: whose results need not equal bit by bit those of a processor that cannot (x86 from before 2013).
+fma_njit = partial(compiled, fastmath={"contract"})
+#: As `fma_njit`, for small functions, whose machine code becomes part of their callers.
+inlined = partial(compiled, fastmath={"contract"}, forceinline=True)
+#: As `inlined`, but every product is rounded: results are the same on every processor.
+inlined_exactly = partial(compiled, forceinline=True)
+#: As `compiled`; a division by zero gives infinity and no error, so that loops with one become vector instructions.
+#: Sums are not re-ordered: results are the same on every processor.
+unchecked = partial(compiled, error_model="numpy")
 
 
 def _sources(names: dict[str, Any], package: str, seen: frozenset[str]) -> set[str]:

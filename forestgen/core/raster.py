@@ -115,12 +115,10 @@ def read_raster(path: Path) -> SingleChannelRaster:
             warnings.simplefilter("ignore")  # on odd metadata, and on sizes that are checked here
             picture = _READERS[kind](path)
     except _BROKEN as cause:
-        raise AssetError(
-            "the picture cannot be read: it is damaged, cut off, or of a rare kind",
-            expected=f"a whole {_NAMES[kind]} file",
-            got=(str(cause).replace(repr(str(path)), "this").splitlines() or [type(cause).__name__])[0][:120],
-            hint=None if kind == "npy" else "save it again, as a PNG of grey values",
-        ) from cause
+        problem = "the picture cannot be read: it is damaged, cut off, or of a rare kind"
+        got = (str(cause).replace(repr(str(path)), "this").splitlines() or [type(cause).__name__])[0][:120]
+        hint = None if kind == "npy" else "save it again, as a PNG of grey values"
+        raise AssetError(problem, expected=f"a whole {_NAMES[kind]} file", got=got, hint=hint) from cause
     picture.values.setflags(write=False)
     return picture
 
@@ -134,12 +132,8 @@ def _check_size(width: int, height: int, bytes_per_pixel: int) -> None:
 
     need, free = width * height * bytes_per_pixel, int(free_bytes() * _SHARE_OF_MEMORY)
     if need > free:
-        raise ResourceError(
-            "too little free memory for this picture",
-            expected=f"{need / 1e6:,.0f} MB",
-            got=f"{free / 1e6:,.0f} MB",
-            hint="make the picture smaller, or close other programs",
-        )
+        problem, hint = "too little free memory for this picture", "make the picture smaller, or close other programs"
+        raise ResourceError(problem, expected=f"{need / 1e6:,.0f} MB", got=f"{free / 1e6:,.0f} MB", hint=hint)
 
 
 def _read_picture(path: Path) -> SingleChannelRaster:
@@ -189,12 +183,8 @@ def _grey(image: Image) -> SingleChannelRaster:
         return SingleChannelRaster(_mixed(np.asarray(image.convert("LA")), (1.0,)), 1.0)
     if mode in ("P", "PA", "RGB", "RGBA", "RGBX"):
         return SingleChannelRaster(_mixed(np.asarray(image.convert("RGBA")), LUMINANCE), 1.0)
-    raise AssetError(
-        "pictures of this colour space have no density",
-        expected="grey values, a palette, or red, green and blue",
-        got=mode,
-        hint="save it as a PNG of grey values",
-    )
+    problem, hint = "pictures of this colour space have no density", "save it as a PNG of grey values"
+    raise AssetError(problem, expected="grey values, a palette, or red, green and blue", got=mode, hint=hint)
 
 
 def _tag(image: Image, number: int, default: int) -> int:
@@ -221,11 +211,8 @@ def _read_npy(path: Path) -> SingleChannelRaster:
         shape, _, dtype = read_header(stream)
         begin = stream.tell()
     if len(shape) != 2 or dtype.kind not in "fiub" or dtype.itemsize > 8:
-        raise AssetError(
-            "this array is no map",
-            expected="real numbers of at most 64 bits in two dimensions, rows from north to south",
-            got=f"{dtype} of shape {shape}",
-        )
+        expected = "real numbers of at most 64 bits in two dimensions, rows from north to south"
+        raise AssetError("this array is no map", expected=expected, got=f"{dtype} of shape {shape}")
     _check_size(shape[1], shape[0], 2 * dtype.itemsize)
     if path.stat().st_size < begin + shape[0] * shape[1] * dtype.itemsize:
         raise ValueError("fewer values than its header says")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import difflib
 import importlib
-import importlib.util
 import re
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
@@ -101,14 +100,9 @@ class Registry:
         """Raise `RecipeError` that lists the valid names for an unknown one; imports no part."""
         if name not in self:
             near = difflib.get_close_matches(name, known := self.ids(), n=1)
-            raise RecipeError(
-                f"unknown {self.kind}",
-                where=where,
-                parameter=parameter,
-                expected="one of " + ", ".join(known),
-                got=repr(name),
-                hint=f"did you mean {near[0]!r}?" if near else None,
-            )
+            problem, expected = f"unknown {self.kind}", "one of " + ", ".join(known)
+            hint = f"did you mean {near[0]!r}?" if near else None
+            raise RecipeError(problem, where=where, parameter=parameter, expected=expected, got=repr(name), hint=hint)
 
     def load(self, name: str, *, where: str | None = None) -> Any:
         """The part to use, which counts among `registrations` if it is another package's.
@@ -207,18 +201,15 @@ def part_at(path: str) -> Any:
         raise _error("this is no place of a part", path)
     module, name = match.groups()
     try:
-        there = importlib.util.find_spec(module) is not None
-        found = importlib.import_module(module) if there else None
+        found = importlib.import_module(module)
     except Exception as error:  # whatever another package's code raises
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
-        there = missing is None or not f"{module}.".startswith(f"{missing}.")
-        if there:
-            said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-            problem, expected = f"the module {module} cannot be imported", f"{path!r:.200}"
-            raise RecipeError(problem, parameter="part", expected=expected, got=said) from error
-    if not there:
-        hint = "install its package, or add its folder to sys.path and, for worker processes, to PYTHONPATH"
-        raise _error(f"there is no module {module}", path, hint)
+        if missing is not None and f"{module}.".startswith(f"{missing}."):
+            hint = "install its package, or add its folder to sys.path and, for worker processes, to PYTHONPATH"
+            raise _error(f"there is no module {module}", path, hint) from error
+        said = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        problem, expected = f"the module {module} cannot be imported", f"{path!r:.200}"
+        raise RecipeError(problem, parameter="part", expected=expected, got=said) from error
     if not hasattr(found, name):
         raise _error(f"the module {module} has no {name}", path)
     return getattr(found, name)

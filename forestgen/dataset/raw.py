@@ -13,7 +13,7 @@ From luminance L (cd/m²) to digital numbers, pixel by pixel:
 
 So saturation fills the well at the base iso; at twice that, half of a well already reaches white and noise is larger.
 The black level is 1/32 of the range, or five times the read noise if that is more, so that noise about zero is not cut
-off. A shutter that is not given is metered: N² / t = L S / K of the mean luminance (recipe/camera_keys.py), without the
+off. A shutter that is not given is metered: N² / t = L S / K of the mean luminance (recipe/cameras.py), without the
 brightest half percent, such as the sun's disc. That puts the mean at 12.6% of saturation, as ISO 12232 has it.
 
 What L is by channel:
@@ -52,7 +52,7 @@ from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Band, Spec
 from forestgen.dataset.files import write_json
 from forestgen.dataset.png import write_grey
 from forestgen.dataset.tonemap import picture_bands
-from forestgen.recipe.camera_keys import Exposure
+from forestgen.recipe.cameras import Exposure
 from forestgen.recipe.spectra import load_table
 from forestgen.render.frame import Radiance
 from forestgen.scene.colour import colour_of_radiance

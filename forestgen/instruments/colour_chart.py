@@ -217,13 +217,13 @@ def judge(
     differences = {mode: checker.delta_e(xyz, expected, white.xy) for mode, (xyz, _) in measured.items()}
     patches = tuple(
         PatchResult(
-            patch.name,
+            name,
             expected[k],
             {mode: xyz[k] for mode, (xyz, _) in measured.items()},
             {mode: float(difference[k]) for mode, difference in differences.items()},
             {mode: float(error[k, 1] / xyz[k, 1]) for mode, (xyz, error) in measured.items()},
         )
-        for k, patch in enumerate(checker.patches())
+        for k, name in enumerate(checker.patches())
     )
     lux = float(np.pi * white.luminance_cd_per_m2)
     noise = 3 * meter.illuminance_lux.error / max(meter.illuminance_lux.value, 1e-9)

@@ -11,7 +11,7 @@ from pydantic import AllowInfNan, BeforeValidator, ValidationError
 from forestgen.core.arguments import listed, shown
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress, Timings
-from forestgen.recipe.camera_keys import DIRECTIONS
+from forestgen.recipe.cameras import DIRECTIONS
 from forestgen.recipe.fields import Section, violation
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.messages import Explainer

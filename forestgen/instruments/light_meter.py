@@ -44,8 +44,8 @@ from forestgen.render.cloud_shadow import check_far_clouds
 from forestgen.render.irradiance import REPLICATES, PointLight, measure
 from forestgen.scene.build import BuiltScene
 from forestgen.scene.colour_checker import temperature_of
-from forestgen.scene.ground import height_field
 from forestgen.scene.plan import Plan
+from forestgen.scene.site import height_field
 
 MOST_POINTS = 1000
 _FARTHEST_M = 5000.0

@@ -13,6 +13,7 @@ from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, ErrorList, RecipeError
 from forestgen.recipe.assets import find_asset, list_assets, scenes_dir
 from forestgen.recipe.distributions import is_distribution
+from forestgen.recipe.draws import is_reference
 from forestgen.recipe.sources import Keys, Place, SourceMap, dotted, parse_yaml, read_yaml
 from forestgen.recipe.spectra import (
     KIND,
@@ -25,7 +26,6 @@ from forestgen.recipe.spectra import (
     surface_columns,
     table_text,
 )  # fmt: skip
-from forestgen.recipe.variables import is_reference
 
 _LARGEST_PROGRAM_BYTES = 1_000_000
 MOST_SPECIES = 1000
@@ -74,7 +74,7 @@ def apply_override(data: dict[str, Any], sources: SourceMap, text: str) -> None:
         keys = (*keys, key)
         if container[key] is None:
             container[key] = [] if following == "0" else {}
-            sources.set(keys, place)
+            sources.places[keys] = place
         container = container[key]
     key = _step(container, parts[-1], keys, place)
     keys = (*keys, key)
@@ -112,7 +112,10 @@ def merge_species(data: dict[str, Any], sources: SourceMap, folder: Path, errors
     if len(species) > MOST_SPECIES:
         expected, where = f"at most {MOST_SPECIES} species", sources.where(("species",))
         raise RecipeError("too many species", where=where, expected=expected, got=str(len(species)))
-    written = _sources_by_species(sources)
+    written: dict[str | int, dict[Keys, Place]] = {}  # where the recipe's own keys of each species were written
+    for keys, place in sources.places.items():
+        if len(keys) > 1 and keys[0] == "species":
+            written.setdefault(keys[1], {})[keys] = place
     files: _Files = {}
     shipped = frozenset(list_assets("species")) if any(map(_is_partial, species.values())) else frozenset()
     failed = []
@@ -150,7 +153,7 @@ def _from_file(
     recipe_sources = SourceMap(written)
     merged = SourceMap(dict(recipe_sources.places))  # of this species alone, for dropping keys looks at all
     merged.take(base_sources, (), keys)
-    merged.set(keys, sources.place(keys))
+    merged.places[keys] = sources.place(keys)
     result = _merged(_without_other_generator(base, entry, merged, keys), entry, merged, recipe_sources, keys)
     for one in recipe_sources.places:
         del sources.places[one]
@@ -166,46 +169,29 @@ def _is_partial(entry: Any) -> bool:
     return not ({"ecology", "allometry"} <= entry.keys() and isinstance(plant, dict) and "generator" in plant)
 
 
-def _sources_by_species(sources: SourceMap) -> dict[str | int, dict[Keys, Place]]:
-    """Where the recipe's own keys of each species were written."""
-    written: dict[str | int, dict[Keys, Place]] = {}
-    for keys, place in sources.places.items():
-        if len(keys) > 1 and keys[0] == "species":
-            written.setdefault(keys[1], {})[keys] = place
-    return written
-
-
 def _mappings(section: Any) -> list[tuple[str, dict[str, Any]]]:
     """The entries of a section that are mappings."""
     entries = section.items() if isinstance(section, dict) else ()
     return [(name, entry) for name, entry in entries if isinstance(entry, dict)]
 
 
-def embed_program(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
-    """Replace ``program: NAME`` of the community and of plants in place by the L-system program's name and text.
+def embed_files(data: dict[str, Any], sources: SourceMap, folder: Path, errors: ErrorList) -> None:
+    """Replace the names of L-system programs, spectra and sensors by name and text, in place; see `_embed_table`.
 
-    So a recipe's hash covers the program, and a drawn recipe holds all that it needs. A species file's own program was
-    embedded when the file was read: its path is relative to that file.
+    So a recipe's hash covers the files, and a drawn recipe holds all that it needs. A species file's own were taken
+    when it was read: their paths are relative to that file. `errors` takes the errors of each.
     """
-    _embed(data.get("community"), sources, ("community", "program"), folder)
-    for name, entry in _mappings(data.get("species")):
-        _embed(entry.get("plant"), sources, ("species", name, "plant", "program"), folder)
-
-
-def embed_tables(data: dict[str, Any], sources: SourceMap, folder: Path) -> None:
-    """Check the spectra that species and cameras name, in place, and keep the user's own as text: see `_embed_table`.
-
-    As with programs, a species file's own tables were taken when the file was read.
-    """
-    plants = data.get("plants")
+    plants, cameras = data.get("plants"), data.get("cameras")
     season = plants.get("season", "summer") if isinstance(plants, dict) else "summer"
     for name, entry in _mappings(data.get("species")):
-        _embed_spectra(entry.get("materials"), sources, ("species", name, "materials"), folder, season)
-    cameras = data.get("cameras")
+        keys: Keys = ("species", name)
+        errors.attempt(_embed, entry.get("plant"), sources, (*keys, "plant", "program"), folder)
+        errors.attempt(_embed_spectra, entry.get("materials"), sources, (*keys, "materials"), folder, season)
+    errors.attempt(_embed, data.get("community"), sources, ("community", "program"), folder)
     for index, camera in enumerate(cameras) if isinstance(cameras, list) else ():
         where = sources.where(("cameras", index, "bands"))
         find, read = partial(sensor_file, folder=folder, where=where), partial(bands_of, where=where)
-        _embed_table(camera, "bands", find, read)
+        errors.attempt(_embed_table, camera, "bands", find, read)
 
 
 def _embed_spectra(
@@ -308,7 +294,7 @@ def _merged(base: Any, override: Any, sources: SourceMap, override_sources: Sour
         else:
             result[key] = value
         if inner in override_sources.places:
-            sources.set(inner, override_sources.places[inner])
+            sources.places[inner] = override_sources.places[inner]
         if key not in base:
             sources.take(override_sources, inner, inner)
     return result

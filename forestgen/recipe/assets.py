@@ -66,14 +66,10 @@ def list_assets(kind: str) -> list[str]:
 
     Those in a folder of their own come last: ``reproductions/domination_test``.
     """
-    return sorted(_files(kind), key=lambda name: (name.count("/"), name))
-
-
-def _files(kind: str) -> dict[str, Path]:
-    """Name -> file of the shipped parts of a kind."""
-    folder, suffixes = _kind_dir(kind), SUFFIXES.get(kind)
-    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and (suffixes is None or p.suffix in suffixes))
-    return {p.relative_to(folder).with_suffix("").as_posix(): p for p in files}
+    folder, suffixes = _kind_dir(kind), SUFFIXES.get(kind, ())
+    files = (path for path in folder.rglob("*") if path.suffix in suffixes and path.is_file())
+    names = {path.relative_to(folder).with_suffix("").as_posix() for path in files}
+    return sorted(names, key=lambda name: (name.count("/"), name))
 
 
 def find_asset(
@@ -101,7 +97,7 @@ def find_asset(
     ------
     AssetError : there is no such file, and the message lists those that exist; or the path leads elsewhere.
     """
-    suffixes = SUFFIXES.get(kind, (".yaml",))
+    suffixes = SUFFIXES[kind]
     if "/" in name or "\\" in name or name.endswith((*suffixes, ".yaml", ".yml")):
         path = Path(name) if folder is None else inside(folder, name, roots=(root or folder, scenes_dir()), where=where)
         if _is_file(path):
@@ -113,15 +109,12 @@ def find_asset(
     shipped = _shipped(kind, name)
     if shipped is not None:
         return shipped
-    names = list_assets(kind)
-    if name not in names:
-        path_like = f"./{name or 'name'}{suffixes[0]}"
-        expected = f"one of {', '.join(names) or '(there are none)'}, or a path such as {path_like}"
-        problem, hint = f"nothing in {kind} has this name", did_you_mean(name, names)
-        if kind == "species" and name in BUILDINGS:
-            hint = f"it is a building: site: {{buildings: [{{kind: {name}, position_m: [...]}}]}}"
-        raise AssetError(problem, where=where, parameter=parameter, expected=expected, got=repr(name), hint=hint)
-    return _files(kind)[name]
+    names, path_like = list_assets(kind), f"./{name or 'name'}{suffixes[0]}"
+    expected = f"one of {', '.join(names) or '(there are none)'}, or a path such as {path_like}"
+    problem, hint = f"nothing in {kind} has this name", did_you_mean(name, names)
+    if kind == "species" and name in BUILDINGS:
+        hint = f"it is a building: site: {{buildings: [{{kind: {name}, position_m: [...]}}]}}"
+    raise AssetError(problem, where=where, parameter=parameter, expected=expected, got=repr(name), hint=hint)
 
 
 def _shipped(kind: str, name: str) -> Path | None:
@@ -129,7 +122,7 @@ def _shipped(kind: str, name: str) -> Path | None:
     parts = name.split("/")
     if any(part in ("", ".", "..") or "\\" in part or ":" in part for part in parts):
         return None
-    for suffix in SUFFIXES.get(kind, ()):
+    for suffix in SUFFIXES[kind]:
         path = _kind_dir(kind) / f"{name}{suffix}"
         if _is_file(path):
             return path
@@ -194,10 +187,5 @@ def inside(
 
 
 def _out(written: str, where: str | None) -> AssetError:
-    return AssetError(
-        "the path leads out of the recipe's folder",
-        where=where,
-        expected=_RELATIVE,
-        got=f"{written!r:.80}",
-        hint="put the file beside the recipe; or allow its folder: `allow_folders='DIR'`",
-    )
+    got, hint = f"{written!r:.80}", "put the file beside the recipe; or allow its folder: `allow_folders='DIR'`"
+    return AssetError("the path leads out of the recipe's folder", where=where, expected=_RELATIVE, got=got, hint=hint)

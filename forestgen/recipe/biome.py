@@ -27,6 +27,7 @@ from pydantic import ValidationError
 from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.assets import list_assets, scenes_dir
+from forestgen.recipe.fields import extent_m
 from forestgen.recipe.sources import SourceMap, parse_yaml
 from forestgen.recipe.species import PlantType
 
@@ -146,13 +147,10 @@ def choose_species(temperature_c: float, precipitation_mm_per_yr: float, *, wher
         return chosen
     best = ranked[0]
     closest = f"{best.name} comes closest with {best.adaptation:.2g}: it likes {_likes(best.plant_type)}"
-    raise RecipeError(
-        "no species fits this climate",
-        where=where,
-        expected=f"an adaptation of at least {ADAPTATION_MIN:g} for one of {len(ranked)} species",
-        got=f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {closest}",
-        hint="name species yourself, with a modules section of their own climate",
-    )
+    expected = f"an adaptation of at least {ADAPTATION_MIN:g} for one of {len(ranked)} species"
+    got = f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {closest}"
+    hint = "name species yourself, with a modules section of their own climate"
+    raise RecipeError("no species fits this climate", where=where, expected=expected, got=got, hint=hint)
 
 
 def _likes(plant_type: PlantType) -> str:
@@ -197,7 +195,12 @@ def settle_biome(data: dict[str, Any], sources: SourceMap) -> bool:
     biome = community.get("biome") if isinstance(community, dict) else None
     if not isinstance(community, dict) or not isinstance(biome, dict):
         return False
-    _numbers_of_place(biome, sources)
+    place, where = biome.get("place"), sources.where(("community", "biome", "place"))
+    if not isinstance(place, str | None):
+        raise RecipeError("bad value", where=where, expected="the name of a place", got=f"{place!r:.60}")
+    station = None if place is None else find_station(place, where=where)
+    for key in _NUMBERS if station is not None else ():
+        biome[key] = getattr(station, key) if biome.get(key) is None else biome[key]
     if data.get("species"):
         return False
     t, p = (_number(biome, key, sources) for key in _NUMBERS)
@@ -205,7 +208,9 @@ def settle_biome(data: dict[str, Any], sources: SourceMap) -> bool:
     data["species"] = {one.name: {"from": one.name} for one in chosen}
     given = community.get("initial_plants")
     if given is None or (isinstance(given, int) and not isinstance(given, bool)):
-        community["initial_plants"] = _shares(chosen, _initial_plants(data) if given is None else given)
+        width_m, depth_m = extent_m(data.get("site"))
+        plants = max(1, min(MOST_PLANTS, round(PLANTS_PER_M2 * width_m * depth_m))) if given is None else given
+        community["initial_plants"] = _shares(chosen, plants)
     return True
 
 
@@ -219,20 +224,6 @@ def forget_drawn_biome(drawn: dict[str, Any], written: Mapping[str, Any]) -> Non
             drawn["community"]["initial_plants"] = copy.deepcopy(written["community"]["initial_plants"])
 
 
-def _numbers_of_place(biome: dict[str, Any], sources: SourceMap) -> None:
-    """Add a named place's numbers to the biome; those that the recipe gives stay."""
-    place = biome.get("place")
-    if place is None:
-        return
-    where = sources.where(("community", "biome", "place"))
-    if not isinstance(place, str):
-        raise RecipeError("bad value", where=where, expected="the name of a place", got=f"{place!r:.60}")
-    station = find_station(place, where=where)
-    for key in _NUMBERS:
-        if biome.get(key) is None:
-            biome[key] = getattr(station, key)
-
-
 def _number(biome: Mapping[str, Any], key: str, sources: SourceMap) -> float:
     least, most, unit = _NUMBERS[key]
     value = biome.get(key)
@@ -240,23 +231,10 @@ def _number(biome: Mapping[str, Any], key: str, sources: SourceMap) -> float:
     if good and value is not None:
         return float(value)
     written = key in biome
-    raise RecipeError(
-        "bad value" if written else "half a biome",
-        where=sources.where(("community", "biome", *((key,) if written else ()))),
-        expected=f"{key}, a number from {least:g} to {most:g} {unit}",
-        got=f"{value!r:.60}" if written else "no such key",
-        hint=None if written else "biome: {temperature_c: 5.6, precipitation_mm_per_yr: 940} or {place: Helsinki}",
-    )
-
-
-def _initial_plants(data: Mapping[str, Any]) -> int:
-    """How many plants a site of this size starts with."""
-    site = data.get("site")
-    size = site.get("size_m") if isinstance(site, dict) else None
-    sides = size if isinstance(size, list) and len(size) == 2 else [100.0, 100.0]
-    if not all(isinstance(side, int | float) and 0 < side <= 5000 for side in sides):
-        return 1  # validation reports what is wrong with it
-    return max(1, min(MOST_PLANTS, round(PLANTS_PER_M2 * sides[0] * sides[1])))
+    where = sources.where(("community", "biome", *((key,) if written else ())))
+    expected, got = f"{key}, a number from {least:g} to {most:g} {unit}", f"{value!r:.60}" if written else "no such key"
+    hint = None if written else "biome: {temperature_c: 5.6, precipitation_mm_per_yr: 940} or {place: Helsinki}"
+    raise RecipeError("bad value" if written else "half a biome", where=where, expected=expected, got=got, hint=hint)
 
 
 def _shares(chosen: list[Chosen], total: int) -> dict[str, int]:

@@ -1,41 +1,218 @@
-"""Cameras of a recipe, and what is wrong with them, one by one and together."""
+"""Cameras of a recipe, what follows from their keys, and what is wrong with them, one by one and together.
+
+A camera with a path is as many images as the path has frames. Times run in equal steps over the whole path; each of
+the two lists of points is a polyline of its own over that time, every piece of it as long in time as the next.
+A camera with a rig (scene/rigs) is several images, too.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Self
+from itertools import pairwise
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, GetJsonSchemaHandler, SerializeAsAny, model_validator
+from pydantic import Field, SerializeAsAny, model_validator
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import CameraKeys
-from forestgen.recipe.fields import violation
-from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS
-from forestgen.recipe.rigs import MOST_FRAMES
+from forestgen.recipe.fields import (
+    Coordinate,
+    Flag,
+    Fraction,
+    Name,
+    NonNegative,
+    Number,
+    PartSection,
+    Point,
+    Positive,
+    Section,
+    Text,
+    Whole,
+    shorthand,
+    violation,
+)  # fmt: skip
+from forestgen.recipe.registries import DEFAULT_PROJECTION, PROJECTIONS, RIGS
+from forestgen.recipe.spectra import MOST_BYTES
+
+MOST_FRAMES = 1000  # of all cameras together
+GroundPoint = tuple[Coordinate, Coordinate]
+FramesPerSecond = Annotated[Number, Field(ge=0.001, le=1000)]
+
+_METER_CONSTANT = 12.5  # K of ISO 2720 in cd s/m²/lx for reflected light, as most makers set it
+Pixels = Annotated[Whole, Field(ge=8, le=16384)]
+Look = Literal["up", "down", "north", "east", "south", "west"]
+DIRECTIONS: dict[str, Point] = {  # right, down and forward follow: see core/frames.py
+    "up": (0.0, 0.0, 1.0),
+    "down": (0.0, 0.0, -1.0),
+    "north": (0.0, 1.0, 0.0),
+    "east": (1.0, 0.0, 0.0),
+    "south": (0.0, -1.0, 0.0),
+    "west": (-1.0, 0.0, 0.0),
+}
 
 
-class Camera(CameraKeys):
+class SensorFile(Section):
+    """A table of the responses of a sensor's bands by wavelength; see recipe/spectra.py."""
+
+    name: Text = Field(min_length=1, max_length=1000, description="Such as sentinel2a, or a path.")
+    text: Text | None = Field(
+        None, max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."
+    )
+
+
+class CameraPath(Section):
+    """A camera's way from where it stands, through points, in equal times; straight lines between them."""
+
+    frames: Whole = Field(ge=2, le=MOST_FRAMES, description="Images along the way, both ends included.")
+    frames_per_s: FramesPerSecond = Field(24.0, description="Images a second: of motion and wind.")
+    position_m: tuple[Point, ...] = Field(
+        (), max_length=1000, description="Points it passes after position_m: x, y, z, metres."
+    )
+    look_at_m: tuple[Point, ...] = Field(
+        (), max_length=1000, description="Points in the image's middle after look_at_m, metres."
+    )
+
+
+class RigKeys(PartSection):
+    """Several images of one entry of a recipe's cameras. How many follows from the recipe alone."""
+
+    registry = RIGS
+    selector = "kind"
+
+    kind: Annotated[Text, Field(description="The rig.")]
+
+
+class Exposure(Section):
+    """Lens and sensor that make a raw image. Without shutter_s and ev the picture is metered."""
+
+    f_number: Positive = Field(8.0, ge=0.5, le=128, description="Focal length by the pupil's diameter.")
+    shutter_s: Positive | None = Field(
+        None, ge=1e-7, le=86400, description="Exposure time, seconds. Default: by ev, or metered."
+    )
+    ev: Number | None = Field(
+        None,
+        ge=-10,
+        le=25,
+        description="Exposure value at ISO 100, log2(f_number² / shutter_s): full sun 15, overcast 12; sets the "
+        "shutter, longer for a lower iso.",
+    )
+    compensation_ev: Number = Field(0.0, ge=-10, le=10, description="Stops by which a metered exposure is brighter.")
+    iso: Positive = Field(100.0, ge=1, le=1e7, description="Sensitivity by saturation, ISO 12232.")
+    base_iso: Positive = Field(
+        100.0, ge=1, le=1e7, description="The iso at which saturation fills the well; the least one."
+    )
+    vignetting: Fraction = Field(
+        0.0, description="0: none; 1: the fourth power of the cosine off the axis; between: mixed."
+    )
+    full_well_electrons: Positive = Field(30_000.0, ge=10, le=1e8, description="That a pixel holds.")
+    read_noise_electrons: NonNegative = Field(
+        3.0, le=1e5, description="Standard deviation of what reading a pixel adds."
+    )
+    bits: Whole = Field(14, ge=8, le=16, description="Of a digital number.")
+    mosaic: Flag = Field(True, description="Whether each pixel sees one colour only, in squares of RGGB.")
+
+    @model_validator(mode="after")
+    def _one_way_to_expose(self) -> Self:
+        metered = self.shutter_s is None and self.ev is None
+        if self.shutter_s is not None and self.ev is not None:
+            problem, got = "the exposure is given twice", f"shutter_s {self.shutter_s:g} and ev {self.ev:g}"
+            hint = "leave one out; without both the picture is metered"
+            raise violation("shutter_s or ev, not both", problem=problem, got=got, hint=hint, at="ev")
+        if self.compensation_ev and not metered:
+            problem, got = "only a metered exposure is compensated", f"{self.compensation_ev:g}"
+            raise violation("0, or neither shutter_s nor ev", problem=problem, got=got, at="compensation_ev")
+        if self.iso < self.base_iso:
+            problem, expected = "the well is full before such an iso saturates", f"base_iso or more: {self.base_iso:g}"
+            hint = "lower base_iso with it for a sensor of less sensitivity"
+            raise violation(expected, problem=problem, got=f"{self.iso:g}", hint=hint, at="iso")
+        return self
+
+    def shutter_for_s(self, luminance_cd_m2: float) -> float:
+        """Time that is set, or that a meter pointed at this mean luminance sets; 1 s in the dark.
+
+        Photographic relations (ISO 2720, ISO 12232), with f-number N, time t, luminance L, speed S: at ISO 100 the
+        exposure value is 2^EV = N² / t, at another N² / t = 2^EV S / 100; a meter sets N² / t = L S / K.
+        """
+        if self.shutter_s is not None:
+            return self.shutter_s
+        if self.ev is not None:
+            return float(self.f_number**2 / (2.0**self.ev * self.iso / 100.0))
+        if not luminance_cd_m2 > 0:
+            return 1.0
+        metered_s = _METER_CONSTANT * self.f_number**2 / (luminance_cd_m2 * self.iso)
+        return float(metered_s * 2.0**self.compensation_ev)
+
+
+class Camera(PartSection):
     """A camera; site frame: x east, y north, z up, metres. Each projection has a subclass with its own keys."""
+
+    registry = PROJECTIONS
+    selector = "kind"
+
+    default_size_px: ClassVar[tuple[int, int]] = (640, 360)
+    default_look: ClassVar[Look | None] = None  # None: over the site, by look_at_m
+    default_place: ClassVar[Point] = (0.5, 0.02, 1.7)  # shares of the site's width and depth, and metres above ground
+    is_level: ClassVar[bool] = False  # whatever it looks at
+    covers_ground: ClassVar[bool] = False  # whether `footprint_m` is known, as drone_grid needs
+
+    name: Name = Field(description="Name in file names; default camera0, camera1, ...")
+    kind: Text = Field(
+        DEFAULT_PROJECTION,
+        description="Projection, of those that `forestgen models --kind projection` lists; its page has its keys, and "
+        "its defaults of position_m, look and size_px.",
+    )
+    position_m: Point | None = Field(
+        None,
+        description="Where it stands: x, y, z, metres. Default by kind; of perspective eye level, southern edge's "
+        "middle.",
+    )
+    look_at_m: Point | None = Field(
+        None, description="The point in the image's middle: x, y, z, metres. Default: amid the site."
+    )
+    look: Look | None = Field(
+        None,
+        description="Instead of look_at_m. Up and down have north at the top: down shows east on the right, up shows "
+        "it on the left. Default by kind; of perspective look_at_m.",
+    )
+    size_px: tuple[Pixels, Pixels] = Field(
+        (640, 360), description="Width and height of the image, pixels. Default by kind; of perspective [640, 360]."
+    )
+    height_above_ground: Flag = Field(
+        True, description="Whether the z of position_m and look_at_m count from the ground below or from z = 0."
+    )
+    obstructed: Literal["error", "note"] = Field(
+        "error",
+        description="How a camera below the ground, in a house or in a trunk is treated. error: reported before it is "
+        "rendered. note: rendered with a note, for data sets with random cameras.",
+    )
+    path: CameraPath | None = Field(
+        None, description="Where it moves to; each frame is an image. None: it stands still."
+    )
+    rig: SerializeAsAny[RigKeys] | None = Field(
+        None,
+        description="Several images of one entry, of those that `forestgen models --kind rig` lists; its page has its "
+        "keys. None: one.",
+    )
+    bands: Annotated[SensorFile | None, shorthand("name")] = Field(
+        None,
+        description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. None: "
+        "colour.",
+    )
+    exposure: Exposure | None = Field(None, description="For a raw image beside the linear one. None: no such.")
 
     @model_validator(mode="before")
     @classmethod
-    def _has_no_keys_of_others(cls, data: Any) -> Any:
-        """Keys of other projections are refused by name; keys that are null are ignored."""
-        strange = [key for key in data if key not in cls.model_fields] if isinstance(data, Mapping) else []
-        owners = _owners_of_keys() if strange else {}
-        kind = data.get("kind", DEFAULT_PROJECTION) if strange else ""
-        for key in strange:
-            if cls is not Camera and key in owners and data[key] is not None:
-                mine = cls.own_keys()
-                expected = f"of these keys: {', '.join(mine)}" if mine else f"none of {', '.join(owners)}"
-                problem, hint = f"{_article(kind)} camera has no {key}", f"choose kind: {' or '.join(owners[key])}"
-                raise violation(
-                    expected, problem=problem, got=str(data[key]), hint=f"leave {key} out, or {hint}", at=key
-                )
-        unsaid = {key for key in strange if key in owners}
-        unsaid |= {key for key in cls.own_keys() if isinstance(data, Mapping) and data.get(key, 0) is None}
-        return {key: value for key, value in data.items() if key not in unsaid} if unsaid else data
+    def _filled(cls, data: Any) -> Any:
+        """What a projection has by default; its own keys that are null are left out."""
+        if not isinstance(data, Mapping):
+            return data
+        filled = {key: value for key, value in data.items() if value is not None or key in Camera.model_fields}
+        rig = rig_of(data)
+        if filled.get("size_px") is None:
+            filled["size_px"] = cls.default_size_px
+        if all(filled.get(key) is None for key in ("look", "look_at_m")) and _keeps_view(data, rig):
+            filled["look"] = cls.default_look
+        return filled
 
     @model_validator(mode="after")
     def _is_one_camera(self) -> Self:
@@ -48,61 +225,134 @@ class Camera(CameraKeys):
         """What is wrong with the projection's own keys, or with the image's size for it."""
         return None
 
-    @classmethod
-    def own_keys(cls) -> list[str]:
-        """Names of the keys that cameras of other projections do not all have."""
-        return [key for key in cls.model_fields if key not in CameraKeys.model_fields]
+    @property
+    def field_of_view_deg(self) -> float:
+        """Across the image's width; 0 where there is none. A lens' is that of focusing far away."""
+        return 0.0
 
-    @classmethod
-    def class_for(cls, data: object) -> type[Camera]:
-        """The class of cameras like `data`; this one where its projection is none."""
-        kind = data.get("kind", DEFAULT_PROJECTION) if isinstance(data, Mapping) else None
-        return class_of(kind) if isinstance(kind, str) and kind in PROJECTIONS else Camera
+    @property
+    def view_width_m(self) -> float:
+        """What the image's width shows of the world; 0 where that depends on the distance."""
+        return 0.0
 
-    @classmethod
-    def __get_pydantic_json_schema__(cls, core_schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        """Of all projections' cameras together, with all of their keys."""
-        made = handler.resolve_ref_schema(handler(core_schema))
-        if cls is Camera:
-            for _, part in PROJECTIONS.parts():
-                own = part.Parameters
-                properties = own.model_json_schema()["properties"]
-                made["properties"] |= {key: properties[key] for key in own.own_keys() if key not in made["properties"]}
-        return made
+    @property
+    def lens_mm(self) -> tuple[float, float] | None:
+        """Radius of a thin lens' pupil, and its focal length; None for a pinhole."""
+        return None
+
+    @property
+    def lens_focus_m(self) -> float | None:
+        """Distance of a thin lens' plane of focus; None for a pinhole."""
+        return None
+
+    @property
+    def own_numbers(self) -> Mapping[str, float]:
+        """What its projection needs beside these: `Camera.numbers` of the scene has them, and camera.json."""
+        return {}
+
+    def footprint_m(self, altitude_m: float) -> tuple[float, float]:
+        """Width and height of the level ground that an image shows from above, if the projection `covers_ground`."""
+        raise NotImplementedError
+
+    @property
+    def rig_part(self) -> Any:
+        """The `forestgen.scene.rigs.rig.Rig`, if it has one."""
+        return None if self.rig is None else RIGS.load(self.rig.kind)
+
+    @property
+    def frames(self) -> int:
+        """How many images it makes of one scene."""
+        return self.steps if self.rig is None else int(self.rig_part.frames(self))
+
+    @property
+    def steps(self) -> int:
+        """Points in time of its path, if it has one."""
+        return 1 if self.path is None else self.path.frames
+
+    @property
+    def frame_names(self) -> list[str]:
+        """Names of its images: its own, NAME-0000, NAME-0001, ... along a path, or what its rig says."""
+        if self.rig is not None:
+            return list(self.rig_part.frame_names(self))
+        return [self.name] if self.path is None else [f"{self.name}-{index:04d}" for index in range(self.steps)]
+
+    @property
+    def positions_m(self) -> list[Point]:
+        """Where it stands in each step, as the recipe counts heights."""
+        assert self.position_m is not None
+        return _along([self.position_m, *(self.path.position_m if self.path else ())], self.steps)
+
+    @property
+    def looks_at_m(self) -> list[Point]:
+        """The point in each step's middle, as the recipe counts heights."""
+        if self.look is not None:
+            (x, y, z) = DIRECTIONS[self.look]
+            return [(a + x, b + y, c + z) for a, b, c in self.positions_m]
+        assert self.look_at_m is not None
+        return _along([self.look_at_m, *(self.path.look_at_m if self.path else ())], self.steps)
+
+    @property
+    def moves(self) -> bool:
+        """Whether not all images along its path are taken alike."""
+        if self.path is None:
+            return False
+        ways = ((self.position_m, *self.path.position_m), (self.look_at_m, *self.path.look_at_m))
+        return any(a != b for way in ways for a, b in pairwise(way))
 
 
-def class_of(kind: str) -> type[Camera]:
-    """The class of a projection's cameras."""
-    found: type[Camera] = PROJECTIONS.load(kind).Parameters
-    return found
+def _along(points: Sequence[Point], frames: int) -> list[Point]:
+    """`frames` points at equal steps of time from the first to the last, through the others at equal times."""
+    pieces = len(points) - 1
+    if not pieces or frames == 1:
+        return [points[0]] * frames
+    way = []
+    for frame in range(frames):
+        # In whole numbers: a frame at a given point is exactly there.
+        piece, rest = divmod(frame * pieces, frames - 1)
+        if not rest:
+            way.append(points[piece])
+            continue
+        share = rest / (frames - 1)
+        x, y, z = (a + share * (b - a) for a, b in zip(points[piece], points[piece + 1], strict=True))
+        way.append((x, y, z))
+    return way
 
 
-def camera_section(data: Mapping[str, Any]) -> Camera:
-    """A recipe's camera from its keys, of the class of its projection."""
-    return Camera.class_for(data).model_validate(data)
+def rig_of(camera: Mapping[str, Any]) -> Any:
+    """The rig that a recipe's camera names; None: it has none, or one that validation will refuse."""
+    keys = camera.get("rig")
+    kind = keys.get("kind") if isinstance(keys, Mapping) else None
+    return RIGS.load(kind) if isinstance(kind, str) and kind in RIGS else None
 
 
-def _of_its_class(data: Any) -> Any:
-    return camera_section(data) if isinstance(data, Mapping) else data  # validation reports what is no mapping
+def _keeps_view(camera: Mapping[str, Any], rig: Any) -> bool:
+    """Whether the camera stands and looks as it would without a rig."""
+    return bool(rig.keeps_view) if rig is not None else not isinstance(camera.get("rig"), Mapping)
 
 
-AnyCamera = Annotated[SerializeAsAny[Camera], BeforeValidator(_of_its_class)]
-
-
-def _owners_of_keys() -> dict[str, list[str]]:
-    """Key -> the projections whose cameras have it."""
-    owners: dict[str, list[str]] = {}
-    for name, part in PROJECTIONS.parts():
-        for key in part.Parameters.own_keys():
-            owners.setdefault(key, []).append(name)
-    return owners
+def default_view(camera: Mapping[str, Any], size_m: tuple[float, float]) -> dict[str, Any]:
+    """Keys that a recipe's camera has by the site's extent, where it gives none; metres."""
+    try:
+        of_kind = Camera.class_for(camera)
+    except PydanticCustomError:  # validation reports a projection that there is not
+        of_kind = Camera
+    (width, depth), rig = size_m, rig_of(camera)
+    view: dict[str, Any] = {}
+    if rig is not None and (keys := rig.with_defaults(camera["rig"], size_m)) != camera["rig"]:
+        view["rig"] = keys
+    if rig is None or "position_m" not in rig.decides:
+        across, along, above_m = of_kind.default_place
+        view["position_m"] = [across * width, along * depth, above_m]
+    if of_kind.default_look is None and _keeps_view(camera, rig) and camera.get("look") is None:
+        view["look_at_m"] = [0.5 * width, 0.6 * depth, 6.0]
+    return {key: value for key, value in view.items() if key == "rig" or camera.get(key) is None}
 
 
 def _article(noun: str) -> str:
     return f"{'an' if noun[:1] in 'aeiou' else 'a'} {noun}"
 
 
-def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
+def _rigged(camera: Camera) -> PydanticCustomError | None:
     """What is wrong with a rig beside the camera's other keys."""
     if camera.rig is None:
         needed = ("position_m", "look_at_m") if camera.look is None else ("position_m",)
@@ -119,7 +369,7 @@ def _rigged(camera: CameraKeys) -> PydanticCustomError | None:
     return wrong
 
 
-def _looking(camera: CameraKeys) -> PydanticCustomError | None:
+def _looking(camera: Camera) -> PydanticCustomError | None:
     if camera.look is None:
         return None
     if camera.look_at_m is not None or (camera.path is not None and camera.path.look_at_m):
@@ -131,7 +381,7 @@ def _looking(camera: CameraKeys) -> PydanticCustomError | None:
     return None
 
 
-def _looks_at_itself(camera: CameraKeys) -> PydanticCustomError | None:
+def _looks_at_itself(camera: Camera) -> PydanticCustomError | None:
     if camera.look is not None or not (camera.rig is None or camera.rig_part.keeps_view):
         return None
     # Heights above ground do not matter: a point above another has the same ground.
@@ -156,33 +406,28 @@ def check_cameras(cameras: Sequence[Camera]) -> None:
         frames += camera.frames
         if frames > MOST_FRAMES:
             at = (index, "path", "frames") if camera.path else (index, "rig") if camera.rig else (index,)
-            expected, got = f"at most {MOST_FRAMES} frames of all cameras together", sum(one.frames for one in cameras)
-            raise violation(expected, problem="too many frames", got=str(got), at=at)
+            expected = f"at most {MOST_FRAMES} frames of all cameras together"
+            got = str(sum(one.frames for one in cameras))
+            raise violation(expected, problem="too many frames", got=got, at=at)
         for name in {camera.name: None, **dict.fromkeys(camera.frame_names)}:
             # Compared without case: the names become files, and some file systems ignore case.
-            first = owner.setdefault(name.lower(), index)
-            if first != index:
-                raise _collision(cameras, first, index, name)
+            first = cameras[owner.setdefault(name.lower(), index)]
+            if first is camera:
+                continue
+            expected, problem = "a different name for each camera", "two cameras of one name"
+            got = camera.name
+            if first.name.lower() != camera.name.lower():
+                expected = "other names than those of a path's frames, NAME-0000, NAME-0001, ..."
+                problem, got = f"two images of one name, {name}", f"{camera.name}, beside the camera {first.name}"
+            raise violation(expected, problem=problem, got=got, at=(index, "name"))
 
 
 def check_motion(cameras: Sequence[Camera], *, plants_move: bool) -> None:
     """Raise an error of validation if all images of a path would be the same."""
     for index, camera in enumerate(cameras):
         if camera.path is not None and not camera.moves and not plants_move:
-            raise violation(
-                "points in position_m or look_at_m that differ from the camera's own, or gusty wind",
-                problem="nothing moves along this path: all of its images would be the same",
-                got=f"{camera.frames} frames",
-                hint="add path.position_m, set wind.speed_m_per_s and wind.gustiness, or leave the path out",
-                at=("cameras", index, "path"),
-            )
-
-
-def _collision(cameras: Sequence[Camera], first: int, second: int, name: str) -> PydanticCustomError:
-    one, other, at = cameras[first].name, cameras[second].name, (second, "name")
-    if one.lower() == other.lower():
-        return violation("a different name for each camera", problem="two cameras of one name", got=other, at=at)
-    expected = "other names than those of a path's frames, NAME-0000, NAME-0001, ..."
-    return violation(
-        expected, problem=f"two images of one name, {name}", got=f"{other}, beside the camera {one}", at=at
-    )
+            expected = "points in position_m or look_at_m that differ from the camera's own, or gusty wind"
+            problem = "nothing moves along this path: all of its images would be the same"
+            got = f"{camera.frames} frames"
+            hint = "add path.position_m, set wind.speed_m_per_s and wind.gustiness, or leave the path out"
+            raise violation(expected, problem=problem, got=got, hint=hint, at=("cameras", index, "path"))

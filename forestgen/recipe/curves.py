@@ -8,7 +8,7 @@
     internode_m: {formula: "0.3 - 0.22 * x^2"}                # of the position x
 
 A formula is arithmetic of named numbers, compiled from text, without access to Python. A curve's formula knows its
-position ``x``; a drawn number's formula knows the recipe's variables (recipe/variables.py).
+position ``x``; a drawn number's formula knows the recipe's variables (recipe/draws.py).
 """
 
 from __future__ import annotations
@@ -182,9 +182,9 @@ def evaluate_one(curve: Function, position: float) -> float:
     return float(evaluate(curve, position))
 
 
-def check_formula(text: str) -> None:
-    """Raise ValueError where `text` is no formula of x; it says what is wrong and what there is."""
-    _compiled(text, (VARIABLE,))
+def check_formula(text: str, names: tuple[str, ...] = (VARIABLE,)) -> None:
+    """Raise ValueError where `text` is no formula of these names; it says what is wrong and what there is."""
+    _compiled(text, names)
 
 
 def evaluate_formula(text: str, x: Floats) -> Floats:
@@ -204,11 +204,6 @@ def is_whole(text: str) -> bool:
     """Whether a checked formula gives whole numbers because all of it is rounded: ``round(...)``."""
     tree = _parsed(text)
     return isinstance(tree, ast.Call) and isinstance(tree.func, ast.Name) and tree.func.id == "round"
-
-
-def check_formula_of(text: str, names: tuple[str, ...]) -> None:
-    """Raise ValueError, as `check_formula` does, where `text` is no formula of these names."""
-    _compiled(text, names)
 
 
 def evaluate_number(text: str, values: Mapping[str, float]) -> float:

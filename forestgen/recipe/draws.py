@@ -1,19 +1,39 @@
-"""All that a recipe draws: distributions and what follows from variables, found in its data, checked and drawn.
+"""All that a recipe draws: distributions, and what follows from variables; found in its data, checked and drawn.
 
 A choice may be among mappings or lists that hold distributions again; the key path of one of these goes through the
 choice, such as ``sky.clouds.choice.1.cover``. Values are put in place from the inside out, the choice's own last.
+
+Numbers may share a drawn variable::
+
+    sampling:
+      variables:
+        wetness: {uniform: [0, 1]}
+        fog: {formula: "wetness^2"}                     # variables may follow from others
+    sky:
+      turbidity: {formula: "2 + 4 * wetness"}
+    community:
+      steps: {formula: "round(50 + 300 * wetness)"}     # a whole number
+    plants:
+      season: {variable: season}                        # a variable may also be a text
+
+A formula of ``x`` is a curve's (recipe/curves.py) and no matter of this module.
 """
 
 from __future__ import annotations
 
+import difflib
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
+from typing import Any, TypeGuard
 
 from pydantic import ValidationError
 
 from forestgen.core.errors import ErrorList, RecipeError
 from forestgen.core.randomness import child_rng
+from forestgen.recipe.curves import VARIABLE, check_formula, evaluate_number, formula_names, is_whole
 from forestgen.recipe.dataset import DEFAULT_SPLITS
 from forestgen.recipe.distributions import (
     BadDistributionError,
@@ -25,12 +45,11 @@ from forestgen.recipe.distributions import (
 )
 from forestgen.recipe.distributions import Sequence as InOrder
 from forestgen.recipe.messages import UNDRAWN, Explainer, show
-from forestgen.recipe.sampler import Sampler, Sampling, make_sampler
+from forestgen.recipe.sampler import VARIABLES, Sampler, Sampling, is_variable, make_sampler
 from forestgen.recipe.sources import Keys, SourceMap, dotted
-from forestgen.recipe.variables import SECTION as VARIABLES
-from forestgen.recipe.variables import Variables, is_reference, make_variables, needs_variables
 
 Values = Mapping[Keys, Scalar]
+REFERENCES = ("variable", "formula")
 MOST_PROBES = 1000  # a recipe is checked so many times at most
 _MOST_TRIED = 50  # of one distribution's numbers
 
@@ -49,13 +68,42 @@ def _tried(one: Distribution) -> list[Scalar]:
 
 
 @dataclass(frozen=True)
+class Reference:
+    """A value that follows from variables."""
+
+    text: str  # name of the variable, or the formula
+    names: tuple[str, ...]  # of the variables in it
+    is_formula: bool
+    where: str
+
+    def value(self, known: Mapping[str, Scalar]) -> Scalar:
+        """Raises `RecipeError` for a formula of a text, or without a finite value."""
+        if not self.is_formula:
+            return known[self.text]
+        numbers: dict[str, float] = {}
+        for name in self.names:
+            value = known[name]
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                problem, expected = "a formula of what is no number", f"{name}, a number"
+                raise RecipeError(problem, where=self.where, expected=expected, got=f"{value!r}")
+            numbers[name] = value
+        result = evaluate_number(self.text, numbers)
+        if not math.isfinite(result):
+            given = ", ".join(f"{name} = {value:g}" for name, value in numbers.items())
+            problem, got = "a formula without a finite value", f"{result} at {given}"
+            raise RecipeError(problem, where=self.where, expected="a number", got=got)
+        return int(result) if is_whole(self.text) else result
+
+
+@dataclass(frozen=True)
 class Draws:
     """What is drawn, by key path in the recipe's order: a choice before what lies in it."""
 
     seed: int  # the recipe's
     written: Mapping[Keys, Any]  # distributions and references
     distributions: Mapping[Keys, Distribution]
-    variables: Variables
+    constants: Mapping[str, Scalar]  # variables that are plain values
+    references: Mapping[Keys, Reference]  # those of variables first, each after what it needs
     sampler: Sampler | None  # None: all draws are independent
 
     def values(self, image: int) -> dict[Keys, Scalar]:
@@ -64,8 +112,7 @@ class Draws:
         Each value has its own stream of random numbers, named by its key and the image, or its place by `sampler`.
         """
         placed = self.sampler.quantiles(image) if self.sampler is not None else {}
-        drawn = {keys: self._drawn(keys, one, image, placed) for keys, one in self.distributions.items()}
-        return {**drawn, **self.variables.values(drawn)}
+        return self._followed({keys: self._drawn(keys, one, image, placed) for keys, one in self.distributions.items()})
 
     def _drawn(self, keys: Keys, one: Distribution, image: int, placed: Mapping[Keys, float]) -> Scalar:
         if keys in placed:
@@ -73,6 +120,16 @@ class Draws:
         if isinstance(one, InOrder):
             return one.of_image(image)
         return one.draw(child_rng(self.seed, "recipe", image, dotted(keys)))
+
+    def _followed(self, drawn: Values) -> dict[Keys, Scalar]:
+        """All values, from those of the distributions."""
+        known = {**self.constants, **{str(keys[-1]): one for keys, one in drawn.items() if is_variable(keys)}}
+        found = dict(drawn)
+        for keys, reference in self.references.items():
+            found[keys] = reference.value(known)
+            if is_variable(keys):
+                known[str(keys[-1])] = found[keys]
+        return found
 
     @property
     def probe_count(self) -> int:
@@ -88,13 +145,11 @@ class Draws:
         for keys, one in self.distributions.items():
             within = dict(self._choices_around(keys))
             for extreme in _tried(one):
-                yield self._followed({**first, **within, keys: extreme})
+                changed = {**first, **within, keys: extreme}
+                yield self._followed({keys: changed[keys] for keys in self.distributions})
         if len(self.distributions) > 1:
             for end in (0, -1):
                 yield self._followed({keys: one.extremes()[end] for keys, one in self.distributions.items()})
-
-    def _followed(self, values: Values) -> dict[Keys, Scalar]:
-        return {**values, **self.variables.values({keys: values[keys] for keys in self.distributions})}
 
     def put(self, data: dict[str, Any], values: Values, only: Mapping[Keys, Any] | None = None) -> None:
         """Put values in place, all or those of `only`, whose order is that of `written`."""
@@ -102,13 +157,12 @@ class Draws:
             if keys in values:
                 value: Any = values[keys]
                 if self.is_numbered(keys):
-                    value = _entries(get(data, keys))[int(value)]
+                    choice = get(data, keys)["choice"]
+                    value = (choice["values"] if isinstance(choice, Mapping) else choice)[int(value)]
                 put(data, keys, value)
 
     def active(self, values: Values) -> dict[Keys, Scalar]:
         """The values that are in the image: not those of mappings or lists that were not chosen."""
-        if not self._numbered:
-            return dict(values)
         return {
             keys: value
             for keys, value in values.items()
@@ -121,40 +175,55 @@ class Draws:
             return sources, self.written
         active = self.active(values)
         moved = SourceMap(dict(sources.places))
-        for choice in self._numbered:
+        for choice, entries in self._numbered.items():
             if choice in active:
-                moved.take(moved, self._inside(choice, int(active[choice] or 0)), self._final(choice))
+                moved.take(moved, (*entries, int(active[choice] or 0)), self._final(choice))
         return moved, {self._final(keys): self.written[keys] for keys in active}
 
     def is_numbered(self, keys: Keys) -> bool:
         """Whether a choice among mappings or lists is at `keys`."""
-        one = self.distributions.get(keys)
-        return isinstance(one, Choice) and one.numbered
+        return keys in self._numbered
 
-    @property
-    def _numbered(self) -> list[Keys]:
-        return [keys for keys in self.distributions if self.is_numbered(keys)]
+    @cached_property
+    def _numbered(self) -> dict[Keys, Keys]:
+        """Choices among mappings or lists, by key path: that of the list of their entries."""
+        found = {}
+        for keys, one in self.distributions.items():
+            if isinstance(one, Choice) and one.numbered:
+                weighted = isinstance(self.written[keys]["choice"], Mapping)
+                found[keys] = (*keys, "choice", "values") if weighted else (*keys, "choice")
+        return found
 
     def _choices_around(self, keys: Keys) -> Iterator[tuple[Keys, int]]:
         """The choices that a key path goes through, and which of their entries it is in."""
-        for n in range(1, len(keys) - 1):
-            if self.is_numbered(keys[:n]):
-                yield keys[:n], int(keys[n + 1] if keys[n + 1] != "values" else keys[n + 2])
-
-    def _inside(self, choice: Keys, number: int) -> Keys:
-        weighted = isinstance(self.written[choice]["choice"], Mapping)
-        return (*choice, "choice", "values", number) if weighted else (*choice, "choice", number)
+        for choice, entries in self._numbered.items():
+            if keys[: len(entries)] == entries and len(keys) > len(entries):
+                yield choice, int(keys[len(entries)])
 
     def _final(self, keys: Keys) -> Keys:
         """The key path after all choices were made."""
-        found: list[str | int] = []
-        n = 0
-        while n < len(keys):
-            found.append(keys[n])
-            n += 1
-            if n < len(keys) and self.is_numbered(keys[:n]):
-                n += 3 if keys[n + 1] == "values" else 2
-        return tuple(found)
+        for choice, _ in reversed(list(self._choices_around(keys))):  # the innermost first
+            keys = (*choice, *keys[len(self._numbered[choice]) + 1 :])
+        return keys
+
+
+def is_reference(value: object) -> TypeGuard[Mapping[str, str]]:
+    """Whether `value` is written as a variable or a formula: a mapping with one such key and a text."""
+    if not (isinstance(value, Mapping) and len(value) == 1):
+        return False
+    kind, text = next(iter(value.items()))
+    return kind in REFERENCES and isinstance(text, str)
+
+
+def needs_variables(value: Mapping[str, str], variables: Mapping[str, Any]) -> bool:
+    """Whether a reference is this module's, and not a curve's formula; a broken one is, where there are variables."""
+    kind, text = next(iter(value.items()))
+    if kind == "variable" or not variables:
+        return kind == "variable"
+    try:
+        return bool(formula_names(text) - {VARIABLE})
+    except ValueError:
+        return True
 
 
 def find_written(data: Mapping[str, Any]) -> dict[Keys, Any]:
@@ -202,7 +271,7 @@ def _distribution(keys: Keys, value: Any, sources: SourceMap) -> Distribution:
         expected, hint = str(cause), cause.hint
         raise RecipeError("bad distribution", where=where, expected=expected, got=show(value), hint=hint) from cause
     of_species = keys[0] == "species"
-    if isinstance(one, Choice) and one.numbered and (of_species or keys[: len(VARIABLES)] == VARIABLES):
+    if isinstance(one, Choice) and one.numbered and (of_species or is_variable(keys)):
         expected = "numbers, texts, true or false" + (": all images have the same species" if of_species else "")
         hint = "choose how many there are of each: community: {plants: {choice: [...]}}" if of_species else None
         problem = "no mappings or lists are chosen here"
@@ -210,18 +279,72 @@ def _distribution(keys: Keys, value: Any, sources: SourceMap) -> Distribution:
     return one
 
 
+def _reference(value: Mapping[str, str], variables: list[str], where: str) -> Reference:
+    kind, text = next(iter(value.items()))
+    names: tuple[str, ...] = (text,)
+    try:
+        if kind == "formula":
+            names = tuple(sorted(formula_names(text)))
+            check_formula(text, names)
+    except ValueError as cause:
+        expected = "arithmetic of variables, such as '10 + 30 * wetness'"
+        got, hint = f"{text!r:.80}", str(cause)
+        raise RecipeError("bad formula", where=where, expected=expected, got=got, hint=hint) from cause
+    for name in names:
+        if name not in variables:
+            raise _unknown(name, variables, where, curve=kind == "formula" and name == VARIABLE)
+    return Reference(text, names, kind == "formula", where)
+
+
+def _unknown(name: str, variables: list[str], where: str, *, curve: bool) -> RecipeError:
+    if curve:
+        hint = "x is a curve's position; a curve's formula knows no variables"
+        return RecipeError("a formula of x and of variables", where=where, expected="one or the other", hint=hint)
+    near = difflib.get_close_matches(name, variables, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]}?" if near else f"sampling: {{variables: {{{name}: {{uniform: [0, 1]}}}}}}"
+    expected = f"one of {', '.join(variables)}" if variables else "a variable of sampling.variables, which has none"
+    return RecipeError("no such variable", where=where, expected=expected, got=name, hint=hint)
+
+
+def _in_order(references: Mapping[Keys, Reference]) -> list[Keys]:
+    """Variables before what needs them, then all else."""
+    own = {str(keys[-1]): keys for keys in references if is_variable(keys)}
+    needed = {name: [one for one in references[keys].names if one in own] for name, keys in own.items()}
+    try:
+        order = [own[name] for name in TopologicalSorter(needed).static_order()]
+    except CycleError as cause:
+        names = cause.args[1][::-1]  # each needs the next
+        problem, expected = (
+            "variables that need one another",
+            "formulas of variables that are drawn, or follow from such",
+        )
+        where = references[own[names[0]]].where
+        raise RecipeError(problem, where=where, expected=expected, got=" -> ".join(names)) from cause
+    return [*order, *(keys for keys in references if not is_variable(keys))]
+
+
 def make_draws(data: Mapping[str, Any], sources: SourceMap) -> Draws:
     """All that is drawn, checked."""
     section = _sampling(data, sources)
     written, seed = find_written(data), whole_number(data, "seed", 0)
     distributions = _parsed(written, sources)
-    references = {keys: value for keys, value in written.items() if is_reference(value)}
     given = section.variables if section is not None else {}
-    variables = make_variables(given, references, distributions, sources)
+    references = {
+        keys: _reference(value, list(given), sources.where(keys))
+        for keys, value in written.items()
+        if is_reference(value)
+    }
+    constants = {name: one for name, one in given.items() if (*VARIABLES, name) not in written}
+    for name, value in constants.items():
+        if isinstance(value, Mapping | list):
+            where = sources.where((*VARIABLES, name))
+            expected = "a distribution, a number, a text, or {formula: ...} of other variables"
+            raise RecipeError("bad variable", where=where, expected=expected, got=f"{value!r:.60}")
+    references = {keys: references[keys] for keys in _in_order(references)}
     sampler: Sampler | None = None
     if section is not None:
         sampler = make_sampler(section, distributions, references, sources, seed, splits_of(data))
-    draws = Draws(seed, written, distributions, variables, sampler)
+    draws = Draws(seed, written, distributions, constants, references, sampler)
     if draws.probe_count > MOST_PROBES:
         problem, got = "the recipe draws too much to be checked", f"{draws.probe_count:,}"
         expected = f"at most {MOST_PROBES:,} ends of distributions and choices in all"
@@ -275,8 +398,3 @@ def get(data: Any, keys: Keys) -> Any:
 def put(data: Any, keys: Keys, value: Any) -> None:
     """Put a value at a key path whose parent is there."""
     get(data, keys[:-1])[keys[-1]] = value
-
-
-def _entries(written: Mapping[str, Any]) -> Any:
-    choice = written["choice"]
-    return choice["values"] if isinstance(choice, Mapping) else choice

@@ -57,8 +57,8 @@ class GivenSection(Section):
         return {key: value for key, value in handler(self).items() if value is not None}
 
 
-def known_part(registry: Registry) -> AfterValidator:
-    """Validator of a registered part's name."""
+def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
+    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
 
     def known(name: str) -> str:
         try:
@@ -67,22 +67,12 @@ def known_part(registry: Registry) -> AfterValidator:
             raise _as_violation(error) from error
         return name
 
-    return AfterValidator(known)
-
-
-def part_name(registry: Registry) -> tuple[AfterValidator, FieldInfo]:
-    """Validator and JSON Schema of a registered part's name, for ``Annotated[Text, *part_name(...)]``."""
-    return known_part(registry), Field(json_schema_extra=partial(_add_names, registry=registry))
-
-
-def list_names(schema: dict[str, Any], registry: Registry) -> None:
-    """Add to the JSON Schema of a part's name the names that are registered when it is made."""
-    schema["enum"] = registry.ids()
+    return AfterValidator(known), Field(json_schema_extra=partial(_add_names, registry=registry))
 
 
 def _add_names(schema: dict[str, Any], registry: Registry) -> None:
-    """The same, with the parts' descriptions."""
-    list_names(schema, registry)
+    """Add to the JSON Schema of a part's name the names that are registered when it is made, and descriptions."""
+    schema["enum"] = registry.ids()
     about = "; ".join(f"{name}: {registry.describe(name)}" for name in registry)
     schema["description"] = f"{schema.get('description', 'The part.')} {about}."
 
@@ -153,13 +143,9 @@ class PartSection(Section):
             hint = did_you_mean(key, keys, cutoff=0.5)
             raise violation("one of " + ", ".join(sorted(keys)), problem=f"unknown key {key!r}", hint=hint, at=(key,))
         elif owners:
-            raise violation(
-                "one of " + ", ".join(sorted(own.model_fields)),
-                problem=f"the {cls.registry.kind} {cls.named_by(data)} has no {key}",
-                got=key,
-                hint=own.instead.get(key, f"it is a key of {', '.join(owners)}"),
-                at=(key,),
-            )
+            problem = f"the {cls.registry.kind} {cls.named_by(data)} has no {key}"
+            hint, at = own.instead.get(key, f"leave {key} out, or choose {cls.selector}: {' or '.join(owners)}"), (key,)
+            raise violation("one of " + ", ".join(sorted(own.model_fields)), problem=problem, got=key, hint=hint, at=at)
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
@@ -199,6 +185,14 @@ def _as_violation(error: RecipeError, at: str = "") -> PydanticCustomError:
 def spelled_out(value: Any, key: str) -> Any:
     """A shorthand such as ``terrain: flat`` as the mapping that it stands for."""
     return {key: value} if isinstance(value, str) else value
+
+
+def extent_m(site: Any) -> tuple[float, float]:
+    """A recipe's site's extent; its default instead of a bad one, which is left for validation to name."""
+    size = site.get("size_m") if isinstance(site, Mapping) else None
+    pair = size if isinstance(size, list | tuple) and len(size) == 2 else (0, 0)
+    good = all(isinstance(extent, int | float) and 0 < extent <= 5000 for extent in pair)
+    return (float(pair[0]), float(pair[1])) if good else (100.0, 100.0)
 
 
 def shorthand(key: str) -> BeforeValidator:

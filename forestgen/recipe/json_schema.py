@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from forestgen.recipe.assets import list_assets
@@ -30,6 +30,8 @@ _SHORTHANDS = (
     ("Site", "terrain", "Terrain", "kind"),
     ("Site", "wet_soil", "WetSoil", "shown"),
     ("SkySection", "clouds", "Clouds", "type"),
+    ("Camera", "bands", "SensorFile", "name"),
+    ("Material", "spectrum", "SpectrumFile", "name"),
 )  # section, its key, that key's section, and the key of it that may stand alone
 
 
@@ -43,20 +45,18 @@ def recipe_json_schema(
     community_parameters : community model's id -> JSON Schema of its own keys. Given, no other model is admitted.
     plant_parameters : plant generator's id -> JSON Schema of its own keys. Given, no other generator is admitted.
     """
-    schema: Json = copy.deepcopy(Recipe.model_json_schema())
+    schema: Json = Recipe.model_json_schema()
     definitions: Json = schema["$defs"]
     if community_parameters:
         _splice(definitions, "Community", "model", community_parameters)
     if plant_parameters:
         _splice(definitions, "Plant", "generator", plant_parameters)
-    _tidy(schema)
+    schema = _changed(schema, _tidy)
+    definitions, properties = schema["$defs"], schema["properties"]
     splits = copy.deepcopy(definitions["Dataset"]["properties"]["splits"])
-    for name in definitions.keys() - _OF_SAMPLING:
-        definitions[name] = _drawable(definitions[name])
     undrawn = {str(keys[0]) for keys in UNDRAWN if len(keys) == 1}
-    properties: Json = schema["properties"]
-    for name in properties.keys() - undrawn:
-        properties[name] = _drawable(properties[name])
+    for nodes, left_out in ((definitions, _OF_SAMPLING), (properties, undrawn)):
+        nodes.update({name: _changed(nodes[name], _drawable) for name in nodes.keys() - left_out})
     _admit_shorthands(schema)
     # Every mapping or list in a section, except species, may be chosen among several.
     for name in definitions.keys() - _OF_SAMPLING:
@@ -81,39 +81,30 @@ def _outer_inner(node: Json) -> tuple[Json, Json]:
     return outer, {key: value for key, value in node.items() if key not in outer}
 
 
-def _drawable(node: Any) -> Any:
-    """`node` with every scalar schema inside also admitting a distribution."""
+def _changed(node: Any, change: Callable[[Json], Json]) -> Any:
+    """`node` with every mapping in it changed, the inner ones first."""
     if isinstance(node, list):
-        return [_drawable(item) for item in node]
-    if not isinstance(node, dict):
+        return [_changed(item, change) for item in node]
+    return change({key: _changed(item, change) for key, item in node.items()}) if isinstance(node, dict) else node
+
+
+def _drawable(node: Json) -> Json:
+    """A scalar's schema also admits a distribution."""
+    scalar = isinstance(node.get("type"), str) and node["type"] in _SCALARS
+    if not scalar and "const" not in node and "enum" not in node:
         return node
-    if node.get("type") in _SCALARS or "const" in node or "enum" in node:
-        outer, inner = _outer_inner(node)
-        return {**outer, "anyOf": [inner, DISTRIBUTION]}
-    result: Json = dict(node)
-    for key in node.keys() & {"properties", "patternProperties"}:
-        result[key] = {name: _drawable(item) for name, item in node[key].items()}
-    for key in node.keys() & {"items", "prefixItems", "anyOf", "oneOf", "allOf", "additionalProperties"}:
-        result[key] = _drawable(node[key])
-    return result
+    outer, inner = _outer_inner(node)
+    return {**outer, "anyOf": [inner, DISTRIBUTION]}
 
 
-def _tidy(node: Any) -> None:
-    """Remove the titles that repeat a key's name (a key called "title" stays) and give bounds their JSON Schema names.
+def _tidy(node: Json) -> Json:
+    """Without the title that repeats a key's name (a key called "title" stays), and bounds by their JSON Schema names.
 
     The schema library writes a bound beyond a validator function under its own name.
     """
-    if isinstance(node, list):
-        for item in node:
-            _tidy(item)
-    elif isinstance(node, dict):
-        if isinstance(node.get("title"), str):
-            del node["title"]
-        for name, keyword in _BOUNDS.items():
-            if isinstance(node.get(name), int | float):
-                node[keyword] = node.pop(name)
-        for item in node.values():
-            _tidy(item)
+    bounds = {name for name in _BOUNDS.keys() & node.keys() if isinstance(node[name], int | float)}
+    kept = {key: value for key, value in node.items() if key != "title" or not isinstance(value, str)}
+    return {_BOUNDS[key] if key in bounds else key: value for key, value in kept.items()}
 
 
 def _splice(definitions: Json, section: str, selector: str, parameters: Mapping[str, Json]) -> None:
@@ -138,14 +129,13 @@ def _splice(definitions: Json, section: str, selector: str, parameters: Mapping[
 
 def _renamed(node: Any, prefix: str) -> Any:
     """`node` with its references to local definitions given a prefix."""
-    if isinstance(node, list):
-        return [_renamed(item, prefix) for item in node]
-    if not isinstance(node, dict):
-        return node
-    result = {key: _renamed(value, prefix) for key, value in node.items()}
-    if isinstance(node.get("$ref"), str):
-        result["$ref"] = f"#/$defs/{prefix}{node['$ref'].removeprefix('#/$defs/')}"
-    return result
+
+    def rename(one: Json) -> Json:
+        if isinstance(one.get("$ref"), str):
+            one["$ref"] = f"#/$defs/{prefix}{one['$ref'].removeprefix('#/$defs/')}"
+        return one
+
+    return _changed(node, rename)
 
 
 def _admit_shorthands(schema: Json) -> None:
@@ -173,7 +163,7 @@ def _admit_species_files(schema: Json) -> None:
     definitions = schema["$defs"]
     # Under `from`, any key may be left out at any depth: the file has it.
     for name in ("Species", *_OF_SPECIES):
-        definitions[f"{name}Override"] = _partial(definitions[name])
+        definitions[f"{name}Override"] = _changed(definitions[name], _partial)
     override = definitions["SpeciesOverride"]
     source = {"type": "string", "description": "Name of a species in scenes/species, or the path of its file."}
     override["properties"] = {"from": source, **override["properties"]}
@@ -189,13 +179,9 @@ def _admit_species_files(schema: Json) -> None:
     place["additionalProperties"] = False
 
 
-def _partial(node: Any) -> Any:
-    if isinstance(node, list):
-        return [_partial(item) for item in node]
-    if not isinstance(node, dict):
-        return node
-    # Without its selector a section may fit several variants.
-    result = {"anyOf" if key == "oneOf" else key: _partial(value) for key, value in node.items() if key != "required"}
+def _partial(node: Json) -> Json:
+    """Any key may be left out; without its selector a section may fit several variants."""
+    result = {"anyOf" if key == "oneOf" else key: value for key, value in node.items() if key != "required"}
     reference = result.get("$ref", "")
     if isinstance(reference, str) and reference.removeprefix("#/$defs/") in _OF_SPECIES:
         result["$ref"] = reference + "Override"

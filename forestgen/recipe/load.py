@@ -19,7 +19,7 @@ from pydantic import BaseModel, ValidationError
 from forestgen.core.arguments import plain_copy
 from forestgen.core.errors import AssetError, ErrorList, RecipeError
 from forestgen.core.randomness import child_root
-from forestgen.recipe.assemble import apply_override, embed_program, embed_tables, merge_species, normalize
+from forestgen.recipe.assemble import apply_override, embed_files, merge_species, normalize
 from forestgen.recipe.assets import find_asset, list_assets, recipes_dir
 from forestgen.recipe.biome import forget_drawn_biome, settle_biome
 from forestgen.recipe.dataset import NUMBERS_END, split_of
@@ -32,6 +32,7 @@ from forestgen.recipe.sources import Keys, Place, SourceMap, copied, mapping_of,
 from forestgen.recipe.species import Species
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+Source = Path | str | Mapping[str, Any]
 # Words of keys that files are found by, or checked with: see `LoadedRecipe._template`.
 _OF_FILES = frozenset({"program", "spectrum", "season", "bands", "biome"})
 _MOST_TEMPLATES = 16
@@ -210,9 +211,7 @@ class LoadedRecipe:
         normalize(data)
         if errors.attempt(settle_biome, data, self.sources):
             merge_species(data, self.sources, self.path.parent, errors)
-        for part in _parts_with_files(data):
-            errors.attempt(embed_program, part, self.sources, self.path.parent)
-            errors.attempt(embed_tables, part, self.sources, self.path.parent)
+        embed_files(data, self.sources, self.path.parent, errors)
         if not errors:
             while len(self._templates) >= _MOST_TEMPLATES:
                 del self._templates[next(iter(self._templates))]
@@ -240,7 +239,10 @@ class LoadedRecipe:
         recipe = recipe.model_copy(update=alone)
         sources, written = self.draws.placed(values, self.sources)
         drawn = self.draws.active(values)
-        seed = _image_seed(self.seed, recipe, image)
+        if recipe.same_stand == "by_split":
+            seed = child_root(self.seed, "split", split_of(recipe.dataset.splits, image))
+        else:
+            seed = child_root(self.seed, "image", 0 if recipe.same_stand else image)
         return DrawnRecipe(recipe, _plain(recipe), image, seed, self.path.parent, sources, written, drawn)
 
 
@@ -257,7 +259,7 @@ def load_recipe_data(
     data: Mapping[str, Any], name: str, folder: Path = Path(), overrides: Sequence[str] = ()
 ) -> LoadedRecipe:
     """A recipe that is no file; errors name it `name`, and its paths are relative to `folder`."""
-    return read_recipe_data(data, name, folder, overrides).whole()
+    return read_recipe(data, overrides, name=name, folder=folder).whole()
 
 
 @dataclass(frozen=True)
@@ -277,28 +279,22 @@ class Loading:
         return self.sound
 
 
-def read_recipe(path: Path | str, overrides: Sequence[str] = ()) -> Loading:
-    """Read a recipe as `load_recipe` does, and keep its errors; those of a file that is no YAML mapping are raised."""
-    path = Path(path)
-    _suggest_shipped(path)
-    data, sources = read_yaml(path)
-    return _loading(path, data, sources, overrides)
+def read_recipe(source: Source, overrides: Sequence[str] = (), name: str = "recipe", folder: Path = Path()) -> Loading:
+    """Read a recipe as `load_recipe` does, and keep its errors; those of a text that is no YAML mapping are raised.
 
-
-def read_recipe_data(
-    data: Mapping[str, Any], name: str, folder: Path = Path(), overrides: Sequence[str] = ()
-) -> Loading:
-    """The same of a recipe that is no file."""
-    return _loading(folder / name, plain_copy(data, name), SourceMap({(): Place(name)}), overrides)
-
-
-def read_recipe_text(text: str, overrides: Sequence[str] = ()) -> Loading:
-    """The same of a recipe's YAML text; its paths are relative to the working folder."""
-    data, sources = mapping_of(text, "recipe text")
-    return _loading(Path("recipe"), data, sources, overrides)
-
-
-def _loading(path: Path, data: dict[str, Any], sources: SourceMap, overrides: Sequence[str]) -> Loading:
+    Parameters
+    ----------
+    source : a file, or the content of one, as a mapping or a text of several lines.
+    name, folder : of a mapping: what errors call it, and what its paths are relative to.
+    """
+    if isinstance(source, Mapping):
+        path, data, sources = folder / name, plain_copy(source, name), SourceMap({(): Place(name)})
+    elif isinstance(source, str) and "\n" in source:
+        path, (data, sources) = Path(name), mapping_of(source, "recipe text")
+    else:
+        path = Path(source)
+        _suggest_shipped(path)
+        data, sources = read_yaml(path)
     errors = ErrorList(sources.place(()).origin)
     normalize(data)
     for override in overrides:
@@ -358,7 +354,11 @@ def _replace_sections(data: dict[str, Any], wrong: Iterable[Keys]) -> frozenset[
             continue
         replaced.add(section)
         if section == "species":
-            _replace_species(data, keys)
+            species, plant = data.get(section), read_yaml(find_asset("species", _STAND_IN))[0]
+            if len(keys) > 1 and isinstance(species, dict) and keys[1] in species:
+                species[keys[1]] = plant
+            else:
+                data[section] = {_STAND_IN: plant}
         elif section == "community":
             data[section] = {"model": "none"}
         elif section == "forestgen":
@@ -366,15 +366,6 @@ def _replace_sections(data: dict[str, Any], wrong: Iterable[Keys]) -> frozenset[
         else:
             data.pop(section, None)
     return frozenset(replaced)
-
-
-def _replace_species(data: dict[str, Any], keys: Keys) -> None:
-    path = find_asset("species", _STAND_IN)
-    species = data.get("species")
-    if len(keys) > 1 and isinstance(species, dict) and keys[1] in species:
-        species[keys[1]] = read_yaml(path)[0]
-    else:
-        data["species"] = {_STAND_IN: read_yaml(path)[0]}
 
 
 def _suggest_shipped(path: Path) -> None:
@@ -396,33 +387,15 @@ def _check_version(data: Mapping[str, Any], sources: SourceMap) -> None:
     if version == SCHEMA_VERSION and not isinstance(version, bool):
         return
     newer = isinstance(version, int) and version > SCHEMA_VERSION
-    raise RecipeError(
-        "unknown version of the recipe's schema",
-        where=sources.where(("forestgen",)),
-        expected=f"forestgen: {SCHEMA_VERSION}",
-        got=show(version) if "forestgen" in data else "no such key",
-        hint="this recipe is for a newer forestgen" if newer else f"write 'forestgen: {SCHEMA_VERSION}' at the top",
-    )
-
-
-def _parts_with_files(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """The sections that name files, each alone: an error in one does not hide those of another."""
-    species = data.get("species")
-    for name, entry in species.items() if isinstance(species, dict) else ():
-        yield {"species": {name: entry}, "plants": data.get("plants")}
-    yield {"community": data.get("community")}
-    yield {"cameras": data.get("cameras")}
+    problem, where = "unknown version of the recipe's schema", sources.where(("forestgen",))
+    got = show(version) if "forestgen" in data else "no such key"
+    hint = "this recipe is for a newer forestgen" if newer else f"write 'forestgen: {SCHEMA_VERSION}' at the top"
+    raise RecipeError(problem, where=where, expected=f"forestgen: {SCHEMA_VERSION}", got=got, hint=hint)
 
 
 def dump_yaml(drawn: DrawnRecipe) -> str:
     """The drawn recipe as YAML text, the same bytes for the same content; `load_recipe` reads it."""
     return yaml_text(drawn.data)
-
-
-def _image_seed(root: int, recipe: Recipe, image: int) -> int:
-    if recipe.same_stand == "by_split":
-        return child_root(root, "split", split_of(recipe.dataset.splits, image))
-    return child_root(root, "image", 0 if recipe.same_stand else image)
 
 
 def _plain(recipe: Recipe) -> dict[str, Any]:

@@ -18,8 +18,12 @@ from forestgen.recipe.assets import inside
 from forestgen.recipe.distributions import is_distribution
 from forestgen.recipe.sources import Keys, SourceMap
 
-SECTION = "community"
-SLOTS = ("map", "keep_out")  # keys below the section whose text is a file's name
+_NAMES_BELOW: dict[Keys, frozenset[str]] = {  # section -> keys anywhere below it whose text is a file's name
+    ("community",): frozenset({"map", "keep_out"}),
+    ("site", "terrain"): frozenset({"map"}),
+    ("sky", "clouds"): frozenset({"map", "sounding"}),
+}
+_SINGLE: tuple[Keys, ...] = (("community", "soil"), ("sky", "clouds", "file"))
 MOST_BYTES = 2_000_000_000
 _SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy", ".csv", ".nc", ".vol")
 _Slot = tuple[Keys, Any, str | int]  # key path, parent and key of a value that may be a file
@@ -48,16 +52,25 @@ def file_sha256(path: Path, named: str, where: str | None = None) -> str:
         raise AssetError("the file cannot be read", where=where, expected=expected, got=reason) from cause
 
 
-def known_file(folder: Path, named: str, sha256: str | None, where: str | None = None) -> Path:
+def known_file(
+    folder: Path, named: str, sha256: str | None, where: str | None = None, known: dict[Path, str] | None = None
+) -> Path:
     """The path of a file that a recipe names, still the one that the recipe was loaded with.
+
+    `known` is SHA-256 by path of the files that were read; it grows, and no file is read twice.
 
     Raises `AssetError` where there is none, or its SHA-256 is another one.
     """
-    path = inside(folder, named, sha256=sha256, where=where)
-    found = file_sha256(path, named, where)
-    if sha256 is not None and found != sha256:
-        problem, expected = "this is not the file that the recipe was made with", f"SHA-256 {sha256[:16]}..."
-        raise AssetError(problem, where=where, expected=expected, got=f"{path}: {found[:16]}...")
+    path, found = inside(folder, named, sha256=sha256, where=where), {} if known is None else known
+    if path not in found:
+        found[path] = file_sha256(path, named, where)
+    if sha256 is not None and sha256 != found[path]:
+        problem, expected = (
+            "this is not the file that the recipe was made with",
+            f"a file whose SHA-256 is {sha256[:16]}...",
+        )
+        hint = "bring the file back; or remove sha256, and the file is taken as it is now"
+        raise AssetError(problem, where=where, expected=expected, got=f"{path}: {found[path][:16]}...", hint=hint)
     return path
 
 
@@ -78,21 +91,39 @@ def embed_maps(data: dict[str, Any], sources: SourceMap, folder: Path, known: di
     """Give every map of a recipe's community, and every file of its weather, in place the SHA-256 of its file.
 
     Where a file's name is chosen anew for each image, every choice becomes such a mapping: for the recipe's hash.
-    `known` is SHA-256 by path of the files that were read; it grows, and no file is read twice.
+    `known`: see `known_file`.
 
     Raises `AssetError` where there is no such file, or its content is not of the SHA-256 that the recipe gives.
     """
+
+    def identified(value: Any, keys: Keys) -> Any:
+        """A file's name, or the mapping that has it, with the file's SHA-256; anything else as it is."""
+        named = {"file": value} if isinstance(value, str) else value
+        if not isinstance(named, dict) or not isinstance(named.get("file"), str):
+            return value
+        written = named.get("sha256")
+        if not (written is None or isinstance(written, str)):
+            return value  # as in `sha256: 12`: the section's own check says what is wrong
+        place = (*keys, "file")
+        where = sources.where(place if place in sources.places else keys)
+        return {**named, "sha256": known[known_file(folder, named["file"], written, where, known)]}
+
+    def chosen(value: Any, keys: Keys) -> Any:
+        """A choice of files' names, each with its SHA-256; any other distribution as it is."""
+        choices = value.get("choice")
+        if not isinstance(choices, list):
+            return value
+        return {"choice": [identified(one, keys) if isinstance(one, str) else one for one in choices]}
+
     for keys, parent, key in list(_all_slots(data)):
         value = parent[key]
-        if isinstance(value, str):
-            parent[key] = _identified({"file": value}, sources, keys, folder, known)
-        elif is_distribution(value):
-            parent[key] = _choices(value, sources, keys, folder, known)
-        elif isinstance(value, dict) and isinstance(value.get("file"), str):
-            parent[key] = _identified(value, sources, keys, folder, known)
+        if is_distribution(value):
+            parent[key] = chosen(value, keys)
         elif isinstance(value, dict) and is_distribution(value.get("file")):
             rest = {name: one for name, one in value.items() if name not in ("file", "sha256")}
-            parent[key] = {**rest, "file": _choices(value["file"], sources, keys, folder, known)}
+            parent[key] = {**rest, "file": chosen(value["file"], keys)}
+        else:
+            parent[key] = identified(value, keys)
 
 
 def map_files(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -109,86 +140,30 @@ def is_map_file(value: object) -> bool:
 
 def _all_slots(data: dict[str, Any]) -> Iterator[_Slot]:
     """Key path, parent and key of every value that may be a file."""
-    yield from _slots(data.get(SECTION), (SECTION,))
-    yield from _own_slot(data, (SECTION, "soil"))
-    yield from _own_slot(data, ("site", "terrain", "map"))
-    sky = data.get("sky")
-    clouds = sky.get("clouds") if isinstance(sky, dict) else None
-    if not isinstance(clouds, dict):
-        return
-    keys: Keys = ("sky", "clouds")
-    if "file" in clouds:
-        yield (*keys, "file"), clouds, "file"
-    yield from _weather_slots(clouds, keys)
-    story = clouds.get("story")
-    for index, chapter in enumerate(story if isinstance(story, list) else ()):
-        yield from _weather_slots(chapter, (*keys, "story", index))
+    for section, names in _NAMES_BELOW.items():
+        yield from _slots(_at(data, section), section, names)
+    for keys in _SINGLE:
+        parent = _at(data, keys[:-1])
+        if isinstance(parent, dict) and keys[-1] in parent:
+            yield keys, parent, keys[-1]
 
 
-def _own_slot(data: dict[str, Any], keys: tuple[str, ...]) -> Iterator[_Slot]:
-    """A map that has one place in a recipe."""
-    parent: Any = data
-    for key in keys[:-1]:
-        parent = parent.get(key) if isinstance(parent, dict) else None
-    if isinstance(parent, dict) and keys[-1] in parent:
-        yield keys, parent, keys[-1]
+def _at(data: Any, keys: Keys) -> Any:
+    for key in keys:
+        data = data.get(key) if isinstance(data, dict) else None
+    return data
 
 
-def _weather_slots(value: Any, keys: Keys) -> Iterator[_Slot]:
-    """The files of one kind of weather: its sounding, and the map of its emission."""
-    if not isinstance(value, dict):
-        return
-    if "sounding" in value:
-        yield (*keys, "sounding"), value, "sounding"
-    emission = value.get("emission")
-    if isinstance(emission, dict) and "map" in emission:
-        yield (*keys, "emission", "map"), emission, "map"
-
-
-def _slots(value: Any, keys: Keys) -> Iterator[_Slot]:
-    """Key path, parent and key of every value that may be a map."""
+def _slots(value: Any, keys: Keys, names: frozenset[str]) -> Iterator[_Slot]:
+    """Key path, parent and key of every value below a section whose key is one of these."""
     if isinstance(value, dict):
         for key, item in value.items():
-            if key in SLOTS:
+            if key in names:
                 yield (*keys, key), value, key
-            yield from _slots(item, (*keys, key))  # into a slot too: a species may be named so
+            yield from _slots(item, (*keys, key), names)  # into a slot too: a species may be named so
     elif isinstance(value, list):
         for index, item in enumerate(value):
-            yield from _slots(item, (*keys, index))
-
-
-def _identified(
-    value: dict[str, Any], sources: SourceMap, keys: Keys, folder: Path, known: dict[Path, str]
-) -> dict[str, Any]:
-    """The mapping with the file's SHA-256."""
-    written = value.get("sha256")
-    if not (written is None or isinstance(written, str)):
-        return value  # as in `sha256: 12`: the section's own check says what is wrong
-    place = (*keys, "file")
-    where = sources.where(place if place in sources.places else keys)
-    path = inside(folder, value["file"], sha256=written, where=where)
-    if path not in known:
-        known[path] = file_sha256(path, value["file"], where)
-    if written is not None and written != known[path]:
-        problem = "this is not the file that the recipe was made with"
-        expected = f"a file whose SHA-256 is {written[:16]}..."
-        hint = "bring the file back; or remove sha256, and the file is taken as it is now"
-        raise AssetError(problem, where=where, expected=expected, got=f"{path}: {known[path][:16]}...", hint=hint)
-    return {**value, "sha256": known[path]}
-
-
-def _choices(written: Any, sources: SourceMap, keys: Keys, folder: Path, known: dict[Path, str]) -> Any:
-    """A choice of files' names, each with its SHA-256; any other distribution as it is."""
-    choices = written.get("choice")
-    if not isinstance(choices, list):
-        return written
-    files = [{"file": one} if isinstance(one, str) else one for one in choices]
-    return {
-        "choice": [
-            _identified(new, sources, keys, folder, known) if new is not old else old
-            for new, old in zip(files, choices, strict=True)
-        ]
-    }
+            yield from _slots(item, (*keys, index), names)
 
 
 def recipe_hash(data: Mapping[str, Any]) -> str:

@@ -136,7 +136,7 @@ class Explainer:
             return self._missing(keys)
         if kind in ("union_tag_invalid", "union_tag_not_found"):
             return self._which_form(keys, value, str(context["discriminator"]).strip("'"))
-        keys = self._real(self._written_keys(keys))
+        keys = self._written_keys(keys, existing=True)
         if kind == "violation":
             got = context["got"] or show(value)
             return self._at(keys + tuple(context["at"]), context["problem"], context["expected"], got, context["hint"])
@@ -195,8 +195,11 @@ class Explainer:
                 return len(arguments)
         return None
 
-    def _written_keys(self, keys: Keys) -> Keys:
-        """`keys` without the forms' names, which the schema library puts between a mapping and its keys."""
+    def _written_keys(self, keys: Keys, *, existing: bool = False) -> Keys:
+        """`keys` without the forms' names, which the schema library puts between a mapping and its keys.
+
+        `existing`: without the union's arms that it appends, too.
+        """
         value: Any = self.data
         written: list[str | int] = []
         named = False
@@ -204,8 +207,11 @@ class Explainer:
             if isinstance(value, Mapping) and key not in value and not named and key in list(value.values()):
                 named = True
                 continue
-            written.append(key)
             value, named = _entry(value, key), False
+            # A filled-in default has no data of its own, but its key is still one of the schema's.
+            if existing and value is _ABSENT and self._annotation_at(keys) is None:
+                break
+            written.append(key)
         return tuple(written)
 
     def _annotation_at(self, keys: Keys) -> Any:
@@ -223,16 +229,6 @@ class Explainer:
     def _class_at(self, keys: Keys) -> type[BaseModel] | None:
         arms = _arms(self._annotation_at(keys))
         return next((arm for arm in arms if isinstance(arm, type) and issubclass(arm, BaseModel)), None)
-
-    def _real(self, keys: Keys) -> Keys:
-        """`keys` without the union's arms that the schema library appends."""
-        value: Any = self.data
-        for n, key in enumerate(keys):
-            value = _entry(value, key)
-            if value is _ABSENT:
-                # A filled-in default has no data of its own, but its key is still one of the schema's.
-                return keys if self._annotation_at(keys) is not None else keys[:n]
-        return keys
 
     def _number_hint(self, keys: Keys, value: object) -> str | None:
         if isinstance(value, str):

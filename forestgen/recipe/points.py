@@ -16,7 +16,7 @@ exactly. Spearman's rank correlation rho of two of them needs
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal
 
@@ -144,28 +144,16 @@ def _least(matrix: Floats) -> float:
 
 def _nearest(matrix: Floats, pair: Pair) -> float | None:
     """The rank correlation of `pair` nearest to what is written that goes with the rest of the matrix, if any does."""
+    from scipy.optimize import brentq, minimize_scalar
+
     changed = matrix.copy()
 
-    def least(rank: float) -> float:
+    def room(rank: float) -> float:
         _put(changed, pair, rank)
-        return _least(changed)
+        return _least(changed) - _LEAST_EIGENVALUE
 
-    good = _highest(least)
-    if least(good) < _LEAST_EIGENVALUE:
+    good = float(minimize_scalar(lambda rank: -room(rank), bounds=(-1.0, 1.0), method="bounded").x)
+    if room(good) < 0.0:
         return None
-    bad = pair[2]
-    for _ in range(50):
-        middle = 0.5 * (good + bad)
-        good, bad = (middle, bad) if least(middle) >= _LEAST_EIGENVALUE else (good, middle)
-    step = 10**_DECIMALS
-    towards = math.floor if bad > good else math.ceil
-    return float(towards(good * step) / step)
-
-
-def _highest(function: Callable[[float], float]) -> float:
-    """Where in [-1, 1] a function with one peak is highest."""
-    low, high = -1.0, 1.0
-    for _ in range(60):
-        one, other = low + (high - low) / 3.0, high - (high - low) / 3.0
-        low, high = (one, high) if function(one) < function(other) else (low, other)
-    return 0.5 * (low + high)
+    towards, step = math.floor if pair[2] > good else math.ceil, 10**_DECIMALS
+    return float(towards(brentq(room, good, pair[2]) * step) / step)

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
@@ -28,13 +28,13 @@ from forestgen.recipe.curves import RESERVED
 from forestgen.recipe.dataset import place_in_splits
 from forestgen.recipe.distributions import Choice, Distribution, Integers
 from forestgen.recipe.distributions import Sequence as InOrder
-from forestgen.recipe.fields import Number, Section, Text, Whole, violation
+from forestgen.recipe.fields import Number, Section, Text, Whole, each_once, violation
 from forestgen.recipe.points import MOST_KEYS, InfeasibleError, Method, cell_of, cholesky_factor, correlated, point
 from forestgen.recipe.sources import Keys, SourceMap, dotted
-from forestgen.recipe.variables import SECTION as VARIABLES
 
 _EDGE = 2.0**-32  # how near to a bin's edge a value comes: nearer, rounding might put it beyond
 MOST_CELLS = 10_000
+VARIABLES: Keys = ("sampling", "variables")
 _Key = Annotated[Text, Field(min_length=1, max_length=300)]
 _Variable = Annotated[Text, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
 _Level = bool | int | float | str | None
@@ -78,9 +78,8 @@ class Sampling(Section):
     block: Whole = Field(
         128, ge=2, le=65_536, description="Of latin_hypercube: images of a split that make a whole hypercube."
     )
-    keys: tuple[_Key, ...] | None = Field(
+    keys: Annotated[tuple[_Key, ...], Field(min_length=1), AfterValidator(each_once)] | None = Field(
         None,
-        min_length=1,
         description="Keys or variables that the method spreads, such as sky.sun.elevation_deg. Default: all that are "
         "drawn.",
     )
@@ -194,7 +193,12 @@ def make_sampler(
         for name, wanted in section.strata.items()
         for keys in [keys_of.find(name, ("sampling", "strata", name))]
     )
-    _check_cells(section, strata, sources)
+    cells = math.prod(bins for _, bins in strata)
+    if cells > MOST_CELLS:
+        where, expected = sources.where(("sampling", "strata")), f"at most {MOST_CELLS:,} combinations of bins"
+        got = f"{' x '.join(str(bins) for _, bins in strata)} = {cells:,}"
+        hint = "fewer bins, or leave some of these keys to the method"
+        raise RecipeError("too many strata", where=where, expected=expected, got=got, hint=hint)
     correlated, factor = _correlations(section, keys_of, [keys for keys, _ in strata], sources)
     spread = _spread(section, keys_of, {keys for keys, _ in strata})
     return Sampler(seed, splits, section.method, section.block, spread, strata, correlated, factor)
@@ -233,8 +237,13 @@ class _Keys:
         raise RecipeError(problem, where=where, expected=expected, got=name, hint=advice)
 
 
+def is_variable(keys: Keys) -> bool:
+    """Whether a key path is that of a variable."""
+    return keys[:2] == VARIABLES and len(keys) == 3
+
+
 def _name(keys: Keys) -> str:
-    return str(keys[-1]) if keys[: len(VARIABLES)] == VARIABLES and len(keys) == 3 else dotted(keys)
+    return str(keys[-1]) if is_variable(keys) else dotted(keys)
 
 
 def _some(names: Sequence[str]) -> str:
@@ -258,39 +267,22 @@ def _bins(distribution: Distribution, wanted: Any, where: str) -> int:
         hint = f"{bins:g} bins have each value as often as its weight says" if bins == int(bins) else None
         expected = "a number of bins, for a choice with weights"
         raise RecipeError("strata would undo the weights", where=where, expected=expected, got="all", hint=hint)
-    if wanted != "all":
-        _check_levels(distribution, wanted, where)
-    return len(distribution.values)
-
-
-def _check_levels(distribution: Choice, wanted: Sequence[Any], where: str) -> None:
-    if distribution.numbered:
+    if wanted != "all" and distribution.numbered:
         raise RecipeError("bad strata", where=where, expected="all, where mappings or lists are chosen")
-    if len(wanted) != len(distribution.values) or any(value not in wanted for value in distribution.values):
+    if wanted != "all" and (
+        len(wanted) != len(distribution.values) or any(one not in wanted for one in distribution.values)
+    ):
         expected = f"all, or every value of the choice: {_some([str(value) for value in distribution.values])}"
         raise RecipeError("bad strata", where=where, expected=expected, got=_some([str(value) for value in wanted]))
-
-
-def _check_cells(section: Sampling, strata: Sequence[tuple[Keys, int]], sources: SourceMap) -> None:
-    cells, where = math.prod(bins for _, bins in strata), sources.where(("sampling", "strata"))
-    if cells > MOST_CELLS:
-        expected, got = f"at most {MOST_CELLS:,} combinations of bins", " x ".join(str(bins) for _, bins in strata)
-        hint = "fewer bins, or leave some of these keys to the method"
-        raise RecipeError("too many strata", where=where, expected=expected, got=f"{got} = {cells:,}", hint=hint)
-    if len({keys for keys, _ in strata}) < len(section.strata):
-        raise RecipeError("a key twice", where=where, expected="each key once")
+    return len(distribution.values)
 
 
 def _spread(section: Sampling, keys_of: _Keys, in_strata: set[Keys]) -> tuple[Keys, ...]:
     """What the method places, in the order that it is listed or written."""
     if section.method == "independent":
         return ()
-    names = list(keys_of.names) if section.keys is None else list(section.keys)
+    names = list(section.keys or keys_of.names)
     found = [keys_of.find(name, ("sampling", "keys", n)) for n, name in enumerate(names)]
-    for n, keys in enumerate(found):
-        if keys in found[:n]:
-            where = keys_of.sources.where(("sampling", "keys", n))
-            raise RecipeError("a key twice", where=where, expected="each key once", got=names[n])
     spread = tuple(keys for keys in found if keys not in in_strata)
     if len(spread) > MOST_KEYS:
         where, expected = keys_of.sources.where(("sampling", "method")), f"at most {MOST_KEYS}"
@@ -308,7 +300,7 @@ def _correlations(
         path = ("sampling", "correlations", n)
         one, other = (keys_of.find(name, (*path, "keys", k)) for k, name in enumerate(entry.keys))
         where, got = sources.where(path), " and ".join(entry.keys)
-        if (one, other) in pairs or (other, one) in pairs or one == other:
+        if (one, other) in pairs or (other, one) in pairs:
             raise RecipeError("a pair twice", where=where, expected="each pair once", got=got)
         if one in in_strata and other in in_strata:
             expected = "at most one key of a pair among sampling.strata, for all their combinations are equally often"
@@ -324,10 +316,7 @@ def _correlations(
         return tuple(ordered), cholesky_factor(len(ordered), numbered)
     except InfeasibleError as cause:
         entry = section.correlations[cause.pair]
-        raise RecipeError(
-            "these correlations cannot all hold",
-            where=sources.where(("sampling", "correlations", cause.pair)),
-            expected=f"rank: {cause.nearest:g} at the nearest, for {' and '.join(entry.keys)}, beside the other pairs",
-            got=f"{entry.rank:g}",
-            hint="pairs that are not named have no correlation; name them too if they should have one",
-        ) from cause
+        problem, where = "these correlations cannot all hold", sources.where(("sampling", "correlations", cause.pair))
+        expected = f"rank: {cause.nearest:g} at the nearest, for {' and '.join(entry.keys)}, beside the other pairs"
+        hint = "pairs that are not named have no correlation; name them too if they should have one"
+        raise RecipeError(problem, where=where, expected=expected, got=f"{entry.rank:g}", hint=hint) from cause

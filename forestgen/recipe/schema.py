@@ -21,9 +21,7 @@ from pydantic import (
     model_validator,
 )
 
-from forestgen.recipe.buildings import Building
-from forestgen.recipe.camera_keys import default_view
-from forestgen.recipe.cameras import AnyCamera, Camera, check_cameras, check_motion
+from forestgen.recipe.cameras import Camera, check_cameras, check_motion, default_view
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.fields import (
@@ -41,6 +39,7 @@ from forestgen.recipe.fields import (
     Text,
     Whole,
     each_once,
+    extent_m,
     part_name,
     shorthand,
     violation,
@@ -48,7 +47,7 @@ from forestgen.recipe.fields import (
 from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, TERRAINS
 from forestgen.recipe.sampler import Sampling
 from forestgen.recipe.sky import SkySection
-from forestgen.recipe.species import Species
+from forestgen.recipe.species import Building, Species
 from forestgen.recipe.spectra import Season
 
 SCHEMA_VERSION = 1
@@ -344,7 +343,7 @@ class Recipe(Section):
     sky: SerializeAsAny[SkySection] = Field(
         default_factory=lambda: SkySection.model_validate({}), description="Everything above: sun, sky, clouds."
     )
-    cameras: list[AnyCamera] = Field(min_length=1, max_length=1000, description="Cameras, at least one.")
+    cameras: list[SerializeAsAny[Camera]] = Field(min_length=1, max_length=1000, description="Cameras, at least one.")
     render: Render = Field(Render.model_validate({}), description="The light's computation.")
     labels: Labels = Field(Labels.model_validate({}), description="The labels' computation.")
     wind: Wind = Field(Wind.model_validate({}), description="How plants lean and sway.")
@@ -359,11 +358,9 @@ class Recipe(Section):
         cameras = data.get("cameras", [{}])
         if not isinstance(cameras, list):
             return data
-        size = _size_m(data.get("site"))
+        size = extent_m(data.get("site"))
         filled = [
-            {"name": f"camera{i}", **camera, **default_view(camera, size, Camera.class_for(camera))}
-            if isinstance(camera, Mapping)
-            else camera
+            {"name": f"camera{i}", **camera, **default_view(camera, size)} if isinstance(camera, Mapping) else camera
             for i, camera in enumerate(cameras)
         ]
         return {**data, "cameras": filled}
@@ -404,11 +401,3 @@ class Recipe(Section):
             raise wrong
         check_motion(self.cameras, plants_move=self.wind.speed_m_per_s > 0 and self.wind.gustiness > 0)
         return self
-
-
-def _size_m(site: Any) -> tuple[float, float]:
-    """The site's extent; its default instead of a bad one, which is left for validation to name."""
-    size = site.get("size_m") if isinstance(site, Mapping) else None
-    pair = size if isinstance(size, list | tuple) and len(size) == 2 else (0, 0)
-    good = all(isinstance(extent, int | float) and 0 < extent <= 5000 for extent in pair)
-    return (float(pair[0]), float(pair[1])) if good else (100.0, 100.0)

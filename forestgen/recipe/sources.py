@@ -76,9 +76,6 @@ class SourceMap:
         for keys in [keys for keys in self.places if keys[:n] == prefix]:
             del self.places[keys]
 
-    def set(self, keys: Keys, place: Place) -> None:
-        self.places[keys] = place
-
     def take(self, other: SourceMap, source: Keys, target: Keys) -> None:
         """Copy the places of `other` at and below `source` to `target`."""
         n = len(source)
@@ -209,7 +206,7 @@ class _Reader:
             return self._mapping(node, keys, depth)
         if isinstance(node, SequenceNode):
             for i, item in enumerate(node.value):
-                self.sources.set((*keys, i), self._at(item))
+                self.sources.places[(*keys, i)] = self._at(item)
             return [self.value(item, (*keys, i), depth + 1) for i, item in enumerate(node.value)]
         assert isinstance(node, ScalarNode)  # there are no others
         return self._scalar(node, keys)
@@ -237,7 +234,7 @@ class _Reader:
             first[key] = self._at(key_node)
             if key in merged:
                 self.sources.drop((*keys, key))
-            self.sources.set((*keys, key), first[key])
+            self.sources.places[(*keys, key)] = first[key]
             result[key] = self.value(value_node, (*keys, key), depth + 1)
         return {**merged, **result}
 

@@ -1,11 +1,13 @@
-"""A species: its ecology, its shape's scaling, its geometry's generator and its materials.
+"""A species: its ecology, its shape's scaling, its geometry's generator and its materials; and buildings.
 
 One file a species, ``scenes/species/NAME.yaml``; a recipe's ``species`` section names the file and overrides its keys,
-or holds the whole species itself. Under a shipped species' name the overrides do without ``from``.
+or holds the whole species itself. Under a shipped species' name the overrides do without ``from``. A kind of building
+is a part: scene/buildings.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -14,21 +16,26 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 
 from forestgen.recipe.fields import (
     Colour,
+    Coordinate,
     Flag,
     Fraction,
+    GivenSection,
     Name,
     NonNegative,
     Number,
     OpenSection,
+    PartSection,
     Positive,
     Section,
     Text,
     shorthand,
     violation,
 )  # fmt: skip
+from forestgen.recipe.registries import BUILDINGS, DEFAULT_BUILDING
 from forestgen.recipe.spectra import MOST_BYTES, Season
 
 TALLEST_M = 200.0
+_Side = Annotated[Positive, Field(ge=0.5, le=200)]
 
 
 class Ecology(Section):
@@ -360,3 +367,36 @@ class Species(Section):
         scale = self.height_m / self.ecology.max_radius_m**law.exponent
         allometry = self.allometry.model_copy(update={"height_m": law.model_copy(update={"scale": scale})})
         return self.model_copy(update={"height_m": None, "allometry": allometry})
+
+
+class Building(PartSection, GivenSection):
+    """A building: plants neither grow into it nor get light through it."""
+
+    registry = BUILDINGS
+    selector = "kind"
+
+    kind: Text = Field(DEFAULT_BUILDING, description="What it is, also the name of its class in labels.")
+    position_m: tuple[Coordinate, Coordinate] = Field(
+        description="Middle of its ground plan: x, y, metres; on the site."
+    )
+    azimuth_deg: Number = Field(
+        0.0, ge=-360, le=360, description="Turn of its width from east, clockwise from above, degrees."
+    )
+    size_m: tuple[_Side, _Side, _Side] = Field(
+        (10.0, 8.0, 7.0), description="Width along its ridge, depth, and height to the ridge, metres."
+    )
+    materials: dict[Name, Material] = Field(
+        default_factory=dict, description="Materials in place of the kind's own, by part."
+    )
+
+    @property
+    def turn_rad(self) -> float:
+        """The same anticlockwise, as world axes turn, radians."""
+        return -math.radians(self.azimuth_deg)
+
+    def corners_m(self) -> NDArray[np.float64]:
+        """(4, 2) world x and y of its ground plan's corners."""
+        x, y = 0.5 * self.size_m[0], 0.5 * self.size_m[1]
+        cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
+        plan = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+        return np.asarray(plan @ np.array([[cos, sin], [-sin, cos]]) + self.position_m)

@@ -16,7 +16,6 @@ scale. Names are those of files under ``scenes/spectra`` (``leaves/birch``) or p
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from functools import lru_cache
@@ -30,6 +29,7 @@ from forestgen.core.arguments import read_text
 from forestgen.core.errors import AssetError
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.recipe.assets import find_asset, list_assets
+from forestgen.recipe.suggestions import did_you_mean
 
 Season = Literal["spring", "summer", "autumn", "dry"]
 SEASONS: tuple[Season, ...] = ("spring", "summer", "autumn", "dry")
@@ -77,9 +77,8 @@ def sensor_file(name: str, folder: Path | None, where: str | None) -> Path:
     if name in sensors:
         name = f"{_SENSORS}{name}"
     elif "/" not in name and not name.endswith(".csv"):
-        near = difflib.get_close_matches(name, sensors, n=1)
         expected = f"one of {', '.join(sensors)}, or a path such as ./{name or 'name'}.csv"
-        hint = f"did you mean {near[0]!r}?" if near else None
+        hint = did_you_mean(name, sensors)
         raise AssetError("no sensor has this name", where=where, expected=expected, got=repr(name), hint=hint)
     return find_asset(KIND, name, folder=folder, where=where)
 
@@ -113,6 +112,9 @@ def table_text(path: Path) -> str:
     return read_text(path, "a table of spectra", most_bytes=MOST_BYTES, error=AssetError)
 
 
+_SUFFIXES = ("", *(f"_{season}" for season in SEASONS))
+
+
 @lru_cache(maxsize=256)
 def surface_columns(text: str, file: str, where: str | None = None) -> Columns:
     """The columns of a surface's table from its text; `file` names it in messages."""
@@ -120,71 +122,78 @@ def surface_columns(text: str, file: str, where: str | None = None) -> Columns:
     names = {f"{what}{suffix}" for what in ("reflectance", "transmittance") for suffix in _SUFFIXES}
     line = table.header_line
     for name in table.names:
+        partner = name.replace("transmittance", "reflectance")
         if name not in names:
             expected = "reflectance and transmittance, or with _spring, _summer, _autumn, _dry behind them"
             table.fail(f"a surface has no column {name!r}", line=line, expected=expected)
-    if not any(name.startswith("reflectance") for name in table.names):
-        table.fail("no reflectance", line=line, expected="a column reflectance")
-    for name in table.names:
-        partner = name.replace("transmittance", "reflectance")
         if partner not in table.names:
             table.fail(f"{name} without {partner}", line=line, expected=f"a column {partner}")
-    table.check_covers_the_visible()
-    table.check_fractions()
-    for suffix in _SUFFIXES:
-        table.check_energy(f"reflectance{suffix}", f"transmittance{suffix}")
+    nm, low, high = table.wavelength_nm, *VISIBLE_NM
+    if nm[0] > low or nm[-1] < high:
+        expected, got = f"from {low:g} nm or less to {high:g} nm or more", f"{nm[0]:g} to {nm[-1]:g} nm"
+        table.fail_at(0 if nm[0] > low else -1, "the table leaves out visible light", expected=expected, got=got)
+    _check_fractions(table)
     return table.spectra()
 
 
-_SUFFIXES = ("", *(f"_{season}" for season in SEASONS))
-
-
-def _check_bands(table: _Table) -> None:
-    """Columns are a sensor's, with names that files and channels can have."""
-    line = table.header_line
-    if any(name.startswith(("reflectance", "transmittance")) for name in table.names):
-        expected = "one column a band"
-        table.fail("a surface's table, no sensor's", line=line, expected=expected, got=", ".join(table.names[:4]))
-    for index, name in enumerate(table.names):
-        if not _BAND_NAME.match(name):
-            expected = "1 to 40 letters, digits, spaces or any of _-+()"
-            table.fail("bad name of a band", line=line, expected=expected, got=f"{name!r:.80}")
-        if name.casefold() in (other.casefold() for other in table.names[:index]):
-            table.fail("two bands of one name, but for case", line=line, expected="different names", got=name)
-    low, high = _RESPONSES
-    for column, name in enumerate(table.names):
-        most = float(table.values[:, column].max())
-        if 0 < most < low or most > high:
-            row = int(table.values[:, column].argmax())
-            expected = f"a greatest response from {low:g} to {high:g}"
-            table.fail_at(row, "the responses' scale is out of range", expected=expected, got=f"{most:g} in {name}")
+def _check_fractions(table: _Table) -> None:
+    """Every value lies in [0, 1], and no more light leaves a surface than arrives, at every wavelength."""
+    bad = np.argwhere((table.values < 0) | (table.values > 1))
+    if len(bad):
+        (row, column), columns = bad[0].tolist(), table.values
+        value, name = columns[row, column], table.names[column]
+        percent = value > 1 and columns.max() <= 100 and float(np.median(columns[:, column])) > 1
+        got, hint = f"{value:g} at {table.wavelength_nm[row]:g} nm", "divide by 100: these look like percent"
+        problem, expected = f"{name} outside of 0 to 1", "a fraction, 0 to 1"
+        table.fail_at(row, problem, expected=expected, got=got, hint=hint if percent else None)
+    for suffix in _SUFFIXES:
+        names = f"reflectance{suffix}", f"transmittance{suffix}"
+        if not set(names) <= set(table.names):
+            continue
+        r, t = (table.values[:, table.names.index(name)] for name in names)
+        for row in np.flatnonzero(r + t > 1 + _TOLERANCE)[:1].tolist():
+            got = f"{r[row]:g} + {t[row]:g} at {table.wavelength_nm[row]:g} nm"
+            expected = f"{' + '.join(names)} of at most 1"
+            table.fail_at(row, "more light leaves than arrives", expected=expected, got=got)
 
 
 @lru_cache(maxsize=64)
 def bands_of(text: str, file: str, where: str | None = None) -> tuple[Band, ...]:
     """The bands of a sensor's table from its text; `file` names it in messages."""
     table = _Table(text, file, where)
-    _check_bands(table)
-    bands = []
-    for column, name in enumerate(table.names):
-        response = table.values[:, column]
-        if response.min() < 0:
-            row = int(response.argmin())
-            table.fail_at(row, "a response below 0", expected="0 or more", got=f"{response[row]:g} in {name}")
-        seen = np.flatnonzero(response)
-        if not len(seen):
-            table.fail(f"band {name} answers to nothing", line=table.header_line, expected="a response above 0")
-        rows = slice(max(seen[0] - 1, 0), seen[-1] + 2)  # with the zeros beside it
-        wavelength = table.wavelength_nm[rows]
-        inside = table.wavelength_nm[seen]
-        if inside[0] < RENDERED_NM[0] or inside[-1] > RENDERED_NM[1]:
-            row = int(seen[0] if inside[0] < RENDERED_NM[0] else seen[-1])
-            expected, got = f"responses from {RENDERED_NM[0]:g} to {RENDERED_NM[1]:g} nm", table.wavelength_nm[row]
-            table.fail_at(row, f"band {name} reaches out of what is rendered", expected=expected, got=f"{got:g} nm")
-        if len(wavelength) < 2:
-            table.fail_at(int(seen[0]), f"band {name} has one wavelength", expected="at least two")
-        bands.append(Band(name, Spectrum(wavelength, response[rows])))
-    return tuple(bands)
+    if any(name.startswith(("reflectance", "transmittance")) for name in table.names):
+        got = ", ".join(table.names[:4])
+        table.fail("a surface's table, no sensor's", line=table.header_line, expected="one column a band", got=got)
+    for index, name in enumerate(table.names):
+        if not _BAND_NAME.match(name):
+            expected = "1 to 40 letters, digits, spaces or any of _-+()"
+            table.fail("bad name of a band", line=table.header_line, expected=expected, got=f"{name!r:.80}")
+        if name.casefold() in (other.casefold() for other in table.names[:index]):
+            problem = "two bands of one name, but for case"
+            table.fail(problem, line=table.header_line, expected="different names", got=name)
+    return tuple(_band(table, name, table.values[:, column]) for column, name in enumerate(table.names))
+
+
+def _band(table: _Table, name: str, response: NDArray[np.float64]) -> Band:
+    """A column as a band, with the zeros beside its response."""
+    (low, high), most, least = _RESPONSES, float(response.max()), float(response.min())
+    if 0 < most < low or most > high:
+        expected, got = f"a greatest response from {low:g} to {high:g}", f"{most:g} in {name}"
+        table.fail_at(int(response.argmax()), "the responses' scale is out of range", expected=expected, got=got)
+    if least < 0:
+        got = f"{least:g} in {name}"
+        table.fail_at(int(response.argmin()), "a response below 0", expected="0 or more", got=got)
+    seen = np.flatnonzero(response)
+    if not len(seen):
+        table.fail(f"band {name} answers to nothing", line=table.header_line, expected="a response above 0")
+    first, last = table.wavelength_nm[seen[[0, -1]]]
+    if first < RENDERED_NM[0] or last > RENDERED_NM[1]:
+        row = int(seen[0] if first < RENDERED_NM[0] else seen[-1])
+        expected = f"responses from {RENDERED_NM[0]:g} to {RENDERED_NM[1]:g} nm"
+        problem, got = f"band {name} reaches out of what is rendered", f"{table.wavelength_nm[row]:g} nm"
+        table.fail_at(row, problem, expected=expected, got=got)
+    rows = slice(max(seen[0] - 1, 0), seen[-1] + 2)
+    return Band(name, Spectrum(table.wavelength_nm[rows], response[rows]))
 
 
 class _Table:
@@ -263,39 +272,6 @@ class _Table:
             if least <= low and high < most:
                 got = f"{low:g} to {high:g}, which looks like {unit}"
                 self.fail_at(0, "wavelengths are not in nm", expected="nm: 400 to 700 is visible", got=got, hint=hint)
-
-    def check_covers_the_visible(self) -> None:
-        """A surface's table must reach over the visible."""
-        low, high = float(self.wavelength_nm[0]), float(self.wavelength_nm[-1])
-        if low > VISIBLE_NM[0] or high < VISIBLE_NM[1]:
-            expected = f"from {VISIBLE_NM[0]:g} nm or less to {VISIBLE_NM[1]:g} nm or more"
-            row = 0 if low > VISIBLE_NM[0] else -1
-            self.fail_at(row, "the table leaves out visible light", expected=expected, got=f"{low:g} to {high:g} nm")
-
-    def check_fractions(self) -> None:
-        """Every value lies in [0, 1]."""
-        bad = (self.values < 0) | (self.values > 1)
-        if not bad.any():
-            return
-        row, column = (int(index) for index in np.argwhere(bad)[0])
-        value, name = self.values[row, column], self.names[column]
-        percent = value > 1 and self.values.max() <= 100 and float(np.median(self.values[:, column])) > 1
-        got, hint = f"{value:g} at {self.wavelength_nm[row]:g} nm", "divide by 100: these look like percent"
-        problem, expected = f"{name} outside of 0 to 1", "a fraction, 0 to 1"
-        self.fail_at(row, problem, expected=expected, got=got, hint=hint if percent else None)
-
-    def check_energy(self, reflectance: str, transmittance: str) -> None:
-        """What leaves a surface is no more than what arrives, at every wavelength."""
-        if reflectance not in self.names or transmittance not in self.names:
-            return
-        r = self.values[:, self.names.index(reflectance)]
-        t = self.values[:, self.names.index(transmittance)]
-        over = np.flatnonzero(r + t > 1 + _TOLERANCE)
-        if len(over):
-            row = int(over[0])
-            got = f"{r[row]:g} + {t[row]:g} at {self.wavelength_nm[row]:g} nm"
-            expected = f"{reflectance} + {transmittance} of at most 1"
-            self.fail_at(row, "more light leaves than arrives", expected=expected, got=got)
 
 
 _UNITS = (  # name, least and most (exclusive) wavelength of a table that looks like it, how to mend it

@@ -35,7 +35,7 @@ from forestgen.render.light import along, emitters_of, has_sun, sky_map, sun_dis
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import CLOUD_ROULETTE_DEPTH, SCALAR, mitsuba, path_tracer, using
 from forestgen.render.volume_random_walk import WalkField, disc_parameters
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import SceneSpec
 
 Floats = NDArray[np.float64]

@@ -72,7 +72,7 @@ from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.render.wavelengths import ColourAtOnce, Mode, Quadrature, quadrature_of
-from forestgen.scene.channels import Channels
+from forestgen.scene.colour import Channels
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera, SceneSpec, Sky
 

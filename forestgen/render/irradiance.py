@@ -50,7 +50,7 @@ from forestgen.render.variant import (
     using,
 )
 from forestgen.render.wavelengths import ColourBySpectrum
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.colour_checker import axes_of
 from forestgen.scene.spec import Camera, SceneSpec
 

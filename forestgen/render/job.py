@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.render.wavelengths import Mode
-from forestgen.scene.channels import Channels
+from forestgen.scene.colour import Channels
 from forestgen.scene.spec import Camera, SceneSpec
 
 CloudTransport = Literal["farfield", "exact"]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from forestgen.core.spectrum import LUMINANCE
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, sky_model_of
 from forestgen.render.variant import SKY_BESIDE_SUN_WEIGHT, mitsuba
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Sky
 
 SUN_RADIUS_DEG = 0.2665  # at the earth's mean distance

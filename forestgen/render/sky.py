@@ -45,9 +45,9 @@ from forestgen.render.cloud_paths import ORDERS, CloudField, CloudLight, Gathere
 from forestgen.render.cloud_shadow import content_key
 from forestgen.render.light import SUN_RADIUS_DEG, envmap, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS
-from forestgen.scene.channels import RGB, Channels
-from forestgen.scene.soil_colour import film_factor
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import SceneSpec, Sky, Terrain
+from forestgen.scene.surfaces import film_factor
 
 Floats = NDArray[np.float64]
 _BAKED_NM = (360.0, 430.0, 500.0, 570.0, 640.0, 720.0)

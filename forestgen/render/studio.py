@@ -25,7 +25,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.schema import Recipe
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import render_frame
-from forestgen.scene.channels import RGB
+from forestgen.scene.colour import RGB
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, Terrain
 
 _SKY = Sky(sun_elevation_deg=45.0, sun_azimuth_deg=215.0, turbidity=3.0, ground_albedo=0.3)  # cameras look north

@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.render.variant import mitsuba
-from forestgen.scene.channels import RGB, Channels
-from forestgen.scene.soil_colour import film_factor
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Material, Terrain
+from forestgen.scene.surfaces import film_factor
 
 Floats = NDArray[np.float64]
 SPHERE_DEG = 8.0  # from which an integrating sphere is lit

@@ -33,7 +33,7 @@ from forestgen.render.light import has_sun, sky_map, sun_irradiance, sun_radianc
 from forestgen.render.paths.scattering import Surfaces
 from forestgen.render.paths.tracer import Image, PathTracer, Sky, Sun
 from forestgen.render.variant import SCALAR, using
-from forestgen.scene.channels import Channels
+from forestgen.scene.colour import Channels
 from forestgen.scene.projection import rays
 from forestgen.scene.spec import Camera
 

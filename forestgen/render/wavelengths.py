@@ -27,8 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.scene.channels import RGB, Channels
-from forestgen.scene.colour import colour_of_radiance, observer
+from forestgen.scene.colour import RGB, Channels, colour_of_radiance, observer
 from forestgen.scene.spec import Camera
 
 Floats = NDArray[np.float64]

@@ -28,8 +28,7 @@ from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.keys import job_key, versions_hash
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
-from forestgen.scene.plan import estimate_bytes
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import estimate_bytes, make_plan
 
 MOST_PROBES = 6
 _MOST_PIXELS = 300_000  # of a probe, over all its frames

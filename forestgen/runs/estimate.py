@@ -26,8 +26,7 @@ from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.runs.calibration_runs import CalibrationRun, CalibrationRuns, probe_images
 from forestgen.runs.contract import StorageBackend
 from forestgen.runs.storage import LocalStorage
-from forestgen.scene.plan import estimate_bytes
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import estimate_bytes, make_plan
 
 BUDGET_S = 60.0  # of the probes
 LEAST_IMAGES = 50  # a smaller batch is made as fast as it is estimated

@@ -44,7 +44,7 @@ from forestgen.runs.stale_outputs import ResumeDiff, check_stale_outputs, damage
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.summary import Log, RunSummary, done_fields, failed_fields, write_jobs_table, write_summary
 from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 _AHEAD = 2  # jobs that are drawn and handed on, for each worker; one by one where the first failure ends the run
 _WAIT_S = 1.0

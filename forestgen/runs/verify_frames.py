@@ -258,7 +258,7 @@ def _render(source: Path, fresh: Path, progress: Progress) -> dict[str, dict[str
     from forestgen.pipeline import assemble_image, write_image
     from forestgen.recipe.load import load_recipe
     from forestgen.render.variant import mitsuba
-    from forestgen.scene.planning import make_plan
+    from forestgen.scene.plan import make_plan
 
     mitsuba(None)
     loaded = load_recipe(source)

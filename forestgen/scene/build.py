@@ -16,20 +16,17 @@ from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.scene.building import building_materials
-from forestgen.scene.camera_path import next_frame
-from forestgen.scene.exemplars import ExemplarPlan, SizeError
-from forestgen.scene.ground import wetness_of
+from forestgen.scene.exemplars import SizeError
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
 from forestgen.scene.plan import Plan
-from forestgen.scene.sky import sky_of
+from forestgen.scene.site import sky_of, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from forestgen.scene.surfaces import infrared_notes, materials_of, surface_of
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.trunks import Trunks
-from forestgen.scene.views import check_trunks, drawn_cameras
+from forestgen.scene.views import check_trunks, drawn_cameras, next_frame
 from forestgen.scene.wind import Sway, spec_at, sway_in
 
-MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
 Timer = Callable[[str], AbstractContextManager[None]]
 
 
@@ -65,91 +62,73 @@ class BuiltScene:
         return None if following is None else (following, self.at(following.time_s))
 
 
-def build_scene(plan: Plan, population: Population, progress: Progress, timer: Timer) -> BuiltScene:
+def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Timer) -> BuiltScene:
     """Grow the exemplars, shape the ground, hang the clouds, place plants and cameras.
 
-    `population`: as it was simulated, heights above the ground.
+    `simulated`: the plants, heights above the ground.
     """
-    return _Assembly(plan, population, progress, timer).scene()
-
-
-@dataclass(frozen=True)
-class _Assembly:
-    plan: Plan
-    simulated: Population
-    progress: Progress
-    timer: Timer
-
-    def scene(self) -> BuiltScene:
-        plan, recipe, timer = self.plan, self.plan.drawn.recipe, self.timer
-        with timer("scene"):
-            population = stand_on(self.simulated, plan.views.height)
-        with timer("plants"):
-            chosen = choose_exemplars(plan, population, plan.views.all_cameras)
-            exemplars = grow_planned(plan, chosen, self.progress, population)
-        with timer("clouds"):
-            lowest_m = plan.views.lowest_m
-            request = CloudRequest(plan.drawn, lowest_m, self.progress, plan.community, self.simulated)
-            clouds = cloud_source_of(plan.drawn).grid(request)
-        with timer("scene"):
-            rng = child_rng(plan.drawn.image_seed, "terrain", "colour")
-            terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness_of(plan.community, population))
-            instances = self._instances(population, chosen, exemplars)
-            trunks = Trunks(exemplars, instances)
-            views = drawn_cameras(plan.drawn, trunks)
-            materials = self._materials(population)
-            spec = SceneSpec(
-                exemplars=exemplars,
-                materials=materials,
-                instances=instances,
-                terrain=terrain,
-                sky=sky_of(recipe, float(np.mean(terrain.far_reflectance))),  # the region, which sky and clouds see
-                clouds=clouds,
-                cameras=tuple(camera for entry in views for camera in entry),
-            )
-            notes = [
-                *(f"image {plan.drawn.image_index}: {note}" for note in self.simulated.notes),
-                *check_trunks(plan.drawn, views, trunks),
-                *plan.views.check_outside_of_buildings(),
-                *infrared_notes(materials, plan.views.all_cameras),
-            ]
-            sway = self._sway(spec)
-        errors = errors_of_sizes(plan, population, chosen, exemplars)
-        return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)))
-
-    def _instances(self, population: Population, chosen: ExemplarPlan, exemplars: Sequence[Exemplar]) -> Instances:
-        has_own_branches = chosen.plant >= 0
-        stands_for_m = np.full(len(chosen), np.nan)
-        stands_for_m[has_own_branches] = population.height_m[chosen.plant[has_own_branches]]
-        return place_instances(
-            self.plan.community.obstacles.turned(population),
+    drawn, recipe, stand = plan.drawn, plan.drawn.recipe, plan.community
+    with timer("scene"):
+        population = stand_on(simulated, plan.views.height)
+    with timer("plants"):
+        chosen = choose_exemplars(plan, population, plan.views.all_cameras)
+        exemplars = grow_planned(plan, chosen, progress, population)
+    with timer("clouds"):
+        request = CloudRequest(drawn, plan.views.lowest_m, progress, stand, simulated)
+        clouds = cloud_source_of(drawn).grid(request)
+    with timer("scene"):
+        rng = child_rng(drawn.image_seed, "terrain", "colour")
+        terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness_of(stand, population))
+        instances = place_instances(
+            stand.obstacles.turned(population),
             chosen.exemplar_of_plant,
             exemplars,
-            self.plan.drawn.image_seed,
-            stands_for_m=stands_for_m,
+            drawn.image_seed,
+            stands_for_m=chosen.stands_for_m(population.height_m),
             is_unique=chosen.is_unique,
         )
-
-    def _materials(self, population: Population) -> dict[tuple[str, str], Material]:
-        """Of the species and the buildings."""
-        season = self.plan.drawn.recipe.plants.season
-        materials = materials_of(species_seen(self.plan.drawn.species, population), season)
-        for (kind, key), one in building_materials(self.plan.community.obstacles.entries).items():
-            materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
-        return materials
-
-    def _sway(self, spec: SceneSpec) -> Sway | None:
-        recipe = self.plan.drawn.recipe
-        if recipe.wind.speed_m_per_s == 0:
-            return None
-        return sway_in(
-            spec.instances,
-            spec.exemplars,
-            speed_m_per_s=recipe.wind.speed_m_per_s,
-            gustiness=recipe.wind.gustiness,
-            from_deg=recipe.site.wind_from_deg,
-            seed=self.plan.drawn.image_seed,
+        trunks = Trunks(exemplars, instances)
+        views = drawn_cameras(drawn, trunks)
+        materials = _materials(plan, population)
+        spec = SceneSpec(
+            exemplars=exemplars,
+            materials=materials,
+            instances=instances,
+            terrain=terrain,
+            sky=sky_of(recipe, float(np.mean(terrain.far_reflectance))),  # the region, which sky and clouds see
+            clouds=clouds,
+            cameras=tuple(camera for entry in views for camera in entry),
         )
+        notes = [
+            *(f"image {drawn.image_index}: {note}" for note in simulated.notes),
+            *check_trunks(drawn, views, trunks),
+            *plan.views.check_outside_of_buildings(),
+            *infrared_notes(materials, plan.views.all_cameras),
+        ]
+        sway = None if recipe.wind.speed_m_per_s == 0 else _sway(plan, spec)
+    errors = errors_of_sizes(plan, population, chosen, exemplars)
+    return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)))
+
+
+def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:
+    """Of the species and the buildings."""
+    season = plan.drawn.recipe.plants.season
+    materials = materials_of(species_seen(plan.drawn.species, population), season)
+    for (kind, key), one in building_materials(plan.community.obstacles.entries).items():
+        materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
+    return materials
+
+
+def _sway(plan: Plan, spec: SceneSpec) -> Sway:
+    recipe = plan.drawn.recipe
+    return sway_in(
+        spec.instances,
+        spec.exemplars,
+        speed_m_per_s=recipe.wind.speed_m_per_s,
+        gustiness=recipe.wind.gustiness,
+        from_deg=recipe.site.wind_from_deg,
+        seed=plan.drawn.image_seed,
+    )
 
 
 def stand_on(population: Population, height: HeightField) -> Population:

@@ -11,9 +11,8 @@ from forestgen.community.population import Population
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.recipe.buildings import Building
 from forestgen.recipe.registries import BUILDINGS
-from forestgen.recipe.species import Material
+from forestgen.recipe.species import Building, Material
 from forestgen.scene.exemplars import ExemplarPlan
 
 KeysT = TypeVar("KeysT", bound=Building)

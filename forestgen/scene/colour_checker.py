@@ -41,14 +41,6 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Patch:
-    """A field of the chart."""
-
-    name: str
-    reflectance: Spectrum
-
-
-@dataclass(frozen=True, eq=False)
 class White:
     """A light by what a perfect white surface under it looks like."""
 
@@ -59,20 +51,19 @@ class White:
 
 
 @cache
-def patches() -> tuple[Patch, ...]:
-    """The 24 patches, row by row from the upper left."""
+def patches() -> dict[str, Spectrum]:
+    """Reflectances of the 24 patches by name, row by row from the upper left."""
     import colour
 
-    found = colour.SDS_COLOURCHECKERS[CHART]
-    return tuple(
-        Patch(str(name), Spectrum(np.asarray(sd.wavelengths, np.float64), np.asarray(sd.values, np.float64)))
-        for name, sd in found.items()
-    )
+    return {
+        str(name): Spectrum(np.asarray(sd.wavelengths, np.float64), np.asarray(sd.values, np.float64))
+        for name, sd in colour.SDS_COLOURCHECKERS[CHART].items()
+    }
 
 
 def region_names() -> list[str]:
     """Names of all regions, the grey card last."""
-    return [*(patch.name for patch in patches()), "grey card"]
+    return [*patches(), "grey card"]
 
 
 def chart() -> Exemplar:
@@ -114,7 +105,7 @@ def region_of_face() -> NDArray[np.int64]:
 
 def reflectances() -> list[Spectrum]:
     """Of all regions, the grey card last."""
-    return [*(patch.reflectance for patch in patches()), Spectrum(np.array([550.0]), np.array([GREY]))]
+    return [*patches().values(), Spectrum(np.array([550.0]), np.array([GREY]))]
 
 
 @cache

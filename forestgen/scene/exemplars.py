@@ -33,7 +33,6 @@ Deussen, O. et al. (1998). Realistic modeling and rendering of plant ecosystems.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -46,6 +45,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Species
+from forestgen.recipe.suggestions import did_you_mean
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -103,6 +103,12 @@ class ExemplarPlan:
             is_unique=np.arange(count) < unique,
         )
 
+    def stands_for_m(self, height_m: Floats) -> Floats:
+        """(E,) height of the plant whose own branches each exemplar has, of (N,) of the plants; NaN: of none."""
+        own, found = self.plant >= 0, np.full(len(self), np.nan)
+        found[own] = height_m[self.plant[own]]
+        return found
+
     def split(self, field: Literal["variant", "level"], value_of_plant: Ints) -> ExemplarPlan:
         """An exemplar for each pair of exemplar and value that some plant has, in the order of both."""
         pairs = np.stack([self.exemplar_of_plant.astype(np.int64), value_of_plant], axis=1)
@@ -112,14 +118,6 @@ class ExemplarPlan:
 
 
 _OF_EXEMPLARS = ("species", "radius_m", "rank", "variant", "level", "plant", "is_unique")
-
-
-@dataclass(frozen=True)
-class Library:
-    """The plants that images share."""
-
-    variants: int  # of each size
-    shown: int  # of these in one image, at most
 
 
 @dataclass(frozen=True)
@@ -138,21 +136,14 @@ def check_traits(traits: Sequence[str], population: Population, where: str) -> N
 
     Raises `RecipeError`: with the columns that there are.
     """
-    known = [*_OWN_TRAITS, *(name for name, column in population.columns.items() if _is_numeric(column))]
+    numeric = (
+        name for name, one in population.columns.items() if one.ndim == 1 and np.issubdtype(one.dtype, np.number)
+    )
+    known = [*_OWN_TRAITS, *numeric]
     for trait in traits:
         if trait not in known:
-            near = difflib.get_close_matches(trait, known, n=1)
-            raise RecipeError(
-                "the plants have no such trait",
-                where=where,
-                expected="one of " + ", ".join(known),
-                got=repr(trait),
-                hint=f"did you mean {near[0]!r}?" if near else None,
-            )
-
-
-def _is_numeric(column: NDArray[np.generic]) -> bool:
-    return column.ndim == 1 and np.issubdtype(column.dtype, np.number)
+            problem, hint = "the plants have no such trait", did_you_mean(trait, known)
+            raise RecipeError(problem, where=where, expected="one of " + ", ".join(known), got=repr(trait), hint=hint)
 
 
 def plan_exemplars(
@@ -163,7 +154,7 @@ def plan_exemplars(
     traits: Sequence[str] = (),
     variants: int = 1,
     given: Mapping[int, ExemplarPlan] | None = None,
-    library: Library | None = None,
+    library: int | None = None,
 ) -> ExemplarPlan:
     """Cluster each species' plants into at most `per_species` sizes; species without plants get none.
 
@@ -173,7 +164,7 @@ def plan_exemplars(
     variants : exemplars of each size. A plant's is its own, whatever else grows.
     given : plans of species that have one, by their index, see `plan_own`; `exemplar_of_plant` of those
         has a species' plants alone.
-    library : sizes and variants are those that all images share, instead of clusters; `variants` of each.
+    library : variants of each size that all images share, instead of clusters; `variants` of these are shown.
     """
     columns = [np.asarray(_column(population, trait), dtype=np.float64) for trait in traits]
     own = np.array([child_seed(seed, "variant", int(i)) % variants for i in population.plant_id], dtype=np.int64)
@@ -186,10 +177,11 @@ def plan_exemplars(
             parts.append(given[index])
             continue
         if library is not None:
-            part, variant = plan_from_library(
-                index, name, population.radius_m[rows], own[rows], library, per_species, seed
-            )
-            parts.append(part.split("variant", variant))
+            rungs, label = np.unique(rungs_of(population.radius_m[rows], per_species), return_inverse=True)
+            shown = np.array([_shown(library, variants, name, int(rung), seed) for rung in rungs])
+            radius = SIZE_STEP ** rungs.astype(np.float64)
+            part = ExemplarPlan.of_species(index, radius, label.reshape(-1), rank=rungs)
+            parts.append(part.split("variant", shown[label.reshape(-1), own[rows]]))
             continue
         features = _features(population.radius_m[rows], [column[rows] for column in columns])
         centres, labels = cluster(features, per_species, child_seed(seed, "k-means", name))
@@ -297,36 +289,9 @@ def rungs_of(radius_m: Floats, most: int) -> Ints:
     return np.asarray(chosen[place], dtype=np.int64)
 
 
-def plan_from_library(
-    index: int, name: str, radius_m: Floats, own: Ints, library: Library, most_sizes: int, seed: int
-) -> tuple[ExemplarPlan, Ints]:
-    """Exemplars of a species' plants by their rung, and the (N,) variant of each plant.
-
-    Parameters
-    ----------
-    index, name : of the species.
-    radius_m : (N,) of its plants.
-    own : (N,) each plant's own number below `library.shown`, whatever else grows.
-    most_sizes : in this image.
-    seed : of the image, which chooses the variants that it shows.
-    """
-    rungs, label = np.unique(rungs_of(radius_m, most_sizes), return_inverse=True)
-    shown = np.array([_shown(library, name, int(rung), seed) for rung in rungs])
-    label = label.reshape(-1)
-    radius = SIZE_STEP ** rungs.astype(np.float64)
-    return ExemplarPlan.of_species(index, radius, label, rank=rungs), shown[label, own]
-
-
-def _shown(library: Library, name: str, rung: int, seed: int) -> Ints:
-    """(shown,) the variants of a size that an image has."""
-    rng = child_rng(seed, "library", name, rung)
-    return np.asarray(rng.permutation(library.variants)[: library.shown], dtype=np.int64)
-
-
-def library_of(drawn: DrawnRecipe) -> Library | None:
-    """None if each image has plants of its own."""
-    section = drawn.recipe.plants
-    return None if section.library is None else Library(section.library, section.variants_per_size)
+def _shown(library: int, shown: int, name: str, rung: int, seed: int) -> Ints:
+    """(shown,) the variants of a size that an image has, of as many as the library has."""
+    return np.asarray(child_rng(seed, "library", name, rung).permutation(library)[:shown], dtype=np.int64)
 
 
 def modelled_species(drawn: DrawnRecipe, name: str) -> Species:

@@ -29,14 +29,12 @@ from forestgen.plants.grown import woods_of
 from forestgen.plants.levels import PIXEL_STEPS_M, level_for
 from forestgen.plants.parameters import CrownProfile, PlantParameters
 from forestgen.plants.registry import GENERATORS
-from forestgen.recipe.buildings import Building
-from forestgen.recipe.species import Material, Species
+from forestgen.recipe.species import Building, Material, Species
 from forestgen.scene.building import exemplar_of, plan_buildings
 from forestgen.scene.exemplars import (
     ExemplarPlan,
     SizeError,
     check_traits,
-    library_of,
     modelled_species,
     origin_of,
     plan_exemplars,
@@ -80,7 +78,7 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
         traits=section.traits,
         variants=section.variants_per_size,
         given=given,
-        library=library_of(plan.drawn),
+        library=section.library,
     )
     if not section.levels or pixel_m is None:
         return chosen
@@ -213,6 +211,13 @@ def grow_planned(
     return tuple(replace(one, is_unique=unique) for one, unique in pairs)
 
 
+def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
+    """The plant's solid: of its generator's own curve where there is one, otherwise as wide as the plant grew."""
+    generator, size = GENERATORS.load(request.parameters.generator), size_m(request.species, request.radius_m)
+    known = isinstance(generator, CrownProfile)
+    return as_solids(exemplar, generator.crown_profile(request.parameters, *size) if known else None)
+
+
 def _buildings(
     plan: Plan, exemplar_plan: ExemplarPlan, population: Population | None
 ) -> dict[int, tuple[Building, float]]:
@@ -220,14 +225,6 @@ def _buildings(
     rows = {} if population is None else plan.community.obstacles.rows_of(population)
     pairs = zip(exemplar_plan.plant.tolist(), exemplar_plan.radius_m.tolist(), strict=True)
     return {index: (rows[row], radius_m) for index, (row, radius_m) in enumerate(pairs) if row in rows}
-
-
-def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
-    """The plant's solid: of its generator's own curve where there is one, otherwise as wide as the plant grew."""
-    generator = GENERATORS.load(request.parameters.generator)
-    size = size_m(request.species, request.radius_m)
-    known = isinstance(generator, CrownProfile)
-    return as_solids(exemplar, generator.crown_profile(request.parameters, *size) if known else None)
 
 
 def exemplar_requests(
@@ -238,29 +235,22 @@ def exemplar_requests(
     `population`: of the plan, which plants that grew branches of their own are part of.
     """
     names = list(plan.drawn.species)
-    own = {} if population is None else _own_requests(plan, exemplar_plan, population)
-    buildings = _buildings(plan, exemplar_plan, population)
-    requests = []
-    for index in range(len(exemplar_plan)):
-        if index in own:
-            requests.append(own[index])
-        if index in own or index in buildings:
-            continue
+    requests = {} if population is None else _own_requests(plan, exemplar_plan, population)
+    grown = set(range(len(exemplar_plan))) - _buildings(plan, exemplar_plan, population).keys() - requests.keys()
+    for index in grown:
         name = names[exemplar_plan.species[index]]
         seed, identity = origin_of(plan.drawn, name, int(exemplar_plan.rank[index]), int(exemplar_plan.variant[index]))
-        requests.append(
-            ExemplarRequest(
-                species_name=name,
-                species=modelled_species(plan.drawn, name),
-                parameters=plan.plants.generators[name],
-                radius_m=float(exemplar_plan.radius_m[index]),
-                seed=seed,
-                identity=identity,
-                pixel_m=PIXEL_STEPS_M[exemplar_plan.level[index]],
-                is_shared=plan.drawn.recipe.plants.library is not None,
-            )
+        requests[index] = ExemplarRequest(
+            species_name=name,
+            species=modelled_species(plan.drawn, name),
+            parameters=plan.plants.generators[name],
+            radius_m=float(exemplar_plan.radius_m[index]),
+            seed=seed,
+            identity=identity,
+            pixel_m=PIXEL_STEPS_M[exemplar_plan.level[index]],
+            is_shared=plan.drawn.recipe.plants.library is not None,
         )
-    return requests
+    return [requests[index] for index in sorted(requests)]
 
 
 def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population) -> dict[int, ExemplarRequest]:
@@ -283,7 +273,9 @@ def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Populatio
         species, parameters = plan.drawn.species[name], plan.plants.foliage[name]
         if population.status[row] == Status.DEAD:
             species = _with_dead_wood(species)
-            parameters = _dead_foliage(parameters, species)
+            wood = parameters.wood.model_copy(update={"material": MATERIAL, "branch_material": None, "dead": True})
+            bare = parameters.model_copy(update={"wood": wood, "foliage": ()})
+            parameters = with_bark_tiles(bare, species.materials)
         requests[index] = ExemplarRequest(
             species_name=name,
             species=species,
@@ -310,12 +302,6 @@ def species_seen(species: Mapping[str, Species], population: Population) -> dict
     dead = np.unique(population.species[population.status == Status.DEAD])
     names = {population.species_names[index] for index in dead.tolist()}
     return {name: _with_dead_wood(one) if name in names else one for name, one in species.items()}
-
-
-def _dead_foliage(parameters: PlantParameters, species: Species) -> PlantParameters:
-    """What grows on the wood of a dead tree, of a species that has dead wood."""
-    wood = parameters.wood.model_copy(update={"material": MATERIAL, "branch_material": None, "dead": True})
-    return with_bark_tiles(parameters.model_copy(update={"wood": wood, "foliage": ()}), species.materials)
 
 
 def errors_of_sizes(

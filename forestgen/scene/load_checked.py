@@ -12,11 +12,11 @@ from pydantic import ValidationError
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import ResourceError
 from forestgen.recipe.draws import find_written
-from forestgen.recipe.load import LoadedRecipe, Loading, read_recipe, read_recipe_data, read_recipe_text
+from forestgen.recipe.load import LoadedRecipe, Loading, Source, read_recipe
 from forestgen.recipe.messages import Explainer
 
 
-def load_checked(source: Path | str | Mapping[str, Any], overrides: Sequence[str] = ()) -> LoadedRecipe:
+def load_checked(source: Source, overrides: Sequence[str] = ()) -> LoadedRecipe:
     """Read a recipe as `load_recipe` does; its errors hold those of the community model and of plants' generators.
 
     Of a recipe that `load_recipe` takes, the name of the community model is checked, and the rest left to `check_plan`,
@@ -25,48 +25,30 @@ def load_checked(source: Path | str | Mapping[str, Any], overrides: Sequence[str
     `source`: a file, or the content of one, as a mapping or a text of several lines; paths in that are relative to the
     working folder.
     """
-    if isinstance(source, Mapping):
-        loading = read_recipe_data(source, "recipe", overrides=overrides)
-    elif isinstance(source, str) and "\n" in source:
-        loading = read_recipe_text(source, overrides)
-    else:
-        loading = read_recipe(source, overrides)
-    _check_model(loading)
+    loading = read_recipe(source, overrides)
+    section = loading.community if isinstance(loading.community, Mapping) else {}
+    name = section.get("model") if isinstance(section.get("model"), str) else None  # None: it is drawn, or no name
+    if name is not None:
+        loading.errors.attempt(COMMUNITY_MODELS.check, name, where=loading.sources.where(("community", "model")))
     if loading.errors and loading.sound is not None:
-        from forestgen.scene.planning import collect_plan
+        from forestgen.scene.plan import collect_plan
 
         with suppress(ResourceError):  # raised when the recipe is right
             collect_plan(loading.sound.draw(0), loading.errors, loading.stand_ins)
-        _check_keys(loading)
+        _check_keys(loading, dict(section), name)
     return loading.whole()
 
 
-def _check_model(loading: Loading) -> None:
-    """Add the error of a community model that there is not."""
-    name = _model_of(loading)
-    if name is not None:
-        where = loading.sources.where(("community", "model"))
-        loading.errors.attempt(COMMUNITY_MODELS.check, name, where=where)
-
-
-def _model_of(loading: Loading) -> str | None:
-    """The community model's name; None: it is drawn, or no name."""
-    name = loading.community.get("model") if isinstance(loading.community, Mapping) else None
-    return name if isinstance(name, str) else None
-
-
-def _check_keys(loading: Loading) -> None:
+def _check_keys(loading: Loading, section: dict[str, Any], name: str | None) -> None:
     """Add the errors of the keys of a community that could not be checked as a whole.
 
     Of an unknown model, the keys that all models have are checked. Values that are drawn are left out.
     """
     from forestgen.community.model import CommunityParameters
 
-    name = _model_of(loading)
     known = name if name in COMMUNITY_MODELS else None
-    if not isinstance(loading.community, Mapping) or (known and "community" not in loading.stand_ins):
+    if not section or (known and "community" not in loading.stand_ins):
         return
-    section, sources = dict(loading.community), loading.sources
     section.pop("model", None)
     parameters = COMMUNITY_MODELS.load(known).Parameters if known else CommunityParameters
     left_out = {_second(place) for place in loading.errors.places}
@@ -79,7 +61,7 @@ def _check_keys(loading: Loading) -> None:
     try:
         parameters.model_validate(data, context={"folder": Path()})
     except ValidationError as failure:
-        error = Explainer(parameters, data, sources, ("community",), {}).error(failure)
+        error = Explainer(parameters, data, loading.sources, ("community",), {}).error(failure)
         for one in error.errors:
             if _second(one.where or "") in data:  # a key that was left out is not missing
                 loading.errors.add(one)

@@ -94,12 +94,8 @@ class PlantMeter:
         return self._hulls[index]
 
 
-def _vertices(exemplar: Exemplar) -> Floats:
-    return np.concatenate([organ.mesh.vertices_m for organ in exemplar.organs]).astype(np.float64)
-
-
 def _top(exemplar: Exemplar) -> Floats:
-    points = _vertices(exemplar)
+    points = np.concatenate([organ.mesh.vertices_m for organ in exemplar.organs]).astype(np.float64)
     return np.asarray(points[np.argmax(points[:, 2])])
 
 

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.registries import PROJECTIONS
 from forestgen.scene.spec import Camera
@@ -195,75 +194,82 @@ class Projection:
         """What camera.json has of it, beside the keys of all cameras."""
         return {"hfov_deg": float(camera.hfov_deg), "numbers": dict(camera.numbers)}
 
-    def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
-        """The geometry that camera.json describes; what is missing or no number raises KeyError, ValueError, TypeError.
+    def rim_px(self, camera: Camera) -> float | None:
+        """Radius of the circle outside of which the image shows nothing; None: it shows all of itself."""
+        return None
 
-        A projection that comes along computes it otherwise than `rays` and `project`, so that each checks the other.
+    def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
+        """The geometry that camera.json describes.
+
+        What is missing or no number raises KeyError, ValueError or TypeError.
         """
-        found = OwnGeometry(self, values, size_px, (1.0, 1.0), (size_px[0] / 2, size_px[1] / 2))
+        numbers = {key: float(value) for key, value in values.get("numbers", {}).items()}
+        camera = self.plain_camera(size_px, float(values.get("hfov_deg", 0.0)), numbers=numbers)
+        found = FileGeometry(camera, (1.0, 1.0), (size_px[0] / 2, size_px[1] / 2))
         found.rays((1, 1))  # raises now what it would raise later
         return found
+
+    def plain_camera(self, size_px: tuple[int, int], hfov_deg: float = 0.0, **keys: Any) -> Camera:
+        """A camera at the origin; `keys` are those of `Camera`."""
+        return Camera("", (0.0, 0.0, 0.0), np.eye(3), size_px, hfov_deg, projection=self.name, **keys)
 
 
 @dataclass(frozen=True)
 class FileGeometry:
-    """Rays and pixels by the numbers of a camera.json, in the camera's axes."""
+    """Rays and pixels by the numbers of a camera.json, in the camera's axes.
 
-    projection: Projection
-    values: Mapping[str, Any]
-    size_px: tuple[int, int]
+    They are those of `camera`, whose pixels are square and whose axis is in the image's middle, moved and stretched.
+    """
+
+    camera: Camera  # at the origin
     focal_px: tuple[float, float]  # along x and y: pixels a slope, a radian, or a metre of parallel rays
     centre_px: tuple[float, float]
+    focal_of_angle: float | None = None  # what `focal_px` should be by hfov_deg; None: they do not depend on each other
+
+    @property
+    def projection(self) -> Projection:
+        return projection_of(self.camera)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        return self.camera.size_px
+
+    @property
+    def _stretch(self) -> Floats:
+        return np.array([1.0, self.focal_px[1] / self.focal_px[0]])
+
+    @property
+    def _middle(self) -> Floats:
+        return np.array(self.size_px) / 2
 
     def project(self, points_m: Floats) -> tuple[Floats, Floats]:
         """(..., 2) pixels and (...) depths of (..., 3) points; what is not in front has no positive depth."""
-        raise NotImplementedError
+        at = project(self.camera, points_m)
+        flat = (np.stack([at.x_px, at.y_px], axis=-1) - self._middle) * self._stretch
+        return flat + self.centre_px, np.where(at.in_front, at.depth_m, -np.abs(at.depth_m))
+
+    def _rays(self, size_px: tuple[int, int]) -> Rays:
+        at = (pixel_centres(size_px) - self.centre_px) / self._stretch + self._middle
+        return rays(self.camera, *np.moveaxis(at, -1, 0))
 
     def rays(self, size_px: tuple[int, int]) -> Floats:
         """(H, W, 3) through the pixels' centres, of depth 1."""
-        raise NotImplementedError
+        found = self._rays(size_px).direction
+        return found if self.projection.depth_is_distance else found / found[..., 2:]
 
     def starts(self, size_px: tuple[int, int]) -> Floats:
         """(H, W, 3) from the camera's place to where the pixels' rays begin."""
-        return np.zeros((size_px[1], size_px[0], 3))
+        return self._rays(size_px).origin_m
 
     def sees(self, size_px: tuple[int, int]) -> Bools:
         """(H, W) whether a pixel's centre has a ray."""
         beyond_px = self.beyond_rim_px(pixel_centres(size_px))
-        return np.ones(size_px[::-1], dtype=np.bool_) if beyond_px is None else np.asarray(beyond_px <= 0)
+        return self._rays(size_px).valid if beyond_px is None else np.asarray(beyond_px <= 0)
 
     def beyond_rim_px(self, at_px: Floats) -> Floats | None:
         """(...) how far (..., 2) image points lie outside of what the image shows; None: it shows all of itself."""
-        return None
-
-    def focal_of_angle(self) -> float | None:
-        """What `focal_px` should be by hfov_deg; None: the two have nothing to do with each other."""
-        return None
-
-    def flat(self, size_px: tuple[int, int]) -> Floats:
-        """(H, W, 2) of the pixels' centres: slopes, metres or radians."""
-        return np.asarray((pixel_centres(size_px) - self.centre_px) / self.focal_px)
-
-
-class OwnGeometry(FileGeometry):
-    """That of the projection's own `rays` and `project`."""
-
-    @property
-    def _camera(self) -> Camera:
-        numbers = {key: float(value) for key, value in self.values.get("numbers", {}).items()}
-        angle = float(self.values.get("hfov_deg", 0.0))
-        name = self.projection.name
-        return Camera("", (0.0, 0.0, 0.0), np.eye(3), self.size_px, angle, projection=name, numbers=numbers)
-
-    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
-        at = project(self._camera, points_m)
-        return np.stack([at.x_px, at.y_px], axis=-1), np.where(at.in_front, at.depth_m, -at.depth_m)
-
-    def rays(self, size_px: tuple[int, int]) -> Floats:
-        return rays(self._camera, *np.moveaxis(pixel_centres(size_px), -1, 0)).direction
-
-    def sees(self, size_px: tuple[int, int]) -> Bools:
-        return rays(self._camera, *np.moveaxis(pixel_centres(size_px), -1, 0)).valid
+        rim_px = self.projection.rim_px(self.camera)
+        return None if rim_px is None else np.asarray(np.linalg.norm(at_px - self.centre_px, axis=-1) - rim_px)
 
 
 def pixel_centres(size_px: tuple[int, int]) -> Floats:
@@ -278,29 +284,31 @@ def matrix_k(camera: Camera, focal_px: float) -> Floats:
     return np.array([[focal_px, 0.0, width / 2.0], [0.0, focal_px, height / 2.0], [0.0, 0.0, 1.0]])
 
 
+def read_angle_rad(values: Mapping[str, Any]) -> float:
+    """A camera.json's field of view; ValueError: it is no angle."""
+    angle = np.radians(float(values["hfov_deg"]))
+    if not 0 < angle <= 2 * np.pi + 1e-9:
+        raise ValueError("hfov_deg is no field of view")
+    return float(angle)
+
+
 def read_k(values: Mapping[str, Any]) -> tuple[tuple[float, float], tuple[float, float]]:
     """Focal lengths and the image's centre of a camera.json's K; ValueError: it is none without skew."""
     k = np.asarray(values["K"], dtype=np.float64)
     if k.shape != (3, 3) or not np.isfinite(k).all():
         raise ValueError("expected (3, 3) finite numbers")
-    if not (k[0, 0] > 0 and k[1, 1] > 0) or (k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0).any() or k[2, 2] != 1:
+    if (
+        not all(1e-3 < focal_px < 1e9 for focal_px in (k[0, 0], k[1, 1]))
+        or (k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0).any()
+        or k[2, 2] != 1
+    ):
         raise ValueError("K is not of a camera without skew")
     return (float(k[0, 0]), float(k[1, 1])), (float(k[0, 2]), float(k[1, 2]))
 
 
 def load_projection(name: str, *, where: str | None = None) -> Projection:
-    """The projection of a name.
-
-    Raises `RecipeError`: there is none, or what is registered under the name is no projection of this name.
-    """
-    found = PROJECTIONS.load(name, where=where)
-    if not isinstance(found, Projection) or getattr(found, "name", None) != name:
-        raise RecipeError(
-            "what is registered under this name is no projection of this name",
-            where=where,
-            expected=f"a Projection whose name is {name!r}",
-            got=f"{found!r:.100}",
-        )
+    """The projection of a name; raises `RecipeError` as `Registry.load` does."""
+    found: Projection = PROJECTIONS.load(name, where=where)
     return found
 
 

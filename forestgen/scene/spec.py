@@ -14,7 +14,7 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
-from forestgen.recipe.camera_keys import Exposure
+from forestgen.recipe.cameras import Exposure
 from forestgen.recipe.registries import DEFAULT_PROJECTION
 
 
@@ -55,7 +55,7 @@ class Instances:
 
 @dataclass(frozen=True)
 class WetGround:
-    """What water makes of a ground; scene/soil_colour.py."""
+    """What water makes of a ground; scene/surfaces.py."""
 
     share: NDArray[np.float32]  # (V,) by vertex: 0 dry, 1 under a film of water
     reflectance: tuple[float, float, float]  # mean colour under the film, linear Rec. 709

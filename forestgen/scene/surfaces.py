@@ -1,19 +1,128 @@
-"""What the recipe's surfaces do with light: materials of plants, and the ground."""
+"""What the recipe's surfaces do with light: materials of plants and buildings, and ground that is dark where it is wet.
+
+What is wet lies under a film of water. Light that comes back from the ground meets the film's surface from below, which
+turns much of it round to the ground again, and each time the ground and the water take their part (Ångström 1925):
+
+    R_wet = (1 - r) (1 - p) T R / (1 - p T R),    1 - p = (1 - r) / n^2
+
+at each wavelength, R being that of the dry ground. r is what a surface of water, n = 1.33, reflects of diffuse light
+from above (0.066, Fresnel's mean over all directions), p what it does from below (0.47, by reciprocity: Lekner and Dorf
+1988). T = exp(-a L) is what water of absorption a leaves on a way of L = 0.4 mm: nothing is lost in the visible, much
+beyond 1300 nm. L is ours. What the film mirrors is not in R_wet: it has no gloss.
+
+Ground that is partly wet is a mixture of both, as in MARMIT (Bablet et al. 2018): R = (1 - e) R_dry + e R_wet, with one
+e for all wavelengths. e follows from the saturation s of the soil's pores, by the luminances of the two, for which
+(1 - R)^2 / (2 R) is linear in s (Sadeghi, Jones and Philpot 2015). So half of the darkening is there at s = 0.35. In
+the infrared, where wet ground is black, Sadeghi's law alone would darken faster.
+
+References
+----------
+Ångström 1925 (Geografiska Annaler 7, 323-342). Lekner and Dorf 1988 (Applied Optics 27, 1278-1280). Sadeghi, Jones and
+Philpot 2015 (Remote Sensing of Environment 164, 66-76). Bablet et al. 2018 (ibid. 217, 1-17).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 
-from forestgen.core.spectrum import Spectrum
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe import species as recipe_species
-from forestgen.recipe.spectra import Season, load_spectra, of_season, surface_columns
-from forestgen.scene.colour import colours_of_surface
-from forestgen.scene.spec import Camera, Material
+from forestgen.recipe.spectra import Season, load_spectra, load_table, of_season, surface_columns
+from forestgen.scene.colour import Channels, colours_of_surface
+from forestgen.scene.spec import Camera, Material, Terrain, WetGround
 
+Floats = NDArray[np.float64]
+_INDEX = 1.33
+_WAY_M = 0.0004
+_DIRECTIONS = 10_000  # over which Fresnel's mean is taken
 Species = recipe_species.Species
 COLOUR_ENDS_NM = 720.0  # beyond it a surface's colour tells nothing
 TABLES_END_NM = 2400.0  # what tables of measured spectra reach to; the little beyond is as good as known
+
+
+@cache
+def film_reflectances() -> tuple[float, float]:
+    """Shares of diffuse light that a surface of water reflects from above, r, and from below, p."""
+    cosine = (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS
+    inside = np.sqrt(1.0 - (1.0 - cosine**2) / _INDEX**2)
+    across = ((cosine - _INDEX * inside) / (cosine + _INDEX * inside)) ** 2
+    along = ((_INDEX * cosine - inside) / (_INDEX * cosine + inside)) ** 2
+    above = float(np.mean((across + along) * cosine))  # 2 cos weighs directions, (s + p) / 2 is unpolarised light
+    return above, 1.0 - (1.0 - above) / _INDEX**2
+
+
+def wet_spectrum(dry: Spectrum) -> Spectrum:
+    """Reflectance of a ground under a film of water."""
+    water = load_table("standards/water")["absorption_per_m"]
+    grid = np.union1d(dry.wavelength_nm, water.wavelength_nm)
+    above, below = film_reflectances()
+    kept = np.exp(-water.at(grid) * _WAY_M) * dry.at(grid)
+    return Spectrum(grid, (1.0 - above) * (1.0 - below) * kept / (1.0 - below * kept))
+
+
+def wet_share(saturation: Floats, dry: float, wet: float) -> Floats:
+    """Share of wet ground, 0 to 1, in soil whose pores are filled to `saturation`.
+
+    `saturation`: of any shape, 0 to 1. `dry`, `wet`: luminances of the ground, dry and under a film: 1 > dry > wet > 0.
+    """
+    of_dry, of_wet = ((1.0 - one) ** 2 / (2.0 * one) for one in (dry, wet))
+    transformed = of_dry + saturation * (of_wet - of_dry)
+    reflectance = 1.0 / (1.0 + transformed + np.sqrt(transformed * (transformed + 2.0)))
+    return np.asarray(np.clip((dry - reflectance) / (dry - wet), 0.0, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Wetness:
+    """How wet a site's soil is, by place."""
+
+    size_m: tuple[float, float]  # of the site
+    saturation: Floats  # (rows, cols) share of its pores that is full, 0 to 1; row 0 at y = 0
+
+    def at(self, x_m: Floats, y_m: Floats, away: Floats) -> Floats:
+        """(N,) straight lines between the middles of cells; where `away` is 1 the site's mean, by shares in between."""
+        rows, cols = self.saturation.shape
+        row, v = _between(y_m * rows / self.size_m[1] - 0.5, rows)
+        col, u = _between(x_m * cols / self.size_m[0] - 0.5, cols)
+        above, right = np.minimum(row + 1, rows - 1), np.minimum(col + 1, cols - 1)
+        south = self.saturation[row, col] * (1.0 - u) + self.saturation[row, right] * u
+        north = self.saturation[above, col] * (1.0 - u) + self.saturation[above, right] * u
+        here = south * (1.0 - v) + north * v
+        return np.asarray(here + away * (float(self.saturation.mean()) - here))
+
+
+def _between(place: Floats, count: int) -> tuple[NDArray[np.intp], Floats]:
+    """Cell before each place, and the share of the next one; the outer cells go on outwards."""
+    inside = np.clip(place, 0.0, count - 1.0)
+    first = np.floor(inside).astype(np.intp)
+    return first, inside - first
+
+
+def wet_ground(dry: Spectrum, saturation: Floats) -> WetGround | None:
+    """What a ground of a spectrum becomes where its soil is wet; None: all of it is dry.
+
+    `saturation`: (V,) at the terrain's vertices.
+    """
+    if not saturation.any():
+        return None
+    wet = wet_spectrum(dry)
+    colours = [colours_of_surface(one, None)[0] for one in (dry, wet)]
+    share = wet_share(saturation, *(float(np.dot(LUMINANCE, colour)) for colour in colours))
+    return WetGround(share.astype(np.float32), colours[1], wet)
+
+
+def film_factor(terrain: Terrain, channels: Channels) -> Floats:
+    """(3,) reflectance of the terrain under a film of water over that of the dry one, in [0, 1]; 1: none is wet."""
+    if terrain.wet is None:
+        return np.ones(3)
+    wet = channels.of_surface(terrain.wet.reflectance, terrain.wet.spectrum)
+    dry = channels.of_surface(terrain.mean_colour, terrain.spectrum)
+    return np.clip(wet / np.maximum(dry, 1e-9), 0.0, 1.0)
 
 
 def materials_of(species: Mapping[str, Species], season: Season = "summer") -> dict[tuple[str, str], Material]:
@@ -27,19 +136,24 @@ def materials_of(species: Mapping[str, Species], season: Season = "summer") -> d
 
 def surface_of(material: recipe_species.Material, season: Season, name: str) -> Material:
     """A recipe's material; `name`, such as "birch/bark", seeds its texture."""
-    spectra = None if material.spectrum is None else spectra_of(material.spectrum, material.season or season)
-    if spectra is None:
+    file = material.spectrum
+    spectra: tuple[Spectrum | None, Spectrum | None] = None, None
+    if file is None:
         assert material.reflectance is not None  # the recipe's own check
         reflectance, transmittance = material.reflectance, material.transmittance
     else:
-        reflectance, transmittance = colours_of_surface(*spectra)
+        columns = load_spectra(file.name) if file.text is None else surface_columns(file.text, file.name)
+        found = of_season(columns, material.season or season)
+        assert found is not None  # the same
+        spectra = found
+        reflectance, transmittance = colours_of_surface(*found)
     return Material(
         reflectance,
         transmittance,
         material.roughness,
         None if material.bark is None else bark_texture(material.bark, reflectance, name),
         material.gloss,
-        *(spectra or (None, None)),
+        *spectra,
     )
 
 
@@ -67,11 +181,3 @@ def infrared_notes(materials: Mapping[tuple[str, str], Material], cameras: Seque
 
 def _few(names: Sequence[str]) -> str:
     return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
-
-
-def spectra_of(file: recipe_species.SpectrumFile, season: Season) -> tuple[Spectrum, Spectrum | None]:
-    """(reflectance, transmittance or None) of a season; the recipe has checked that the table has it."""
-    columns = load_spectra(file.name) if file.text is None else surface_columns(file.text, file.name)
-    found = of_season(columns, season)
-    assert found is not None
-    return found

@@ -23,8 +23,8 @@ from forestgen.recipe.schema import Terrain as TerrainSection
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import colours_of_surface
-from forestgen.scene.soil_colour import Wetness, wet_ground
 from forestgen.scene.spec import Terrain
+from forestgen.scene.surfaces import Wetness, wet_ground
 
 HORIZON_M = 200_000.0  # from 300 m up, a flat earth ends 0.1 degrees below the horizon
 MARGIN_M = 20.0

@@ -1,29 +1,33 @@
-"""Cameras of a drawn recipe, and whether something is in their way: reported before any image is rendered."""
+"""The cameras of a drawn recipe, and whether something is in their way: reported before any image is rendered."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
+from forestgen.core.frames import look_at
 from forestgen.core.spectrum import Band
-from forestgen.recipe.buildings import Building
-from forestgen.recipe.camera_keys import SensorFile
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import SensorFile
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.species import Building
 from forestgen.recipe.spectra import bands_of, load_bands
-from forestgen.scene.camera_path import expand
-from forestgen.scene.ground import height_field
-from forestgen.scene.spec import Camera
+from forestgen.scene.rigs.rig import Poses, path_poses
+from forestgen.scene.site import height_field
+from forestgen.scene.spec import Camera, Lens
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
 
+Floats = NDArray[np.float64]
+
 LEAST_ABOVE_GROUND_M = 0.01
 LEAST_FROM_TRUNKS_M = 0.05
+NO_BANDS: Mapping[SensorFile, tuple[Band, ...]] = {}
 _ROOF_M = 0.5  # its thickness, and more: a camera on the roof is outside
 
 
@@ -98,14 +102,9 @@ class Views:
     def check_above_ground(self) -> None:
         """Raise `RecipeError` for a camera below the ground, unless its entry's `obstructed` is a note."""
         for index, camera, above_m in self._below_ground():
-            _note_or_error(
-                self.drawn,
-                index,
-                f"the camera {camera.name} stands below the ground",
-                expected=f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground",
-                got=f"{above_m:.3g} m",
-                hint="raise it; or set obstructed: note, to look at it all the same",
-            )
+            problem, way_out = f"the camera {camera.name} stands below the ground", "raise it"
+            expected = f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground"
+            _note_or_error(self.drawn, index, problem, expected, f"{above_m:.3g} m", way_out)
 
     def check_outside_of_buildings(self) -> list[str]:
         """Notes on cameras inside of buildings, which see dark walls, of entries whose `obstructed` is a note.
@@ -123,15 +122,9 @@ class Views:
                 inside = _is_within(building, at_m - [*building.position_m, float(ground_m[number])])
                 for camera in (cameras[k] for k in np.flatnonzero(inside)):
                     place = f"site.buildings.{number}, at [{_numbers(building.position_m)}]"
-                    note = _note_or_error(
-                        self.drawn,
-                        index,
-                        f"the camera {camera.name} stands inside of a {building.kind}",
-                        expected=f"a place outside of {place}",
-                        got=f"[{_numbers(camera.position_m)}]",
-                        hint="move it; or set obstructed: note, to look at it all the same",
-                    )
-                    notes.append(note)
+                    problem, got = f"the camera {camera.name} stands inside of a {building.kind}", camera.position_m
+                    expected = f"a place outside of {place}"
+                    notes.append(_note_or_error(self.drawn, index, problem, expected, f"[{_numbers(got)}]", "move it"))
         return notes
 
 
@@ -159,24 +152,20 @@ def check_trunks(drawn: DrawnRecipe, cameras: Sequence[Sequence[Camera]], trunks
             apart_m, plant = trunks.clearance_m(np.array(camera.position_m), LEAST_FROM_TRUNKS_M)
             if plant:
                 stands = "in" if apart_m < 0 else f"{apart_m * 100:.2g} cm from"
-                note = _note_or_error(
-                    drawn,
-                    index,
-                    f"the camera {camera.name} stands {stands} the trunk of plant {plant}",
-                    expected=f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk",
-                    got=f"[{_numbers(camera.position_m)}]",
-                    hint="move it; rig: {kind: walk} goes around trunks; or set obstructed: note",
-                )
-                notes.append(note)
+                problem = f"the camera {camera.name} stands {stands} the trunk of plant {plant}"
+                expected, got = f"at least {LEAST_FROM_TRUNKS_M * 100:g} cm to any trunk", _numbers(camera.position_m)
+                way_out = "move it; rig: {kind: walk} goes around trunks"
+                notes.append(_note_or_error(drawn, index, problem, expected, f"[{got}]", way_out))
     return notes
 
 
-def _note_or_error(drawn: DrawnRecipe, index: int, problem: str, *, expected: str, got: str, hint: str) -> str:
+def _note_or_error(drawn: DrawnRecipe, index: int, problem: str, expected: str, got: str, way_out: str) -> str:
     """The problem as a note, where the entry of cameras lets it be one; else a `RecipeError` at the camera's place."""
     section = drawn.recipe.cameras[index]
     if section.obstructed == "note":
         return problem
-    where = drawn.where("cameras", index, *_place_key(section))
+    where = drawn.where("cameras", index, *place_key(section))
+    hint = f"{way_out}; or set obstructed: note, to look at it all the same"
     raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
 
 
@@ -184,8 +173,75 @@ def _numbers(values: Sequence[float]) -> str:
     return ", ".join(f"{value:.2f}" for value in values)
 
 
-def _place_key(section: CameraSection) -> tuple[str, ...]:
-    """The key that says where a camera is."""
+def place_key(section: CameraSection, *, path: bool = True) -> tuple[str, ...]:
+    """The key that says where a camera is; `path`: of its path, where that has places."""
     if section.position_m is None:
         return ("rig",)
-    return ("path", "position_m") if section.path is not None and section.path.position_m else ("position_m",)
+    on_path = path and section.path is not None and section.path.position_m
+    return ("path", "position_m") if on_path else ("position_m",)
+
+
+def expand(
+    section: CameraSection,
+    height: HeightField,
+    trunks: Trunks | None = None,
+    bands: Mapping[SensorFile, tuple[Band, ...]] = NO_BANDS,
+) -> list[Camera]:
+    """A recipe's camera in the world: one, or one a frame of its path or rig.
+
+    Points of a path are counted as the camera's own: where z is a height above ground, each frame's position and
+    look-at point are lifted by the ground under them, so that a camera walks over a hill and not through it.
+
+    `trunks`: that walks go around; without them they go straight. `bands`: of the sensors that cameras name.
+    """
+    rig = section.rig_part
+    poses: Poses = path_poses(section, height) if rig is None else rig.poses(section, height, trunks)
+    lens, focus_m = section.lens_mm, section.lens_focus_m
+    cameras = []
+    for index, name in enumerate(section.frame_names):
+        position, target = poses.position_m[index], poses.target_m[index]
+        axes = _axes(section, position, target)
+        if poses.right_m is not None:
+            position = position + poses.right_m[index] * axes[:, 0]
+        x, y, z = (float(value) for value in position)
+        cameras.append(
+            Camera(
+                name=name,
+                position_m=(x, y, z),
+                world_from_camera=axes,
+                size_px=section.size_px,
+                hfov_deg=section.field_of_view_deg,
+                sequence=_sequence(section, index),
+                time_s=float(poses.time_s[index]),
+                projection=section.kind,
+                width_m=section.view_width_m,
+                lens=None if lens is None or focus_m is None else Lens(lens[0] / 1000, focus_m),
+                bands=() if section.bands is None else bands.get(section.bands, ()),
+                exposure=section.exposure,
+                numbers=section.own_numbers,
+            )
+        )
+    return cameras
+
+
+def _axes(section: CameraSection, position_m: Floats, target_m: Floats) -> Floats:
+    target = np.array([target_m[0], target_m[1], position_m[2]]) if section.is_level else target_m
+    return look_at(position_m.tolist(), target.tolist())
+
+
+def _sequence(section: CameraSection, index: int) -> str | None:
+    """Name of the images that follow each other in time; None for stills."""
+    if section.rig is None:
+        return None if section.path is None else section.name
+    named: str | None = section.rig_part.sequence(section, index)
+    return named
+
+
+def next_frame(cameras: Sequence[Camera], camera: Camera) -> Camera | None:
+    """The frame that follows `camera` in its sequence; None for a still camera and for a sequence's last frame."""
+    if camera.sequence is None:
+        return None
+    frames = [one for one in cameras if one.sequence == camera.sequence]
+    names = [one.name for one in frames]
+    after = names.index(camera.name) + 1
+    return frames[after] if after < len(frames) else None

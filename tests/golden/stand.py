@@ -21,8 +21,7 @@ from forestgen.render.frame import Frame
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import render_frame
 from forestgen.scene.build import BuiltScene, build_scene
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import Plan, make_plan
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import SceneSpec
 from support.ztest import Comparison, NoisyImage, welch, welch_blocks

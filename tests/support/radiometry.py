@@ -13,7 +13,7 @@ from forestgen.core.spectrum import Spectrum
 from forestgen.render.irradiance import Source
 from forestgen.render.light import emitters_of, envmap
 from forestgen.render.variant import mitsuba
-from forestgen.scene.channels import Channels
+from forestgen.scene.colour import Channels
 from forestgen.scene.spec import SceneSpec, Sky
 
 Floats = NDArray[np.float64]

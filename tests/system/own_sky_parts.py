@@ -15,7 +15,7 @@ from forestgen.recipe.schema import Terrain
 from forestgen.recipe.sky import SkySection
 from forestgen.render.skies.model import MAP_ROWS, SkyModel
 from forestgen.render.skies.overcast import SKY as OVERCAST
-from forestgen.scene.channels import Channels
+from forestgen.scene.colour import Channels
 from forestgen.scene.spec import Sky
 from forestgen.scene.terrain import TEXTURE_PX, GroundCover, HeightField, TerrainShape
 

@@ -16,7 +16,7 @@ from forestgen.render.radiance import render_radiance
 from forestgen.render.variant import cuda_devices
 from forestgen.render.views import LitScene
 from forestgen.render.wavelengths import Mode
-from forestgen.scene.channels import RGB
+from forestgen.scene.colour import RGB
 from forestgen.scene.spec import Camera, SceneSpec
 
 

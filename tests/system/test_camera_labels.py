@@ -16,7 +16,7 @@ from label_breaks import exr
 from forestgen.dataset.check import check_dataset
 from forestgen.dataset.exr import read_exr
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 RECIPE = """\
 forestgen: 1

@@ -10,8 +10,7 @@ import pytest
 from forestgen.community.model import simulate
 from forestgen.community.population import Population, Status
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 
 RECIPE = Path(__file__).resolve().parents[2] / "recipes" / "ecoclimates" / "dying.yaml"
 DRIER_YR = 40  # from then on

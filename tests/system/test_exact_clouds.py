@@ -21,7 +21,7 @@ from forestgen.render.light import along, emitters_of, sky_light, sky_map
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, path_tracer, using
 from forestgen.render.volume_random_walk import WalkField
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import SceneSpec, Sky
 from support.cloud_box import cloud_volume
 from support.radiometry import radiance

@@ -18,7 +18,7 @@ from forestgen.render.light import sky_light, sun_disc
 from forestgen.render.skies.model import daylight_of
 from forestgen.render.surfaces import SpectralBsdfs, repaint
 from forestgen.render.variant import BLOCK_PX, ROULETTE_DEPTH, SCALAR, using
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky
 from support.radiometry import (
     Mean,

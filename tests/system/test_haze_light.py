@@ -32,7 +32,7 @@ from forestgen.render.identity.tracer import sample_offsets
 from forestgen.render.skies.model import MAP_ROWS, daylight_of
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
 from forestgen.render.wavelengths import ColourAtOnce, Pass, quadrature_of
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.projection import rays, world_rays
 from forestgen.scene.spec import Camera, Lens, Sky
 from support.radiometry import lights

@@ -22,7 +22,7 @@ from forestgen.render.denoise import trace_guides
 from forestgen.render.identity import SceneTracer, sample_offsets
 from forestgen.render.variant import CUDA
 from forestgen.scene.build import build_scene
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from support.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene
 from support.twins import trace_twin

@@ -17,7 +17,7 @@ from forestgen.recipe.assets import list_assets, recipes_dir
 from forestgen.recipe.load import load_recipe
 from forestgen.render.surfaces import SPHERE_DEG, gloss_of, gloss_share, repaint, sides_of, surface_bsdf
 from forestgen.render.variant import LLVM, drjit, mitsuba, using
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import materials_of
 

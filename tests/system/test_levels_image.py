@@ -14,7 +14,7 @@ from forestgen.recipe.load import load_recipe_data
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import render_frame
 from forestgen.scene.build import build_scene
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 SPECIES = ("poplar", "spruce", "birch", "maple")
 BLOCK = 8

@@ -41,8 +41,7 @@ MOST_OVER = 3.0
 @pytest.mark.parametrize("name", RUNS)
 def test_the_estimate_holds(name: str, tmp_path: Path) -> None:
     from forestgen.recipe.load import load_recipe
-    from forestgen.scene.plan import estimate_bytes
-    from forestgen.scene.planning import check_plan
+    from forestgen.scene.plan import check_plan, estimate_bytes
 
     overrides, least_plants, most_over = RUNS[name]
     options = [text for one in overrides for text in ("--set", one)]
@@ -69,8 +68,7 @@ def test_the_estimate_holds(name: str, tmp_path: Path) -> None:
 )
 def test_a_simulations_estimate_holds(recipe: Path, overrides: list[str], tmp_path: Path) -> None:
     from forestgen.recipe.load import load_recipe
-    from forestgen.scene.plan import estimate_bytes
-    from forestgen.scene.planning import check_plan
+    from forestgen.scene.plan import check_plan, estimate_bytes
 
     options = [text for one in overrides for text in ("--set", one)]
     process = start("simulate", recipe, "-o", tmp_path / "out", *options)

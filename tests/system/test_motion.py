@@ -14,15 +14,15 @@ from forestgen.core.frames import look_at
 from forestgen.core.progress import Silent, Timings
 from forestgen.labels.channels.motion import motion_px
 from forestgen.recipe.assets import recipes_dir
-from forestgen.recipe.camera_keys import CameraPath
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import CameraPath
 from forestgen.recipe.load import load_recipe
 from forestgen.render.frame import Surface
 from forestgen.scene.build import BuiltScene, build_scene
-from forestgen.scene.camera_path import expand
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 from forestgen.scene.spec import Camera, SceneSpec
 from forestgen.scene.terrain import HeightField
+from forestgen.scene.views import expand
 from forestgen.scene.wind import Sway, posed, sway_in
 from support.scenes import blade_cloud, plain_ground, scattered_scene
 from support.twins import Oracle

@@ -67,7 +67,7 @@ def test_labels_are_those_of_its_own_formulas(tmp_path: Path) -> None:
     [
         ("kind: cylindrical, horizon: 2", "horizon", "at most 1"),
         ("kind: cylindrical, hfov_deg: 360", "hfov_deg", "at most 350"),
-        ("kind: cylindrical, width_m: 3", "width_m", "a cylindrical camera has no width_m"),
+        ("kind: cylindrical, width_m: 3", "width_m", "the projection cylindrical has no width_m"),
         ("kind: fisheye, horizon: 0.5", "horizon", "choose kind: cylindrical"),
         ("kind: cylindrical, horizn: 0.5", "horizn", "did you mean 'horizon'"),
         ("kind: cylindrical, look: down", "look", "is level"),

@@ -18,9 +18,8 @@ from forestgen.recipe.registries import CLOUD_SOURCES, GROUND_COVERS, SKIES, TER
 from forestgen.render.light import sky_map
 from forestgen.render.variant import using
 from forestgen.scene.build import build_scene
-from forestgen.scene.channels import RGB
-from forestgen.scene.plan import estimate_bytes
-from forestgen.scene.planning import make_plan
+from forestgen.scene.colour import RGB
+from forestgen.scene.plan import estimate_bytes, make_plan
 from forestgen.scene.spec import SceneSpec
 
 ROOT = Path(__file__).parents[2]

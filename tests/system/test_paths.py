@@ -30,7 +30,7 @@ from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of
 from forestgen.render.surfaces import surface_bsdf
 from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
 from forestgen.render.views import LitScene
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Lens, Material, SceneSpec, Sky, WetGround
 from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
 from support.scenes import camera_at, plain_ground, scattered_scene, shifted

@@ -21,7 +21,7 @@ from forestgen.render.noise import SliceSum, slice_sizes
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import sky_pixels
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.projection import image_circle, rays, world_rays
 from forestgen.scene.spec import Camera, Instances, SceneSpec, Sky, WetGround
 from support.cloud_box import cloud_volume

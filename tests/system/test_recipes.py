@@ -11,7 +11,7 @@ from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset, list_assets, recipes_dir
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 from support.tiers import slow_but
 
 SMALL = (

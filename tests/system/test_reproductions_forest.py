@@ -13,7 +13,7 @@ from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 SEEDS = range(10)
 pytestmark = pytest.mark.slow

@@ -19,8 +19,7 @@ from forestgen.community.trajectory import self_thinning_slope
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 
 SEEDS = range(10)
 

@@ -16,8 +16,7 @@ from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent
 from forestgen.recipe.assets import find_asset
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 
 SEEDS = range(20)
 BINS = 4  # 8 m wide, of Figure 5.6: the kernels reach less than 2 m

@@ -18,8 +18,8 @@ from forestgen.render.light import sun_irradiance
 from forestgen.render.skies.model import daylight_of, map_directions
 from forestgen.render.skies.overcast import overcast_illuminance
 from forestgen.render.variant import SCALAR, drjit, mitsuba, path_tracer, using
-from forestgen.scene.channels import RGB, Channels
-from forestgen.scene.sky import sky_of
+from forestgen.scene.colour import RGB, Channels
+from forestgen.scene.site import sky_of
 from forestgen.scene.spec import Camera, Sky
 from support.radiometry import lights
 

@@ -27,9 +27,8 @@ from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import build_view
 from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBySpectrum, quadrature_of
 from forestgen.scene.build import build_scene
-from forestgen.scene.channels import Channels
-from forestgen.scene.colour import colour_of_radiance, colour_of_reflectance, observer
-from forestgen.scene.planning import make_plan
+from forestgen.scene.colour import Channels, colour_of_radiance, colour_of_reflectance, observer
+from forestgen.scene.plan import make_plan
 from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
 from support.scenes import camera_at, plain_ground, scattered_scene
 

@@ -19,7 +19,7 @@ from hostile import FILES, SECRET, SLOTS, TEXTS, WAYS, WRITTEN
 from forestgen.core.errors import ForestgenError
 from forestgen.recipe.assets import ALLOWED
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 _opened: list[str] = []
 _watching: list[bool] = []

@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from forestgen.recipe.camera_keys import CameraKeys
-from forestgen.recipe.rigs import RigKeys
+from forestgen.recipe.cameras import Camera, RigKeys
 from forestgen.scene.rigs.rig import Poses, Rig, lifted
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
@@ -32,10 +31,10 @@ class Spiral(Rig[SpiralKeys]):
     Parameters = SpiralKeys
     decides = ("position_m", "look", "path")
 
-    def frames(self, camera: CameraKeys) -> int:
+    def frames(self, camera: Camera) -> int:
         return self.keys_of(camera).count
 
-    def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
+    def poses(self, camera: Camera, height: HeightField, trunks: Trunks | None) -> Poses:
         keys = self.keys_of(camera)
         angle, up_m = np.linspace(0, 4 * np.pi, keys.count), np.linspace(0.5, keys.top_m, keys.count)
         middle = np.tile(np.array(camera.look_at_m, dtype=np.float64), (keys.count, 1))

@@ -165,7 +165,7 @@ def camera(frame: FrameData) -> Iterator[Finding]:
     if np.abs(at - model.position_m).max() > 1e-6 * max(1.0, float(np.abs(at).max())):
         problem = "position_m is not that of camera_from_world"
         yield frame.finding(CAMERA, problem, expected=numbers(at), got=numbers(model.position_m))
-    focal, focal_of_angle = model.geometry.focal_px[0], model.geometry.focal_of_angle()
+    focal, focal_of_angle = model.geometry.focal_px[0], model.geometry.focal_of_angle
     if focal_of_angle is not None and not abs(focal_of_angle - focal) <= 1e-6 * focal_of_angle:
         problem = "the focal length of K is not that of hfov_deg"
         yield frame.finding(CAMERA, problem, expected=number(focal_of_angle), got=number(focal))

@@ -20,10 +20,10 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.render.build import load, origin_of, plants_dict, to_mesh
 from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import LLVM, drjit, mitsuba, require, tracing_variant, using
-from forestgen.scene.channels import RGB
+from forestgen.scene.colour import RGB
 from forestgen.scene.projection import HASH_ROUNDS, LENS_STEPS, DeviceRays, Projection, Rays, projection_of
-from forestgen.scene.soil_colour import film_factor
 from forestgen.scene.spec import Camera, Material, SceneSpec
+from forestgen.scene.surfaces import film_factor
 
 NONE = 2**32 - 1  # instead of a first row: the mesh has none
 

@@ -20,9 +20,9 @@ from forestgen.render.identity.surface import (
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, organs_of, uploaded
 from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import drjit, mitsuba
-from forestgen.scene.channels import Channels
-from forestgen.scene.soil_colour import film_factor
+from forestgen.scene.colour import Channels
 from forestgen.scene.spec import SceneSpec
+from forestgen.scene.surfaces import film_factor
 
 Array = NDArray[np.float32]
 

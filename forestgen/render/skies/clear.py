@@ -25,7 +25,7 @@ from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.sky import SkySection
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, SkyModel, map_directions, row_weights
 from forestgen.render.variant import drjit, mitsuba
-from forestgen.scene.channels import Channels
+from forestgen.scene.colour import Channels
 from forestgen.scene.spec import Sky
 
 _NODES_NM = np.arange(320.0, 721.0, 40.0)  # of the model's data

@@ -16,7 +16,7 @@ from forestgen.atmosphere.daylight import Daylight
 from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.registries import SKIES
 from forestgen.recipe.sky import SkySection
-from forestgen.scene.channels import Channels
+from forestgen.scene.colour import Channels
 from forestgen.scene.spec import Sky
 
 MAP_ROWS, MAP_COLUMNS = 129, 256  # an odd number of rows: one is the horizon

@@ -35,7 +35,7 @@ from forestgen.recipe.sky import SkySection
 from forestgen.recipe.spectra import load_table
 from forestgen.render.skies.clear import SKY as CLEAR
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, Floats, SkyModel, row_weights
-from forestgen.scene.channels import Channels
+from forestgen.scene.colour import Channels
 from forestgen.scene.spec import Sky
 
 _CLOUD_DEPTH, _CLOUD_ASYMMETRY, _DROP_RADIUS_UM = 40.0, 0.85, 10.0

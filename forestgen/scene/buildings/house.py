@@ -29,9 +29,8 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from forestgen.geometry.mesh import Mesh
-from forestgen.recipe.buildings import Building
 from forestgen.recipe.fields import violation
-from forestgen.recipe.species import Material
+from forestgen.recipe.species import Building, Material
 from forestgen.scene.building import BuildingKind
 
 Floats = NDArray[np.float64]
@@ -131,12 +130,7 @@ class _Wall:
 
     def rectangle(self, box: Box, out: float = 0.0) -> list[Floats]:
         left, bottom, right, top = box
-        return [
-            self.at(left, bottom, out),
-            self.at(right, bottom, out),
-            self.at(right, top, out),
-            self.at(left, top, out),
-        ]
+        return [self.at(x, z, out) for x, z in ((left, bottom), (right, bottom), (right, top), (left, top))]
 
 
 @dataclass(frozen=True)
@@ -253,23 +247,22 @@ def _add_wall(builder: _Builder, wall: _Wall, windows: list[Box], door: Box | No
             if not any(box[0] < x < box[2] and box[1] < z < box[3] for box in openings):
                 builder.quad("wall", wall.rectangle((left, bottom, right, top)))
     for box in windows:
-        _add_reveal(builder, "frame", wall, box)
+        _add_sides(builder, "frame", wall.rectangle(box), wall.rectangle(box, -_RECESS_M))
         _add_window(builder, wall, box)
     if door is not None:
-        _add_reveal(builder, "frame", wall, door)
+        _add_sides(builder, "frame", wall.rectangle(door), wall.rectangle(door, -_RECESS_M))
         builder.quad("door", wall.rectangle(door, -_RECESS_M))
     plinth = min(_PLINTH_M, 0.2 * wall.height_m)
     parts = [(0.0, wall.length_m)] if door is None else [(0.0, door[0]), (door[2], wall.length_m)]
     for left, right in parts:
-        _add_slab(builder, "plinth", wall, (left, -_FOUNDATION_M, right, plinth), 0.0, _PLINTH_OUT_M)
+        _add_slab(builder, "plinth", wall, (left, -_FOUNDATION_M, right, plinth), _PLINTH_OUT_M)
 
 
-def _add_reveal(builder: _Builder, material: str, wall: _Wall, box: Box) -> None:
-    """The four sides of an opening, from the wall's plane inwards."""
-    outer, inner = wall.rectangle(box), wall.rectangle(box, -_RECESS_M)
+def _add_sides(builder: _Builder, material: str, first: list[Floats], second: list[Floats]) -> None:
+    """The four sides between two rectangles, seen from outside where the second lies farther out."""
     for k in range(4):
         n = (k + 1) % 4
-        builder.quad(material, [outer[k], outer[n], inner[n], inner[k]])
+        builder.quad(material, [first[k], first[n], second[n], second[k]])
 
 
 def _add_window(builder: _Builder, wall: _Wall, box: Box) -> None:
@@ -287,16 +280,14 @@ def _add_window(builder: _Builder, wall: _Wall, box: Box) -> None:
         (left, z - half, right, z + half),
     ):
         builder.quad("frame", wall.rectangle(bar, front))
-    _add_slab(builder, "frame", wall, (left - 0.06, bottom - 0.06, right + 0.06, bottom), 0.0, 0.07)
+    _add_slab(builder, "frame", wall, (left - 0.06, bottom - 0.06, right + 0.06, bottom), 0.07)
 
 
-def _add_slab(builder: _Builder, material: str, wall: _Wall, box: Box, inner: float, outer: float) -> None:
+def _add_slab(builder: _Builder, material: str, wall: _Wall, box: Box, outer: float) -> None:
     """A slab on a wall: its face and four edges."""
-    face, back = wall.rectangle(box, outer), wall.rectangle(box, inner)
+    face = wall.rectangle(box, outer)
     builder.quad(material, face)
-    for k in range(4):
-        n = (k + 1) % 4
-        builder.quad(material, [back[k], back[n], face[n], face[k]])
+    _add_sides(builder, material, wall.rectangle(box), face)
 
 
 def _add_gable(builder: _Builder, form: _Form, sign: float) -> None:
@@ -325,13 +316,9 @@ def _add_roof(builder: _Builder, form: _Form, sign: float, course_m: float) -> N
         strip("roof", (lower, form.over(lower)), (upper, form.over(upper) - up * (upper > 0)))
     strip("frame", (y, form.under(y)), (y, form.over(y) - up))
     strip("frame", (0.0, form.under(0.0)), (y, form.under(y)))
+    section = [(sign * y, form.under(y)), (sign * y, form.over(y)), (0.0, form.over(0.0)), (0.0, form.under(0.0))]
     for end in (-1.0, 1.0):
-        corners = [
-            (end * x, sign * y, form.under(y)),
-            (end * x, sign * y, form.over(y)),
-            (end * x, 0.0, form.over(0.0)),
-            (end * x, 0.0, form.under(0.0)),
-        ]
+        corners = [(end * x, at, z) for at, z in section]
         builder.quad("frame", corners if end * sign < 0 else corners[::-1])
 
 

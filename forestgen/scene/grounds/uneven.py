@@ -1,7 +1,7 @@
 """Grounds without a pattern of their own: soil, grass, rock, sand and snow, whose brightness is uneven.
 
 Water darkens dry soil, rock and sand. Wet soil is wet as it is; of grass and snow the relation of
-`forestgen.scene.soil_colour` knows nothing. Around a site under snow, 40% of the woods and meadows lie under it.
+`forestgen.scene.surfaces` knows nothing. Around a site under snow, 40% of the woods and meadows lie under it.
 
 Example
 -------

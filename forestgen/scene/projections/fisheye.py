@@ -17,16 +17,27 @@ pixel = f theta (x, y) / hypot(x, y) + size / 2 with theta = atan2(hypot(x, y), 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
 
-from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import Look
 from forestgen.recipe.fields import Number, Point
-from forestgen.scene.projection import DeviceRays, Exchange, FileGeometry, Floats, Pixels, Rays, matrix_k, read_k
+from forestgen.scene.projection import (
+    DeviceRays,
+    Exchange,
+    FileGeometry,
+    Floats,
+    Pixels,
+    Rays,
+    matrix_k,
+    read_angle_rad,
+    read_k,
+)
 from forestgen.scene.projections.hulls import CurvedProjection, lies_over
 from forestgen.scene.spec import Camera
 
@@ -38,9 +49,9 @@ class FisheyeCamera(CameraSection):
     default_look: ClassVar[Look | None] = "up"
     default_place: ClassVar[Point] = (0.5, 0.5, 1.7)
 
-    hfov_deg: Annotated[
-        Number, Field(ge=0.1, le=360, description="Whole angle of the circle, which is as wide as the image, degrees.")
-    ] = 180.0
+    hfov_deg: Number = Field(
+        180.0, ge=0.1, le=360, description="Whole angle of the circle, which is as wide as the image, degrees."
+    )
 
     @property
     def field_of_view_deg(self) -> float:
@@ -120,38 +131,13 @@ class Fisheye(CurvedProjection):
         k = self.intrinsics(camera).tolist()
         return {"hfov_deg": float(camera.hfov_deg), "K": k, "distortion": [0.0] * 4}
 
+    def rim_px(self, camera: Camera) -> float:
+        return camera.size_px[0] / 2
+
     def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
-        float(values["hfov_deg"])
-        return FisheyeFile(self, values, size_px, *read_k(values))
-
-
-class FisheyeFile(FileGeometry):
-    """A fisheye by a camera.json."""
-
-    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
-        x, y, z = np.moveaxis(points_m, -1, 0)
-        distance, aside = np.sqrt((points_m**2).sum(axis=-1)), x + 1j * y
-        # Half angles: 2 atan2(|a - b|, |a + b|) of the axis and the direction, exact at both ends.
-        angle = 2 * np.arctan2(
-            np.sqrt(np.abs(aside) ** 2 + (distance - z) ** 2), np.sqrt(np.abs(aside) ** 2 + (distance + z) ** 2)
-        )
-        turn = np.where(aside == 0, 1.0, aside / np.where(aside == 0, 1.0, np.abs(aside)))
-        flat = np.stack([turn.real * angle, turn.imag * angle], axis=-1)
-        # Rounding at the circle itself is judged by whoever asks.
-        widest = np.radians(float(self.values["hfov_deg"])) / 2
-        return flat * self.focal_px + self.centre_px, np.where(angle > widest, -distance, distance)
-
-    def rays(self, size_px: tuple[int, int]) -> Floats:
-        x, y = np.moveaxis(self.flat(size_px), -1, 0)
-        angle = np.sqrt(x * x + y * y)
-        sine = np.sinc(angle / np.pi)  # sin(angle) / angle
-        return np.stack([x * sine, y * sine, np.cos(angle)], axis=-1)
-
-    def beyond_rim_px(self, at_px: Floats) -> Floats:
-        return np.asarray(np.sqrt(((at_px - self.centre_px) ** 2).sum(axis=-1)) - self.size_px[0] / 2)
-
-    def focal_of_angle(self) -> float:
-        return self.size_px[0] / 2 / (float(np.radians(float(self.values["hfov_deg"]))) / 2)
+        focal_px, centre_px = read_k(values)
+        camera = self.plain_camera(size_px, math.degrees(size_px[0] / focal_px[0]))
+        return FileGeometry(camera, focal_px, centre_px, size_px[0] / read_angle_rad(values))
 
 
 PROJECTION = Fisheye()

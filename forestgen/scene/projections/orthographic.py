@@ -16,14 +16,14 @@ camera.json: `model: orthographic` with `width_m`; pixel = (x, y) width / width_
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import Look
 from forestgen.recipe.fields import Point, Positive, violation
 from forestgen.scene.projection import Bools, DeviceRays, FileGeometry, Floats, Pixels, Rays, Sensor
 from forestgen.scene.projections.hulls import FlatProjection, extent
@@ -38,19 +38,13 @@ class OrthographicCamera(CameraSection):
     default_place: ClassVar[Point] = (0.5, 0.5, 100.0)
     covers_ground: ClassVar[bool] = True
 
-    width_m: Annotated[
-        Positive | None, Field(le=1e5, description="Of orthographic: what the image's width shows, metres.")
-    ] = None
+    width_m: Positive | None = Field(None, le=1e5, description="Of orthographic: what the image's width shows, metres.")
 
     def wrong_optics(self) -> PydanticCustomError | None:
         if self.width_m is not None:
             return None
-        return violation(
-            "the width of what the image shows, metres",
-            problem="an orthographic camera needs width_m",
-            got="no width_m",
-            at=("width_m",),
-        )
+        expected, problem = "the width of what the image shows, metres", "an orthographic camera needs width_m"
+        return violation(expected, problem=problem, got="no width_m", at="width_m")
 
     @property
     def view_width_m(self) -> float:
@@ -114,25 +108,11 @@ class Orthographic(FlatProjection):
         return {"width_m": float(camera.width_m)}
 
     def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
-        width, height = size_px
-        scale = width / float(values["width_m"])
-        if not 0 < scale < np.inf:
+        (width, height), width_m = size_px, float(values["width_m"])
+        if not 1e-6 < width_m < 1e9:
             raise ValueError("width_m is no width")
-        return OrthographicFile(self, values, size_px, (scale, scale), (width / 2, height / 2))
-
-
-class OrthographicFile(FileGeometry):
-    """Parallel rays by a camera.json."""
-
-    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
-        return points_m[..., :2] * self.focal_px + self.centre_px, points_m[..., 2]
-
-    def rays(self, size_px: tuple[int, int]) -> Floats:
-        return np.broadcast_to([0.0, 0.0, 1.0], (size_px[1], size_px[0], 3))
-
-    def starts(self, size_px: tuple[int, int]) -> Floats:
-        flat = self.flat(size_px)
-        return np.concatenate([flat, np.zeros_like(flat[..., :1])], axis=-1)
+        scale = width / width_m
+        return FileGeometry(self.plain_camera(size_px, width_m=width_m), (scale, scale), (width / 2, height / 2))
 
 
 PROJECTION = Orthographic()

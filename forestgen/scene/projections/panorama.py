@@ -21,8 +21,8 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import Look
 from forestgen.recipe.cameras import Camera as CameraSection
+from forestgen.recipe.cameras import Look
 from forestgen.recipe.fields import Point, violation
 from forestgen.scene.projection import DeviceRays, Exchange, FileGeometry, Floats, Pixels, Rays
 from forestgen.scene.projections.hulls import CurvedProjection, lies_over
@@ -41,13 +41,9 @@ class PanoramaCamera(CameraSection):
         width, height = self.size_px
         if width == 2 * height:
             return None
-        return violation(
-            "twice as many pixels across as down: 360 by 180 degrees",
-            problem="a panorama's image is 2:1",
-            got=f"[{width}, {height}]",
-            hint=f"size_px: [{2 * height}, {height}]",
-            at=("size_px",),
-        )
+        expected, problem = "twice as many pixels across as down: 360 by 180 degrees", "a panorama's image is 2:1"
+        got, hint = f"[{width}, {height}]", f"size_px: [{2 * height}, {height}]"
+        return violation(expected, problem=problem, got=got, hint=hint, at="size_px")
 
 
 class Panorama(CurvedProjection):
@@ -122,21 +118,8 @@ class Panorama(CurvedProjection):
 
     def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
         width, height = size_px
-        return PanoramaFile(self, values, size_px, (width / (2 * np.pi), height / np.pi), (width / 2, height / 2))
-
-
-class PanoramaFile(FileGeometry):
-    """A panorama by a camera.json."""
-
-    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
-        x, y, z = np.moveaxis(points_m, -1, 0)
-        level = np.sqrt(x * x + z * z)
-        flat = np.stack([np.angle(z + 1j * x), np.angle(level + 1j * y)], axis=-1)
-        return flat * self.focal_px + self.centre_px, np.sqrt((points_m**2).sum(axis=-1))
-
-    def rays(self, size_px: tuple[int, int]) -> Floats:
-        x, y = np.moveaxis(self.flat(size_px), -1, 0)
-        return np.stack([np.sin(x) * np.cos(y), np.sin(y), np.cos(x) * np.cos(y)], axis=-1)
+        focal_px = width / (2 * np.pi), height / np.pi
+        return FileGeometry(self.plain_camera(size_px), focal_px, (width / 2, height / 2))
 
 
 PROJECTION = Panorama()

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -41,6 +41,7 @@ from forestgen.scene.projection import (
     Rays,
     Sensor,
     matrix_k,
+    read_angle_rad,
     read_k,
 )
 from forestgen.scene.projections.hulls import FlatProjection, extent
@@ -56,28 +57,25 @@ class PerspectiveCamera(CameraSection):
 
     covers_ground: ClassVar[bool] = True
 
-    hfov_deg: Annotated[
-        Number | None,
-        Field(
-            ge=0.1,
-            le=360,
-            description="Field of view across the image's width, degrees: of perspective (default 60, at most 170) and "
-            "fisheye (default 180: the circle that a square image holds).",
-        ),
-    ] = None
-    focal_length_mm: Annotated[
-        Positive | None, Field(le=10_000, description="Of perspective, instead of hfov_deg; with sensor_width_mm.")
-    ] = None
-    sensor_width_mm: Annotated[
-        Positive | None, Field(le=1000, description="Of perspective: what the image's width is on. Default: 36.")
-    ] = None
-    f_number: Annotated[
-        Positive | None,
-        Field(ge=0.5, le=1000, description="Of perspective, with focus_m: a thin lens, its focal length by this wide."),
-    ] = None
-    focus_m: Annotated[
-        Positive | None, Field(le=1e5, description="Distance of the plane that a thin lens shows sharply, metres.")
-    ] = None
+    hfov_deg: Number | None = Field(
+        None,
+        ge=0.1,
+        le=360,
+        description="Field of view across the image's width, degrees: of perspective (default 60, at most 170) and "
+        "fisheye (default 180: the circle that a square image holds).",
+    )
+    focal_length_mm: Positive | None = Field(
+        None, le=10_000, description="Of perspective, instead of hfov_deg; with sensor_width_mm."
+    )
+    sensor_width_mm: Positive | None = Field(
+        None, le=1000, description="Of perspective: what the image's width is on. Default: 36."
+    )
+    f_number: Positive | None = Field(
+        None, ge=0.5, le=1000, description="Of perspective, with focus_m: a thin lens, its focal length by this wide."
+    )
+    focus_m: Positive | None = Field(
+        None, le=1e5, description="Distance of the plane that a thin lens shows sharply, metres."
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -96,48 +94,32 @@ class PerspectiveCamera(CameraSection):
     def wrong_optics(self) -> PydanticCustomError | None:
         if self.hfov_deg is not None and self.focal_length_mm is not None:
             other = _field_of_view_deg(self.focal_length_mm, self.sensor_mm)
-            return violation(
-                "hfov_deg or focal_length_mm, not both",
-                problem="the field of view is given twice",
-                got=f"hfov_deg {self.hfov_deg:g}; {self.focal_length_mm:g} mm are {other:.4g} degrees",
-                hint="leave hfov_deg out",
-                at=("focal_length_mm",),
-            )
+            problem, hint, at = "the field of view is given twice", "leave hfov_deg out", "focal_length_mm"
+            got = f"hfov_deg {self.hfov_deg:g}; {self.focal_length_mm:g} mm are {other:.4g} degrees"
+            return violation("hfov_deg or focal_length_mm, not both", problem=problem, got=got, hint=hint, at=at)
         if self.field_of_view_deg > _WIDEST_DEG:
-            return violation(
-                f"at most {_WIDEST_DEG:g} degrees",
-                problem="too wide for a flat image",
-                got=f"{self.field_of_view_deg:.4g} degrees",
-                hint="kind: fisheye sees further around",
-                at=("hfov_deg" if self.hfov_deg is not None else "focal_length_mm",),
-            )
+            expected, got = f"at most {_WIDEST_DEG:g} degrees", f"{self.field_of_view_deg:.4g} degrees"
+            problem, hint = "too wide for a flat image", "kind: fisheye sees further around"
+            at = "hfov_deg" if self.hfov_deg is not None else "focal_length_mm"
+            return violation(expected, problem=problem, got=got, hint=hint, at=at)
         return self._wrong_lens()
 
     def _wrong_lens(self) -> PydanticCustomError | None:
+        lens, exposure = self.lens_mm, self.exposure
         if (self.f_number is None) != (self.focus_m is None):
             has, lacks = ("f_number", "focus_m") if self.focus_m is None else ("focus_m", "f_number")
+            expected = "both, or neither for a pinhole, which is sharp everywhere"
+            hint = "exposure.f_number makes a picture brighter and blurs nothing" if lacks == "focus_m" else None
             return violation(
-                "both, or neither for a pinhole, which is sharp everywhere",
-                problem=f"a lens with {has} needs {lacks} too",
-                got=f"no {lacks}",
-                hint="exposure.f_number makes a picture brighter and blurs nothing" if lacks == "focus_m" else None,
-                at=(has,),
+                expected, problem=f"a lens with {has} needs {lacks} too", got=f"no {lacks}", hint=hint, at=has
             )
-        lens = self.lens_mm
         if lens is not None and self.focus_m is not None and self.focus_m * 1000 <= lens[1]:
-            return violation(
-                f"more than its focal length, {lens[1]:.4g} mm",
-                problem="no lens focuses so near",
-                got=f"{self.focus_m:g} m",
-                at=("focus_m",),
-            )
-        if self.f_number is not None and self.exposure is not None and self.exposure.f_number != self.f_number:
-            return violation(
-                f"the lens' own f_number, {self.f_number:g}, or none in the exposure",
-                problem="one lens has two f-numbers",
-                got=f"{self.exposure.f_number:g}",
-                at=("exposure", "f_number"),
-            )
+            expected, got = f"more than its focal length, {lens[1]:.4g} mm", f"{self.focus_m:g} m"
+            return violation(expected, problem="no lens focuses so near", got=got, at="focus_m")
+        if self.f_number is not None and exposure is not None and exposure.f_number != self.f_number:
+            expected = f"the lens' own f_number, {self.f_number:g}, or none in the exposure"
+            got, at = f"{exposure.f_number:g}", ("exposure", "f_number")
+            return violation(expected, problem="one lens has two f-numbers", got=got, at=at)
         return None
 
     @property
@@ -254,24 +236,10 @@ class Perspective(FlatProjection):
         return {"hfov_deg": float(camera.hfov_deg), "K": k, "distortion": [0.0] * 5, **lens}
 
     def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
-        return PerspectiveFile(self, values, size_px, *read_k(values))
-
-
-class PerspectiveFile(FileGeometry):
-    """A pinhole by a camera.json."""
-
-    def project(self, points_m: Floats) -> tuple[Floats, Floats]:
-        z = points_m[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return points_m[..., :2] / z[..., None] * self.focal_px + self.centre_px, z
-
-    def rays(self, size_px: tuple[int, int]) -> Floats:
-        flat = self.flat(size_px)
-        return np.concatenate([flat, np.ones_like(flat[..., :1])], axis=-1)
-
-    def focal_of_angle(self) -> float | None:
-        angle = self.values.get("hfov_deg")
-        return None if angle is None else self.size_px[0] / 2 / float(np.tan(np.radians(float(angle)) / 2))
+        focal_px, centre_px = read_k(values)
+        of_angle = None if values.get("hfov_deg") is None else size_px[0] / 2 / math.tan(read_angle_rad(values) / 2)
+        camera = self.plain_camera(size_px, _field_of_view_deg(focal_px[0], size_px[0]))
+        return FileGeometry(camera, focal_px, centre_px, of_angle)
 
 
 PROJECTION = Perspective()

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import DIRECTIONS, CameraKeys
+from forestgen.recipe.cameras import DIRECTIONS, Camera, GroundPoint, RigKeys
 from forestgen.recipe.fields import Number, Positive, violation
 from forestgen.recipe.registries import PROJECTIONS
-from forestgen.recipe.rigs import GroundPoint, RigKeys
 from forestgen.scene.rigs.rig import Poses, Rig, lifted
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
@@ -22,27 +21,23 @@ from forestgen.scene.trunks import Trunks
 class DroneGridKeys(RigKeys):
     """Straight down, north at the top, in lines from south to north and back, the first in the west."""
 
-    altitude_m: Annotated[Positive, Field(le=10_000, description="Above the ground below, metres.")]
-    forward_overlap: Annotated[
-        Number, Field(ge=0, le=0.98, description="Share of an image's height that the next one in its line shows too.")
-    ] = 0.8
-    side_overlap: Annotated[
-        Number, Field(ge=0, le=0.98, description="Share of an image's width that the next line shows too.")
-    ] = 0.7
-    area_m: Annotated[
-        tuple[GroundPoint, GroundPoint] | None,
-        Field(description="South-western and north-eastern corner of what is seen: [x, y], metres. Default: the site."),
-    ] = None
+    altitude_m: Positive = Field(le=10_000, description="Above the ground below, metres.")
+    forward_overlap: Number = Field(
+        0.8, ge=0, le=0.98, description="Share of an image's height that the next one in its line shows too."
+    )
+    side_overlap: Number = Field(
+        0.7, ge=0, le=0.98, description="Share of an image's width that the next line shows too."
+    )
+    area_m: tuple[GroundPoint, GroundPoint] | None = Field(
+        None, description="South-western and north-eastern corner of what is seen: [x, y], metres. Default: the site."
+    )
 
     @model_validator(mode="after")
     def _area_is_one(self) -> Self:
         if self.area_m is not None and not all(b > a for a, b in zip(*self.area_m, strict=True)):
-            raise violation(
-                "a south-western corner, then a north-eastern one",
-                problem="the area is empty",
-                got=str([list(corner) for corner in self.area_m]),
-                at=("area_m",),
-            )
+            expected = "a south-western corner, then a north-eastern one"
+            got = str([list(corner) for corner in self.area_m])
+            raise violation(expected, problem="the area is empty", got=got, at=("area_m",))
         return self
 
 
@@ -56,7 +51,7 @@ class DroneGrid(Rig[DroneGridKeys]):
     def with_defaults(self, keys: Mapping[str, Any], size_m: tuple[float, float]) -> Mapping[str, Any]:
         return {**keys, "area_m": [[0.0, 0.0], list(size_m)]} if keys.get("area_m") is None else keys
 
-    def check(self, camera: CameraKeys) -> PydanticCustomError | None:
+    def check(self, camera: Camera) -> PydanticCustomError | None:
         if not camera.covers_ground:
             expected = " or ".join(name for name, part in PROJECTIONS.parts() if part.Parameters.covers_ground)
             return violation(expected, problem="no camera for a grid", got=camera.kind, at=("kind",))
@@ -64,10 +59,10 @@ class DroneGrid(Rig[DroneGridKeys]):
             return violation("two corners", problem="the grid needs an area_m", got="none", at=("rig",))
         return None
 
-    def frames(self, camera: CameraKeys) -> int:
+    def frames(self, camera: Camera) -> int:
         return math.prod(_counts(self.keys_of(camera), camera.footprint_m(self.keys_of(camera).altitude_m)))
 
-    def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
+    def poses(self, camera: Camera, height: HeightField, trunks: Trunks | None) -> Poses:
         rig = self.keys_of(camera)
         there = np.array(_middles_m(rig, camera.footprint_m(rig.altitude_m)))
         position = lifted(camera, np.column_stack([there, np.full(len(there), rig.altitude_m)]), height)

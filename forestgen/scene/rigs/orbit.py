@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from pydantic import Field
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import CameraKeys
+from forestgen.recipe.cameras import MOST_FRAMES, Camera, FramesPerSecond, RigKeys
 from forestgen.recipe.fields import Coordinate, Number, Positive, Whole, violation
-from forestgen.recipe.rigs import MOST_FRAMES, FramesPerSecond, RigKeys
 from forestgen.scene.rigs.rig import Poses, Rig, lifted
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
@@ -19,18 +16,17 @@ from forestgen.scene.trunks import Trunks
 class OrbitKeys(RigKeys):
     """Cameras on a level circle around look_at_m, clockwise seen from above, all looking at it."""
 
-    radius_m: Annotated[Positive, Field(le=1e5, description="From look_at_m, level, metres.")]
-    height_m: Annotated[
-        Coordinate, Field(description="Of the cameras, metres; above the ground below each, as height_above_ground.")
-    ]
-    count: Annotated[Whole, Field(ge=1, le=MOST_FRAMES, description="Cameras, evenly around.")]
-    first_deg: Annotated[
-        Number, Field(ge=-360, le=360, description="Where the first stands, degrees from north: 180 is in the south.")
-    ] = 180.0
-    frames_per_s: Annotated[
-        FramesPerSecond | None,
-        Field(description="Images a second of one camera going around. Default: all at one time, a camera each."),
-    ] = None
+    radius_m: Positive = Field(le=1e5, description="From look_at_m, level, metres.")
+    height_m: Coordinate = Field(
+        description="Of the cameras, metres; above the ground below each, as height_above_ground."
+    )
+    count: Whole = Field(ge=1, le=MOST_FRAMES, description="Cameras, evenly around.")
+    first_deg: Number = Field(
+        180.0, ge=-360, le=360, description="Where the first stands, degrees from north: 180 is in the south."
+    )
+    frames_per_s: FramesPerSecond | None = Field(
+        None, description="Images a second of one camera going around. Default: all at one time, a camera each."
+    )
 
 
 class Orbit(Rig[OrbitKeys]):
@@ -40,18 +36,18 @@ class Orbit(Rig[OrbitKeys]):
     Parameters = OrbitKeys
     decides = ("position_m", "look", "path")
 
-    def check(self, camera: CameraKeys) -> PydanticCustomError | None:
+    def check(self, camera: Camera) -> PydanticCustomError | None:
         if camera.look_at_m is None:
             return violation("the circle's middle", problem="an orbit needs look_at_m", got="no look_at_m", at=("rig",))
         return None
 
-    def frames(self, camera: CameraKeys) -> int:
+    def frames(self, camera: Camera) -> int:
         return self.keys_of(camera).count
 
-    def sequence(self, camera: CameraKeys, index: int) -> str | None:
+    def sequence(self, camera: Camera, index: int) -> str | None:
         return None if self.keys_of(camera).frames_per_s is None else camera.name
 
-    def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
+    def poses(self, camera: Camera, height: HeightField, trunks: Trunks | None) -> Poses:
         rig = self.keys_of(camera)
         angle = np.radians(rig.first_deg) + np.arange(rig.count) / rig.count * 2 * np.pi  # clockwise from north
         target = np.repeat(lifted(camera, np.array([camera.look_at_m], dtype=np.float64), height), rig.count, axis=0)

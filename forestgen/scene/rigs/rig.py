@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic_core import PydanticCustomError
 
-from forestgen.recipe.camera_keys import DIRECTIONS, CameraKeys
-from forestgen.recipe.rigs import RigKeys
+from forestgen.recipe.cameras import DIRECTIONS, Camera, RigKeys
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
 
@@ -37,7 +36,7 @@ class Rig(Generic[KeysT]):
     keeps_view: bool = False  # the camera stands and looks as it would without the rig
     decides: tuple[str, ...] = ()  # keys of the camera that may not stand beside the rig
 
-    def keys_of(self, camera: CameraKeys) -> KeysT:
+    def keys_of(self, camera: Camera) -> KeysT:
         """The section `rig`."""
         return cast(KeysT, camera.rig)
 
@@ -45,23 +44,23 @@ class Rig(Generic[KeysT]):
         """The rig's keys with those that follow from the site's size; nothing has been checked yet."""
         return keys
 
-    def check(self, camera: CameraKeys) -> PydanticCustomError | None:
+    def check(self, camera: Camera) -> PydanticCustomError | None:
         """What is wrong with the rig beside the camera's other keys, as `forestgen.recipe.fields.violation`."""
         return None
 
-    def frames(self, camera: CameraKeys) -> int:
+    def frames(self, camera: Camera) -> int:
         """How many images it makes of one scene."""
         raise NotImplementedError
 
-    def frame_names(self, camera: CameraKeys) -> list[str]:
+    def frame_names(self, camera: Camera) -> list[str]:
         """Names of the images, in the order of their poses."""
         return [f"{camera.name}-{index:04d}" for index in range(self.frames(camera))]
 
-    def sequence(self, camera: CameraKeys, index: int) -> str | None:
+    def sequence(self, camera: Camera, index: int) -> str | None:
         """Name of the images that follow each other in time, to which image `index` belongs; None for a still."""
         return None
 
-    def poses(self, camera: CameraKeys, height: HeightField, trunks: Trunks | None) -> Poses:
+    def poses(self, camera: Camera, height: HeightField, trunks: Trunks | None) -> Poses:
         """Where the images are taken from.
 
         `trunks`: that the camera may have to go around; None: not known yet.
@@ -71,7 +70,7 @@ class Rig(Generic[KeysT]):
         raise NotImplementedError
 
 
-def path_poses(camera: CameraKeys, height: HeightField) -> Poses:
+def path_poses(camera: Camera, height: HeightField) -> Poses:
     """Along the camera's path, or where it stands."""
     position = lifted(camera, np.array(camera.positions_m, dtype=np.float64), height)
     pace = 0.0 if camera.path is None else 1.0 / camera.path.frames_per_s
@@ -82,7 +81,7 @@ def path_poses(camera: CameraKeys, height: HeightField) -> Poses:
     return Poses(position, target, np.arange(len(position), dtype=np.float64) * pace)
 
 
-def lifted(camera: CameraKeys, points_m: Floats, height: HeightField) -> Floats:
+def lifted(camera: Camera, points_m: Floats, height: HeightField) -> Floats:
     """(F, 3) world points of those of a camera, whose heights may count from the ground."""
     return on_ground(points_m, height) if camera.height_above_ground else points_m
 

@@ -57,12 +57,8 @@ class HeightMap(Section):
             raise violation("one of them", problem=problem)
         for index, row in enumerate(self.rows or ()):
             if self.rows is not None and len(row) != len(self.rows[0]):
-                raise violation(
-                    f"{len(self.rows[0])} values, as in the first row",
-                    problem="the map's rows differ in length",
-                    got=f"{len(row)} in row {index + 1}",
-                    at=("rows", index),
-                )
+                expected, got = f"{len(self.rows[0])} values, as in the first row", f"{len(row)} in row {index + 1}"
+                raise violation(expected, problem="the map's rows differ in length", got=got, at=("rows", index))
         return self
 
     def heights(self, folder: Path, lowest_m: float | None, highest_m: float | None) -> NDArray[np.float64]:
@@ -86,23 +82,20 @@ class HeightMap(Section):
 class MapKeys(RollingKeys):
     """Keys of `terrain: {kind: map}`."""
 
-    map: Annotated[
-        HeightMap | None,
-        Field(
-            description="Heights over the site, from its north-western corner: a file's name, rows of metres, or a "
-            "mapping. GeoTIFF, TIFF, OpenEXR and .npy hold metres, PNG grey levels."
-        ),
-    ] = None
-    lowest_m: Annotated[
-        Number | None, Field(ge=LOWEST_M, le=HIGHEST_M, description="Height that black stands for in a map, metres.")
-    ] = None
-    highest_m: Annotated[
-        Number | None, Field(ge=LOWEST_M, le=HIGHEST_M, description="Height that white stands for in a map, metres.")
-    ] = None
-    fit: Annotated[
-        Literal["exact", "stretch"] | None,
-        Field(description="exact: a map's cells must be square on the site. Default: exact for files."),
-    ] = None
+    map: HeightMap | None = Field(
+        None,
+        description="Heights over the site, from its north-western corner: a file's name, rows of metres, or a "
+        "mapping. GeoTIFF, TIFF, OpenEXR and .npy hold metres, PNG grey levels.",
+    )
+    lowest_m: Number | None = Field(
+        None, ge=LOWEST_M, le=HIGHEST_M, description="Height that black stands for in a map, metres."
+    )
+    highest_m: Number | None = Field(
+        None, ge=LOWEST_M, le=HIGHEST_M, description="Height that white stands for in a map, metres."
+    )
+    fit: Literal["exact", "stretch"] | None = Field(
+        None, description="exact: a map's cells must be square on the site. Default: exact for files."
+    )
 
     @field_validator("map", mode="before")
     @classmethod
@@ -112,9 +105,7 @@ class MapKeys(RollingKeys):
     @model_validator(mode="after")
     def _has_a_map(self) -> Self:
         if self.map is None:
-            raise violation(
-                "map, a file of heights", problem="terrain of a map without a map", got="none", at=("kind",)
-            )
+            raise violation("map, a file of heights", problem="terrain of a map without a map", got="none", at="kind")
         if self.lowest_m is not None and self.highest_m is not None and self.lowest_m >= self.highest_m:
             raise violation(f"above lowest_m = {self.lowest_m:g} m", got=f"{self.highest_m:g} m", at=("highest_m",))
         return self
@@ -138,12 +129,9 @@ def _check_shape(shape: tuple[int, ...], size_m: tuple[float, float]) -> None:
     """Cells that are square on the site, but for rounding one side to whole cells."""
     (rows, cols), (width, depth) = shape, size_m
     if abs(cols - rows * width / depth) >= 1 and abs(rows - cols * depth / width) >= 1:
-        raise AssetError(
-            "the map's shape is not the site's",
-            expected=f"as wide to high as the site's {width:g} x {depth:g} m",
-            got=f"{cols} x {rows} cells",
-            hint="fit: stretch, or another site.size_m",
-        )
+        expected, got = f"as wide to high as the site's {width:g} x {depth:g} m", f"{cols} x {rows} cells"
+        hint = "fit: stretch, or another site.size_m"
+        raise AssetError("the map's shape is not the site's", expected=expected, got=got, hint=hint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,43 +198,39 @@ def read_heights(path: Path, lowest_m: float | None = None, highest_m: float | N
 
     Raises `AssetError`: see `HeightMap.heights`.
     """
-    kind = kind_of(path)
+    kind, name = kind_of(path), path.name
     picture = read_raster(path)
     holes, coloured = _holes(path, kind, picture.values)
     if coloured:
-        raise AssetError("a picture in colour holds no heights", expected="grey levels, or metres", got=path.name)
+        raise AssetError("a picture in colour holds no heights", expected="grey levels, or metres", got=name)
     if holes.any():
-        raise AssetError(
-            "the terrain has holes",
-            expected="a height in every cell",
-            got=f"{path.name}: {_how_many(holes)}",
-            hint="fill them, as `gdal_fillnodata.py` does",
+        count = int(holes.sum())
+        cells, which = ("1 cell", "") if count == 1 else (f"{count:,} cells of {holes.size:,}", "the first ")
+        got, hint = (
+            f"{name}: {cells} without a height, {which}{_first(holes)}",
+            "fill them, as `gdal_fillnodata.py` does",
         )
+        raise AssetError("the terrain has holes", expected="a height in every cell", got=got, hint=hint)
     values = picture.values.astype(np.float64)
-    levels = picture.white != 1.0
-    span = lowest_m is not None and highest_m is not None
-    if not levels and (lowest_m is not None or highest_m is not None):
-        raise AssetError(
-            "these heights are metres as they are",
-            expected="no lowest_m and no highest_m, which are for grey levels",
-            got=f"{path.name} of {picture.values.dtype}",
-        )
-    if levels and not span and (kind == "png" or lowest_m is not None or highest_m is not None):
-        raise AssetError(
-            "grey levels are no heights yet",
-            expected="lowest_m and highest_m, the heights of black and white, metres",
-            got=path.name,
-            hint="terrain: {kind: map, map: ..., lowest_m: 0, highest_m: 40}",
-        )
+    levels, given = picture.white != 1.0, lowest_m is not None or highest_m is not None
+    if not levels and given:
+        expected = "no lowest_m and no highest_m, which are for grey levels"
+        got = f"{name} of {picture.values.dtype}"
+        raise AssetError("these heights are metres as they are", expected=expected, got=got)
     if levels and lowest_m is not None and highest_m is not None:
         return np.asarray(lowest_m + (highest_m - lowest_m) * values / picture.white)
+    if levels and (kind == "png" or given):
+        expected = "lowest_m and highest_m, the heights of black and white, metres"
+        hint = "terrain: {kind: map, map: ..., lowest_m: 0, highest_m: 40}"
+        raise AssetError("grey levels are no heights yet", expected=expected, got=name, hint=hint)
     wrong = (values < LOWEST_M) | (values > HIGHEST_M)
     if wrong.any():
-        raise AssetError(
-            "these are no heights in metres",
-            expected=f"values from {LOWEST_M:g} to {HIGHEST_M:g}",
-            got=f"{path.name}: {_first(values, wrong)}",
+        more = f", and {int(wrong.sum()) - 1:,} more" if wrong.sum() > 1 else ""
+        expected, got = (
+            f"values from {LOWEST_M:g} to {HIGHEST_M:g}",
+            f"{name}: {values[wrong][0]:g} {_first(wrong)}{more}",
         )
+        raise AssetError("these are no heights in metres", expected=expected, got=got)
     return values
 
 
@@ -279,18 +263,10 @@ def _number(text: Any) -> float | None:
         return None
 
 
-def _how_many(holes: NDArray[np.bool_]) -> str:
-    """Number and first place of holes, for people."""
-    row, col = np.argwhere(holes)[0]
-    count = int(holes.sum())
-    cells = "1 cell" if count == 1 else f"{count:,} cells of {holes.size:,}"
-    return f"{cells} without a height, {'' if count == 1 else 'the first '}in row {row + 1}, column {col + 1}"
-
-
-def _first(values: NDArray[np.float64], wrong: NDArray[np.bool_]) -> str:
+def _first(wrong: NDArray[np.bool_]) -> str:
+    """Place of the first of some cells, for people."""
     row, col = np.argwhere(wrong)[0]
-    more = f", and {int(wrong.sum()) - 1:,} more" if wrong.sum() > 1 else ""
-    return f"{values[row, col]:g} in row {row + 1}, column {col + 1}{more}"
+    return f"in row {row + 1}, column {col + 1}"
 
 
 SHAPE = MapTerrain()

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,12 +31,10 @@ HILLS_FROM_M = 250.0
 class RollingKeys(Terrain):
     """Keys of `terrain: {kind: rolling}`. The other shipped kinds ignore them, so that a recipe can draw the kind."""
 
-    amplitude_m: Annotated[
-        Number, Field(ge=0, le=500, description="Standard deviation of rolling ground's height, metres.")
-    ] = 0.8
-    wavelength_m: Annotated[
-        Positive, Field(ge=1, le=10000, description="Longest distance between rolling ground's crests, metres.")
-    ] = 70.0
+    amplitude_m: Number = Field(0.8, ge=0, le=500, description="Standard deviation of rolling ground's height, metres.")
+    wavelength_m: Positive = Field(
+        70.0, ge=1, le=10000, description="Longest distance between rolling ground's crests, metres."
+    )
 
 
 class Rolling(TerrainShape[RollingKeys]):

@@ -19,8 +19,7 @@ from forestgen.community.simulation import snapshots
 from forestgen.core.errors import AssetError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 
 _KEY = b"forestgen.community"
 _STEP = 3

@@ -16,7 +16,7 @@ from forestgen.community.resume import origin
 from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 PAGE = Path(__file__).parents[3] / "docs" / "branch_modules.md"
 RECIPE = {

@@ -27,8 +27,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.species import PlantType
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import Plan, make_plan
 
 SUCCESSION = """\
 forestgen: 1

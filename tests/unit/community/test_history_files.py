@@ -18,8 +18,7 @@ from forestgen.community.simulation import snapshots
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 ALWAYS = {"history.parquet", "curves.png", "thinning.png", "sizes.png", "animation.gif", "statistics.json"}

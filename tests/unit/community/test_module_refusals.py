@@ -15,7 +15,7 @@ from forestgen.community.simulation import snapshots
 from forestgen.core.errors import AssetError, OutputError, RecipeError, ResourceError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 STAND = """
 forestgen: 1

@@ -15,8 +15,7 @@ from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.building import exemplar_of
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 
 RECIPE = """\
 forestgen: 1

@@ -21,8 +21,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent, Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.build import build_scene
-from forestgen.scene.plan import Plan, estimate_bytes
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import Plan, estimate_bytes, make_plan
 
 RECIPE = """\
 forestgen: 1

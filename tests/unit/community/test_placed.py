@@ -11,7 +11,7 @@ from forestgen.community.models.placed import MODEL, PlacedParameters
 from forestgen.community.population import Status
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 SITE = Site((20.0, 10.0))
 TABLE = """

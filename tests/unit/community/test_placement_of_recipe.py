@@ -12,7 +12,7 @@ from forestgen.community.population import Population
 from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 RECIPE = """\
 forestgen: 1

@@ -8,8 +8,7 @@ import pytest
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 

@@ -17,7 +17,7 @@ from forestgen.community.plots import CONIFER, OBSTACLE, map_figure, save_figure
 from forestgen.community.population import Population, Status
 from forestgen.community.trajectory import Trajectory, moment, thinning_slope
 from forestgen.core.errors import OutputError
-from forestgen.recipe.buildings import Building
+from forestgen.recipe.species import Building
 
 NAMES = ("tree", "b")
 

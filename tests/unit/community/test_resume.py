@@ -13,8 +13,7 @@ from forestgen.community.simulation import final_population, snapshots
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import Plan, check_plan
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 STAND = (

@@ -15,7 +15,7 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import growth
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 from forestgen.scene.views import drawn_cameras
 from tests.unit.community.test_model_contract import FOUNDED, NEEDED, PLACEMENTS
 

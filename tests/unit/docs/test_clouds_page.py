@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 from forestgen.atmosphere.extinction import rain_extinction
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.registries import CLOUD_SOURCES
-from forestgen.scene.sky import sky_of
+from forestgen.scene.site import sky_of
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "clouds.md").read_text(encoding="utf-8")

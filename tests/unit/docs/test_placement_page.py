@@ -12,7 +12,7 @@ from PIL import Image
 from ruamel.yaml import YAML
 
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGE = (DOCS / "placement.md").read_text(encoding="utf-8")

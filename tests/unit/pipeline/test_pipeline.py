@@ -15,7 +15,7 @@ from forestgen import pipeline
 from forestgen.core.progress import Silent, Timings
 from forestgen.dataset.settings import data_set_of
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 TINY = (

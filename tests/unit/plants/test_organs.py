@@ -18,7 +18,7 @@ from forestgen.plants.foliage import Foliage
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.parameters import OrganShape
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 ORGAN_SHAPE = TypeAdapter(OrganShape)
 

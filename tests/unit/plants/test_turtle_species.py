@@ -14,7 +14,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.turtle import GENERATOR
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 ADULT_M = {"lily": 0.95, "horneophyton": 0.18, "palm": 14.0}
 

@@ -14,7 +14,7 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.model import Variation, varied_nodes, vary
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 NOISE = Variation(disturbance_deg=4, sensor_error_deg=3)
 COLUMNS = ("parent", "position_m", "radius_m", "order", "axis")

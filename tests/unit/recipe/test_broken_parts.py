@@ -6,7 +6,7 @@ import pytest
 
 from forestgen.core import registry
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.cameras import camera_section
+from forestgen.recipe.cameras import Camera
 from forestgen.recipe.registries import PROJECTIONS, TERRAINS
 from forestgen.recipe.schema import Recipe, Terrain
 
@@ -23,8 +23,8 @@ def test_the_schema_and_errors_of_keys_leave_it_out() -> None:
     assert "broken" in str(Recipe.model_json_schema()["$defs"]["Terrain"])  # by its name alone
     with pytest.raises(ValueError, match="flat has no fit"):
         Terrain.model_validate({"kind": "flat", "fit": "exact"})
-    with pytest.raises(ValueError, match="perspective camera has no width_m"):
-        camera_section({"kind": "perspective", "width_m": 20, "position_m": (0, 0, 2), "look_at_m": (5, 5, 2)})
+    with pytest.raises(ValueError, match="projection perspective has no width_m"):
+        Camera.model_validate({"kind": "perspective", "width_m": 20, "position_m": (0, 0, 2), "look_at_m": (5, 5, 2)})
     assert registry._registered == before  # looking does not make a part count as used
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.cameras import camera_section
+from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import DrawnRecipe, dump_yaml, load_recipe
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
@@ -53,12 +53,12 @@ def test_what_a_kind_has_by_default() -> None:
 
 def test_a_lens_by_its_focal_length_and_by_its_angle() -> None:
     keys = {"name": "c", "position_m": (0, 0, 2), "look_at_m": (0, 9, 2), "f_number": 2.0, "focus_m": 5.0}
-    by_length = camera_section({**keys, "focal_length_mm": 50})
+    by_length = Camera.model_validate({**keys, "focal_length_mm": 50})
     assert by_length.field_of_view_deg == pytest.approx(39.598, abs=1e-3)  # of 36 mm
     assert by_length.lens_mm == (12.5, 50)
-    by_angle = camera_section({**keys, "hfov_deg": by_length.field_of_view_deg})
+    by_angle = Camera.model_validate({**keys, "hfov_deg": by_length.field_of_view_deg})
     assert by_angle.lens_mm == pytest.approx((12.5, 50))
-    small = camera_section({**keys, "focal_length_mm": 8.8, "sensor_width_mm": 13.2})
+    small = Camera.model_validate({**keys, "focal_length_mm": 8.8, "sensor_width_mm": 13.2})
     assert small.field_of_view_deg == pytest.approx(2 * math.degrees(math.atan(0.75)))
 
 
@@ -73,9 +73,9 @@ def test_lens_and_exposure_share_an_f_number() -> None:
     [
         ("{kind: orthographic}", "width_m", "needs width_m"),
         ("{kind: orthographic, width_m: 9, hfov_deg: 50}", "hfov_deg", "kind: perspective or fisheye"),
-        ("{kind: fisheye, focal_length_mm: 8}", "focal_length_mm", "a fisheye camera has no focal_length_mm"),
+        ("{kind: fisheye, focal_length_mm: 8}", "focal_length_mm", "the projection fisheye has no focal_length_mm"),
         ("{kind: fisheye, f_number: 2, focus_m: 3}", "f_number", "kind: perspective"),
-        ("{kind: panorama, hfov_deg: 360}", "hfov_deg", "a panorama camera has no hfov_deg"),
+        ("{kind: panorama, hfov_deg: 360}", "hfov_deg", "the projection panorama has no hfov_deg"),
         ("{kind: panorama, size_px: [100, 100]}", "size_px", r"size_px: \[200, 100\]"),
         ("{kind: panorama, look: up}", "look", "a panorama is level"),
         ("{kind: panorama, position_m: [5, 5, 2], look_at_m: [5, 5, 9]}", "look_at_m", "looks at itself"),

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from forestgen.recipe.camera_keys import Exposure
+from forestgen.recipe.cameras import Exposure
 
 
 @pytest.mark.parametrize(

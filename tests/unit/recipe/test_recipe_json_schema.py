@@ -139,6 +139,8 @@ def test_rejects(path: tuple[str, ...], value: object) -> None:
         (("site", "wet_soil"), False, True),
         (("site", "wet_soil"), {"depth_m": {"uniform": [0.1, 1]}}, True),
         (("site", "wet_soil"), "wet", False),
+        (("cameras", 0, "bands"), "sentinel2a", True),
+        (("species", "elm", "materials"), {"leaf": {"spectrum": "leaves/birch"}}, True),
         (("same_stand",), "by_split", True),
         (("same_stand",), {"choice": [True, False]}, False),
         (("dataset",), {"splits": {"train": {"uniform": [1, 2]}}}, False),

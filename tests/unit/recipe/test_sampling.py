@@ -234,7 +234,7 @@ def test_the_section_is_part_of_the_recipes_hash(load: Load) -> None:
         ("{method: sobl}", "sampling.method", ["'sobol'"]),
         ("{methd: sobol}", "sampling.methd", ["did you mean 'method'?"]),
         ("{method: sobol, keys: [sky.turbidty]}", "sampling.keys.0", ["did you mean sky.turbidity?"]),
-        ("{method: sobol, keys: [site.altitude_m, site.altitude_m]}", "sampling.keys.1", ["a key twice"]),
+        ("{method: sobol, keys: [site.altitude_m, site.altitude_m]}", "sampling.keys.1", ["stands twice"]),
         ("{method: sobol, keys: [community.model]}", "sampling.keys.0", ["this key is no distribution", "uniform"]),
         ("{keys: [sky.turbidity]}", "sampling.keys", ["independent has no keys"]),
         ("{method: halton, block: 4}", "sampling.method", ["halton has no block"]),

@@ -68,7 +68,7 @@ def test_byte_order_marks_and_line_ends_do_no_harm(tmp_path):
         (GOOD, "wavelength_nm;reflectance;transmittance", 3, ["not a table", "commas"]),
         (GOOD, "wavelength_nm,reflectance,reflectance", 3, ["different names"]),
         (GOOD, "wavelength_nm,reflectance,albedo", 3, ["'albedo'", "reflectance and transmittance"]),
-        (GOOD, "wavelength_nm,transmittance_dry,transmittance", 3, ["no reflectance"]),
+        (GOOD, "wavelength_nm,transmittance_dry,transmittance", 3, ["without reflectance_dry"]),
         (GOOD, "wavelength_nm,reflectance,transmittance_dry", 3, ["transmittance_dry without reflectance_dry"]),
     ],
 )

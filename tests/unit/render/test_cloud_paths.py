@@ -205,7 +205,7 @@ def test_the_renderers_volume_path_tracer_finds_the_same() -> None:
     from forestgen.render.light import SUN_RADIUS_DEG, sky_light, sky_map, sun_disc, sun_irradiance
     from forestgen.render.variant import SCALAR, mitsuba
     from forestgen.render.views import lens_rays
-    from forestgen.scene.channels import RGB
+    from forestgen.scene.colour import RGB
     from forestgen.scene.spec import Camera, Sky
     from support.cloud_box import cloud_volume
 

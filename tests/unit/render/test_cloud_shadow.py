@@ -14,7 +14,7 @@ from forestgen.render.cloud_shadow import base_of, plane_edges, shadow_of, shado
 from forestgen.render.light import sun_disc
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba
-from forestgen.scene.channels import RGB
+from forestgen.scene.colour import RGB
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Instances, Sky
 from support.scenes import camera_at, plain_ground, scattered_scene

@@ -12,7 +12,7 @@ from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.surfaces import SpectralBsdfs, surface_bsdf
 from forestgen.render.variant import SCALAR, using
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Material, SceneSpec
 from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
 

@@ -14,7 +14,7 @@ from forestgen.render.light import SUN_RADIUS_DEG, sky_map, sun_radiance
 from forestgen.render.skies import clear, model
 from forestgen.render.skies.model import daylight_of, map_directions
 from forestgen.render.variant import drjit
-from forestgen.scene.channels import RGB, Channels
+from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Sky
 
 VISIBLE, INFRARED = Channels((450.0, 553.0, 690.0)), Channels((345.0, 865.0, 1610.0))

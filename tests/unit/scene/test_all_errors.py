@@ -9,7 +9,7 @@ import pytest
 
 from forestgen.core.errors import AssetError, ErrorList, ForestgenError, RecipeError, RecipeErrors
 from forestgen.scene.load_checked import load_checked
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 
 RECIPE = """\
 forestgen: 1

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.cameras import Camera, camera_section
+from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.camera_path import expand, next_frame
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.terrains.rolling import Waves
+from forestgen.scene.views import expand, next_frame
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 FLAT = HeightField((100.0, 100.0))
@@ -22,7 +22,9 @@ WAVY = Waves((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array(
 
 
 def section(path: dict[str, Any] | None, **keys: Any) -> Camera:
-    return camera_section({"name": "walk", "position_m": (0, 0, 2), "look_at_m": (0, 50, 2), "path": path, **keys})
+    return Camera.model_validate(
+        {"name": "walk", "position_m": (0, 0, 2), "look_at_m": (0, 50, 2), "path": path, **keys}
+    )
 
 
 def positions(camera: Camera, height: HeightField = FLAT) -> np.ndarray:

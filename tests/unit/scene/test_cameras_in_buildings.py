@@ -6,7 +6,7 @@ import pytest
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import make_plan
 
 # The house is 12 m along its ridge, which goes from north-west to south-east, and 6 m deep.
 STAND = """

@@ -6,8 +6,7 @@ import pytest
 from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.channels import RGB, Channels
-from forestgen.scene.colour import colour_of_reflectance
+from forestgen.scene.colour import RGB, Channels, colour_of_reflectance
 from forestgen.scene.surfaces import materials_of
 
 GREEN = Spectrum(np.array([400.0, 500.0, 550.0, 600.0, 700.0, 900.0]), np.array([0.04, 0.06, 0.2, 0.1, 0.1, 0.9]))

@@ -17,7 +17,7 @@ from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import growth
 from forestgen.scene.growth import MATERIAL, species_seen
-from forestgen.scene.planning import check_plan
+from forestgen.scene.plan import check_plan
 from forestgen.scene.surfaces import materials_of
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.scene.exemplars import SIZE_STEP, Library, plan_exemplars, plan_from_library, rungs_of, size_errors
+from forestgen.scene.exemplars import SIZE_STEP, plan_exemplars, rungs_of, size_errors
 from tests.unit.scene.test_exemplars import population
 
 
@@ -42,22 +42,21 @@ def test_rungs_that_lie_apart_need_no_neighbours() -> None:
 
 @pytest.mark.parametrize("shown", [1, 3])
 def test_an_image_shows_so_many_variants_of_a_size_and_images_show_all(shown: int) -> None:
-    radius, library = radii(300), Library(5, shown)
-    own = np.random.default_rng(1).integers(0, shown, 300)
+    plants = population(radii(300))
     seen: dict[int, set[int]] = {}
     for seed in range(40):
-        plan, variant = plan_from_library(0, "birch", radius, own, library, 4, seed)
-        for k, rung in enumerate(plan.rank):
-            here = set(variant[plan.exemplar_of_plant == k].tolist())
+        plan = plan_exemplars(plants, 4, seed, library=5, variants=shown)
+        for rung in np.unique(plan.rank).tolist():
+            here = set(plan.variant[plan.rank == rung].tolist())
             assert here <= set(range(5))
             assert len(here) <= shown
-            seen.setdefault(int(rung), set()).update(here)
+            seen.setdefault(rung, set()).update(here)
     assert all(variants == set(range(5)) for variants in seen.values())
 
 
 def test_the_plan_is_that_of_rungs_and_its_errors_are_small() -> None:
     plants = population(radii(400), np.arange(400) % 2)
-    plan = plan_exemplars(plants, 100, seed=3, library=Library(4, 2), variants=2)
+    plan = plan_exemplars(plants, 100, seed=3, library=4, variants=2)
     np.testing.assert_allclose(plan.radius_m, SIZE_STEP ** plan.rank.astype(float))
     np.testing.assert_array_equal(plan.species[plan.exemplar_of_plant], plants.species)
     assert len({*zip(plan.species, plan.rank, plan.variant, strict=True)}) == len(plan)

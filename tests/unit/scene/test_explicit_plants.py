@@ -18,8 +18,7 @@ from forestgen.scene import build as scene
 from forestgen.scene import growth
 from forestgen.scene.build import place_instances
 from forestgen.scene.growth import has_branches
-from forestgen.scene.plan import Plan, estimate_bytes, own_triangles
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import Plan, estimate_bytes, make_plan, own_triangles
 from forestgen.scene.views import drawn_cameras
 
 HOUSES = [

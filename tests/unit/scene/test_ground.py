@@ -10,9 +10,8 @@ import pytest
 from forestgen.community.resume import origin
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.ground import height_field
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import Plan, make_plan
+from forestgen.scene.site import height_field
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 HILLS = "site.terrain={kind: rolling, amplitude_m: 6, wavelength_m: 60}"

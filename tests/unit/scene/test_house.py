@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from forestgen.core.parts import Part
 from forestgen.plants.exemplar import Exemplar
-from forestgen.recipe.buildings import Building
+from forestgen.recipe.species import Building
 from forestgen.scene.building import building_materials, exemplar_of
 
 SIZES = [(12.0, 9.0, 8.0), (4.0, 6.0, 3.0), (0.5, 0.5, 0.5), (60.0, 20.0, 25.0)]

@@ -15,8 +15,7 @@ from forestgen.plants import growing
 from forestgen.recipe.load import dump_yaml, load_recipe
 from forestgen.scene import growth
 from forestgen.scene.exemplars import modelled_species
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import Plan, make_plan
 
 RECIPE = """
 forestgen: 1

@@ -10,8 +10,7 @@ import pytest
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.load import load_recipe
 from forestgen.scene import plan
-from forestgen.scene.plan import Plan, check_memory, estimate_bytes
-from forestgen.scene.planning import check_plan, make_plan
+from forestgen.scene.plan import Plan, check_memory, check_plan, estimate_bytes, make_plan
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 PERIOD = "model: multiset_lsystem, program: self_thinning"

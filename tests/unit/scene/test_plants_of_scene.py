@@ -16,8 +16,7 @@ from forestgen.plants import growing
 from forestgen.recipe.load import load_recipe
 from forestgen.scene import build as scene
 from forestgen.scene import growth
-from forestgen.scene.plan import Plan, estimate_bytes
-from forestgen.scene.planning import check_plan, make_plan
+from forestgen.scene.plan import Plan, check_plan, estimate_bytes, make_plan
 from forestgen.scene.spec import Terrain
 from forestgen.scene.terrain import HeightField, build_terrain
 

@@ -206,15 +206,52 @@ def test_boxes_of_any_projection_hold_what_is_seen_of_hulls(kind):
     np.testing.assert_allclose(box, expected, atol=0.05)
 
 
-@pytest.mark.parametrize("kind", ["fisheye", "panorama"])
-def test_files_of_any_projection_are_read_by_its_own_formulas(kind):
+def by_hand(kind: str, camera: Camera, focal: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels from the middle and depths, otherwise than the projections compute them."""
+    x, y, z = np.moveaxis(points, -1, 0)
+    distance, aside = np.sqrt((points**2).sum(axis=-1)), x + 1j * y
+    if kind == "perspective":
+        return points[..., :2] / z[..., None] * focal, z
+    if kind == "orthographic":
+        return points[..., :2] * focal, z
+    if kind == "panorama":
+        flat = np.stack([np.angle(z + 1j * x), np.angle(np.sqrt(x * x + z * z) + 1j * y)], axis=-1)
+        return flat * focal, distance
+    # Half angles: 2 atan2(|a - b|, |a + b|) of the axis and the direction, exact at both ends.
+    near, far = (np.sqrt(np.abs(aside) ** 2 + (distance + sign * z) ** 2) for sign in (-1, 1))
+    angle, turn = 2 * np.arctan2(near, far), aside / np.abs(aside)
+    seen = np.where(angle > np.radians(camera.hfov_deg) / 2, -distance, distance)
+    return np.stack([turn.real * angle, turn.imag * angle], axis=-1) * focal, seen
+
+
+@pytest.mark.parametrize("stretch", [1.0, 1.25])
+@pytest.mark.parametrize("kind", ["perspective", "fisheye", "orthographic", "panorama"])
+def test_what_a_file_says_is_what_its_formulas_say(kind, stretch):
     camera, rng = camera_of(kind, (64, 32), POSITION_M), np.random.default_rng(5)
     own = projection_of(camera)
-    values = {"hfov_deg": camera.hfov_deg}
-    default = Projection.read(own, values, camera.size_px)
-    special = own.read({**own.file_keys(camera)}, camera.size_px)
-    points = rng.normal(size=(200, 3))
-    for found, expected in zip(default.project(points), special.project(points), strict=True):
-        np.testing.assert_allclose(found, expected, atol=1e-9)
-    np.testing.assert_allclose(default.rays((8, 6)), special.rays((8, 6)), atol=1e-12)
-    np.testing.assert_array_equal(default.sees((64, 32)), special.sees((64, 32)))
+    values = own.file_keys(camera)
+    if "K" in values:
+        values["K"] = (np.array(values["K"]) * [[1, 1, 1.1], [1, stretch, 0.9], [1, 1, 1]]).tolist()
+    found = own.read(values, camera.size_px)
+    points = rng.normal(size=(400, 3)) * [1.0, 1.0, 3.0]
+    (pixel, depth), (expected, expected_depth) = (
+        found.project(points),
+        by_hand(kind, camera, np.array(found.focal_px), points),
+    )
+    front = expected_depth > 0
+    np.testing.assert_array_equal(depth > 0, front)
+    np.testing.assert_allclose(depth[front], expected_depth[front], rtol=1e-12)
+    np.testing.assert_allclose(pixel[front], expected[front] + found.centre_px, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["perspective", "fisheye", "orthographic", "panorama"])
+def test_a_files_rays_lead_to_their_pixels(kind):
+    camera = camera_of(kind, (64, 32), POSITION_M)
+    found = projection_of(camera).read(projection_of(camera).file_keys(camera), camera.size_px)
+    there = found.starts((8, 6)) + 2.5 * found.rays((8, 6))
+    again, depth = found.project(there)
+    sees = found.sees((8, 6))
+    np.testing.assert_allclose(again[sees], (np.indices((6, 8))[::-1] + 0.5).transpose(1, 2, 0)[sees], atol=1e-9)
+    np.testing.assert_allclose(depth[sees], 2.5, rtol=1e-12)
+    beyond = found.beyond_rim_px((np.indices((6, 8))[::-1] + 0.5).transpose(1, 2, 0))
+    assert sees.all() if beyond is None else np.array_equal(beyond <= 0, sees)

@@ -12,17 +12,15 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.recipe.cameras import Camera, camera_section
+from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.camera_path import expand, next_frame
-from forestgen.scene.planning import check_plan, make_plan
+from forestgen.scene.plan import check_plan, make_plan
 from forestgen.scene.projection import project
 from forestgen.scene.spec import Instances
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.terrains.rolling import Waves
-from forestgen.scene.trunks import Trunks
-from forestgen.scene.views import check_trunks, drawn_cameras
-from forestgen.scene.walking import BlockedError, at_lengths, length_m, way_around
+from forestgen.scene.trunks import BlockedError, Trunks, at_lengths, length_m, way_around
+from forestgen.scene.views import check_trunks, drawn_cameras, expand, next_frame
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 FLAT = HeightField((100.0, 100.0))
@@ -30,7 +28,7 @@ WAVY = Waves((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array(
 
 
 def section(**keys: Any) -> Camera:
-    return camera_section({"name": "c", **keys})
+    return Camera.model_validate({"name": "c", **keys})
 
 
 def stem(radius_m: float = 0.25, height_m: float = 8.0, sides: int = 48) -> Exemplar:

@@ -8,8 +8,8 @@ import pytest
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.planning import check_plan
-from forestgen.scene.sky import sky_of
+from forestgen.scene.plan import check_plan
+from forestgen.scene.site import sky_of
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 GOLDEN = ["site.latitude_deg=39.742476", "site.longitude_deg=-105.1786", "site.altitude_m=1830.14"]

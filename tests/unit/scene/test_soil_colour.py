@@ -10,8 +10,8 @@ from scipy.integrate import quad
 
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.recipe.spectra import load_spectra
-from forestgen.scene.channels import RGB, Channels
-from forestgen.scene.soil_colour import (
+from forestgen.scene.colour import RGB, Channels
+from forestgen.scene.surfaces import (
     Wetness,
     film_factor,
     film_reflectances,

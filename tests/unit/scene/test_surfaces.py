@@ -5,8 +5,7 @@ import pytest
 
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.channels import RGB, Channels
-from forestgen.scene.colour import colours_of_surface
+from forestgen.scene.colour import RGB, Channels, colours_of_surface
 from forestgen.scene.spec import Camera
 from forestgen.scene.surfaces import infrared_notes, materials_of
 from forestgen.scene.terrain import HeightField, build_terrain

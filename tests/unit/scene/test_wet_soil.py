@@ -13,10 +13,9 @@ from forestgen.community.simulation import final_population
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
-from forestgen.scene.ground import wetness_of
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import make_plan
-from forestgen.scene.soil_colour import Wetness
+from forestgen.scene.plan import Plan, make_plan
+from forestgen.scene.site import wetness_of
+from forestgen.scene.surfaces import Wetness
 
 RECIPE = """\
 forestgen: 1

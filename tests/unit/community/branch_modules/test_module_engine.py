@@ -18,8 +18,7 @@ from forestgen.community.models.branch_modules import MODEL
 from forestgen.community.population import Status
 from forestgen.core import threads
 from forestgen.core.errors import RecipeError, ResourceError
-from forestgen.recipe.buildings import Building
-from forestgen.recipe.species import PlantType
+from forestgen.recipe.species import Building, PlantType
 
 ROWS = {  # of Table 1
     "a": (20, 42, 0.19, 0.62, None, 0.25, None, 0, 0.52, 0.63, -0.38, 0.57, 0.47),

@@ -18,10 +18,9 @@ from forestgen.community.branch_modules.parameters import (
     parameters_at,
 )
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.buildings import Building
 from forestgen.recipe.messages import Explainer
 from forestgen.recipe.sources import SourceMap
-from forestgen.recipe.species import PlantType
+from forestgen.recipe.species import Building, PlantType
 
 PINE = PlantType(
     life_span_yr=200, root_vigour_max=80, growth_rate_per_yr=0.3, apical_control=0.8, determinacy=1, shade_tolerance=0.4

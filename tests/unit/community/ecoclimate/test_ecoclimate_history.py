@@ -19,8 +19,7 @@ from forestgen.community.population import Population
 from forestgen.community.resume import origin, snapshot_to_resume
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe_data
-from forestgen.scene.plan import Plan
-from forestgen.scene.planning import make_plan
+from forestgen.scene.plan import Plan, make_plan
 
 STEPS = 11
 NORMALS = MonthlyClimate((5.0,) * 12, (60.0,) * 12)

@@ -1,4 +1,4 @@
-"""The ground of a recipe's site: one height function for the community and for the scene, and how wet its soil is."""
+"""A recipe's site as the scene has it: sun, sky, one height of the ground for community and scene, and wet soil."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from forestgen.atmosphere.daylight import SunPosition, sun_position
 from forestgen.community.capabilities import SoilWater, capability, models_with
 from forestgen.community.model import Site
 from forestgen.community.plan import CommunityPlan
@@ -14,11 +15,57 @@ from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import TERRAINS
-from forestgen.recipe.schema import Terrain, WetSoil
-from forestgen.scene.soil_colour import Wetness
+from forestgen.recipe.schema import Recipe, Terrain, WetSoil
+from forestgen.recipe.sky import SkySection
+from forestgen.scene.spec import Sky
+from forestgen.scene.surfaces import Wetness
 from forestgen.scene.terrain import HeightField, smooth_step
 
 _LEAST_MM = 1e-6  # of water: less would divide to infinity, or by 0
+
+
+def sun_of(recipe: Recipe) -> SunPosition:
+    """Where the sun stands, by the recipe's angles (at its mean distance) or by its date, time and place."""
+    sun, site = recipe.sky.sun, recipe.site
+    if sun.moment is None:
+        assert sun.elevation_deg is not None
+        assert sun.azimuth_deg is not None
+        return SunPosition(sun.elevation_deg, sun.azimuth_deg, 1.0)
+    assert site.longitude_deg is not None
+    return sun_position(sun.moment, site.latitude_deg, site.longitude_deg, site.altitude_m)
+
+
+def sky_of(recipe: Recipe, ground_albedo: float) -> Sky:
+    """Sun and sky of a recipe whose sun is up; see `check_sun`."""
+    sun = sun_of(recipe)
+    own = [key for key in type(recipe.sky).model_fields if key not in SkySection.model_fields]
+    return Sky(
+        sun_elevation_deg=sun.elevation_deg,
+        sun_azimuth_deg=sun.azimuth_deg,
+        turbidity=recipe.sky.turbidity,
+        ground_albedo=ground_albedo,
+        kind=recipe.sky.kind,
+        altitude_m=recipe.site.altitude_m,
+        sun_distance_au=sun.distance_au,
+        precipitable_water_mm=recipe.sky.precipitable_water_mm,
+        ozone_du=recipe.sky.ozone_du,
+        visibility_m=recipe.sky.visibility_m,
+        own=tuple((key, getattr(recipe.sky, key)) for key in own),
+    )
+
+
+def check_sun(drawn: DrawnRecipe) -> None:
+    """Raise `RecipeError` if the sun is below the horizon at the recipe's date, time and place."""
+    moment = drawn.recipe.sky.sun.moment
+    if moment is None:
+        return
+    sun, site = sun_of(drawn.recipe), drawn.recipe.site
+    if sun.elevation_deg <= 0:
+        where = drawn.where("sky", "sun", "time" if drawn.recipe.sky.sun.time is not None else "date")
+        expected = f"a time of day at latitude {site.latitude_deg:g}, longitude {site.longitude_deg:g}"
+        got = f"{moment:%Y-%m-%d %H:%M:%S %Z}, when the sun stands at {sun.elevation_deg:.1f} degrees"
+        hint = "choose another time; check utc_offset_h and the sign of longitude_deg, which is positive in the east"
+        raise RecipeError("the sun is below the horizon", where=where, expected=expected, got=got, hint=hint)
 
 
 def height_field(drawn: DrawnRecipe) -> HeightField:
@@ -58,13 +105,9 @@ def check_wet_soil(plan: CommunityPlan) -> None:
     """Raise `RecipeError` for a recipe that says how wet soil shows where its community knows of none."""
     drawn, section = plan.drawn, plan.drawn.recipe.site.wet_soil
     if section is not None and section.shown and capability(plan.model, SoilWater) is None:
-        raise RecipeError(
-            "this community knows no water in its soil",
-            where=drawn.where("site", "wet_soil"),
-            expected=f"community.model: {models_with(SoilWater)}",
-            got=drawn.recipe.community.model,
-            hint="leave out site.wet_soil; site.ground: soil_wet is wet everywhere",
-        )
+        problem, expected = "this community knows no water in its soil", f"community.model: {models_with(SoilWater)}"
+        got, hint = drawn.recipe.community.model, "leave out site.wet_soil; site.ground: soil_wet is wet everywhere"
+        raise RecipeError(problem, where=drawn.where("site", "wet_soil"), expected=expected, got=got, hint=hint)
 
 
 def wetness_of(plan: CommunityPlan, population: Population) -> Wetness | None:
