@@ -23,8 +23,8 @@ from typing import Any
 
 from forestgen.core.errors import ForestgenError, OutputError, RecipeError
 from forestgen.core.threads import cores
-from forestgen.dataset.check.finding import UnreadableError
-from forestgen.dataset.checksums import file_sum
+from forestgen.dataset.check.files import UnreadableError
+from forestgen.dataset.manifest import file_sum
 from forestgen.dataset.safe_path import RefusedFileError, SafePath
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.dataset.thumbnails import write_thumbnail

@@ -12,8 +12,7 @@ from typing import Any
 from forestgen.core.errors import DatasetError, ForestgenError
 from forestgen.dataset.card import CARD_NAME
 from forestgen.dataset.check import Finding
-from forestgen.dataset.check.files import read_json, read_text
-from forestgen.dataset.check.finding import MISUNDERSTOOD, UnreadableError, misunderstood
+from forestgen.dataset.check.files import MISUNDERSTOOD, UnreadableError, misunderstood, read_json, read_text
 from forestgen.dataset.index import COLUMNS, INDEX_NAME, open_index, read_index
 from forestgen.dataset.manifest import MANIFEST_NAME
 from forestgen.dataset.safe_path import SafePath, is_frame

@@ -1,9 +1,9 @@
-"""A data set's folder as its checks read it: the frames, the manifest, and the files over all frames."""
+"""A check of the files over all frames, and a data set's folder as checks read it: the frames, the manifest."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import RecipeError
-from forestgen.dataset.check.files import categories, read_json, read_recipe
-from forestgen.dataset.check.finding import Finding, UnreadableError
-from forestgen.dataset.check.frame_data import CAMERA
+from forestgen.dataset.check.files import Finding, UnreadableError, categories, read_json, read_recipe
+from forestgen.dataset.check.frame_data import CAMERA, completed
 from forestgen.dataset.safe_path import check_folder, is_frame
 
 MANIFEST = "manifest.json"
@@ -86,6 +85,27 @@ class Merged:
                     raise UnreadableError(Finding(file, problem, expected="a list of mappings"))
             self._lists[file] = content
         return self._lists[file]
+
+
+@dataclass(frozen=True)
+class DatasetCheck:
+    """An invariant of the files over all images."""
+
+    name: str
+    file: str  # that it is about
+    applies: Callable[[Merged], bool]
+    find: Callable[[Merged], Iterator[Finding]]
+
+    def findings(self, merged: Merged) -> Iterator[Finding]:
+        """What is wrong with a data set."""
+        return completed(self.find(merged), self.name, self.file)
+
+
+def dataset_check(
+    name: str, file: str, when: Callable[[Merged], bool] | None = None
+) -> Callable[[Callable[[Merged], Iterator[Finding]]], DatasetCheck]:
+    """Turn a function into a `DatasetCheck` of data sets that have `file`, or for which `when` is true."""
+    return lambda find: DatasetCheck(name, file, when or (lambda merged: merged.has(file)), find)
 
 
 def folder_of(path: Any) -> str:

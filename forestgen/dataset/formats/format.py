@@ -19,8 +19,8 @@ from forestgen.render.frame import Identity
 from forestgen.scene.projection import Projection, load_projection
 
 if TYPE_CHECKING:
-    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
-    from forestgen.dataset.check.merged import Merged
+    from forestgen.dataset.check.frame_data import FrameCheck
+    from forestgen.dataset.check.merged import DatasetCheck, Merged
 
 
 class DatasetFormat:

@@ -105,7 +105,6 @@ def whole_file(path: Path) -> Iterator[IO[str]]:
     """A text file to write, which takes its name when all is written; after a failure nothing is left of it."""
     partial = path.with_name(path.name + ".partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with partial.open("w", encoding="utf-8", newline="\n") as stream:
             yield stream
         partial.replace(path)

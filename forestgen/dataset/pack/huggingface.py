@@ -10,7 +10,6 @@ import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -310,12 +309,8 @@ def _of_index(source: Source) -> list[Column]:
             columns += _of_map(field.name, source.index[field.name])
         elif (feature := _plain(field.type)) is not None:
             name = _RENAMED.get(field.name, field.name)
-            columns.append(Column(name, feature, partial(_cell_of_row, field.name)))
+            columns.append(Column(name, feature, lambda sample, key=field.name: sample.row[key]))  # type: ignore[misc]
     return columns
-
-
-def _cell_of_row(key: str, sample: Sample) -> Any:
-    return sample.row[key]
 
 
 def _plain(kind: Any) -> dict[str, Any] | None:

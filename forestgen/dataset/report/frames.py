@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.index import open_table
-from forestgen.dataset.report.charts import Chart, histogram, shares, short
-from forestgen.dataset.report.layout import Fact, ShareList
+from forestgen.dataset.report.charts import Chart, Fact, ShareList, histogram, shares, short
 
 _NEEDED = ("frame", "split", "image")
 _NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean)

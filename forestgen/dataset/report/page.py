@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import os
-import secrets
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -16,10 +13,10 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from forestgen.dataset.files import output_error
-from forestgen.dataset.report import charts, label_sections, run_sections, scene_sections
+from forestgen.dataset.formats.shards import whole_file
+from forestgen.dataset.report import charts, content_sections, run_sections
+from forestgen.dataset.report.charts import Fact, Section, listed
 from forestgen.dataset.report.gallery import SHOWN_AT_ONCE, GalleryItem, gallery
-from forestgen.dataset.report.layout import Fact, Section, listed
 from forestgen.dataset.report.source import Source, open_source
 from forestgen.dataset.settings import DatasetSettings
 
@@ -27,9 +24,9 @@ REPORT_NAME = "report.html"
 _TEMPLATES = Path(__file__).with_name("templates")
 _UNNAMED = DatasetSettings.description  # of recipes that say nothing
 _SECTIONS = (
-    label_sections.class_section, label_sections.instance_section, label_sections.species_section,
-    label_sections.depth_section, scene_sections.sun_section, scene_sections.weather_section,
-    scene_sections.camera_section, scene_sections.draw_section, run_sections.failure_section,
+    content_sections.class_section, content_sections.instance_section, content_sections.species_section,
+    content_sections.depth_section, content_sections.sun_section, content_sections.weather_section,
+    content_sections.camera_section, content_sections.draw_section, run_sections.failure_section,
     run_sections.timing_section, run_sections.provenance_section,
 )  # fmt: skip
 _PLOT = {name: getattr(charts, name.upper()) for name in ("width", "height", "left", "right", "top", "bottom")}
@@ -60,16 +57,9 @@ def write_report(folder: Path, target: Path) -> None:
     DatasetError : the folder is no data set of ours, or its index is damaged.
     OutputError : the page cannot be written.
     """
-    content = render_page(page_of(open_source(folder))).encode("utf-8", "replace")
-    staged = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}")
-    try:
-        staged.write_bytes(content)
-        staged.replace(target)
-    except OSError as error:
-        raise output_error(error, target) from error
-    finally:
-        with suppress(OSError):
-            staged.unlink()
+    content = render_page(page_of(open_source(folder))).encode("utf-8", "replace").decode()
+    with whole_file(target) as stream:
+        stream.write(content)
 
 
 def page_of(source: Source) -> Page:

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.dataset.report.charts import Chart, bars, histogram, nice_step, shares
-from forestgen.dataset.report.layout import Cell, Fact, Row, Section, ShareList, Table
-from forestgen.dataset.report.run_log import Failure, RunLog
-from forestgen.dataset.report.source import RecipeMetadata, Source
+from forestgen.dataset.report.charts import (
+    Cell,
+    Chart,
+    Fact,
+    Row,
+    Section,
+    ShareList,
+    Table,
+    bars,
+    histogram,
+    nice_step,
+    shares,
+)
+from forestgen.dataset.report.source import Failure, RecipeMetadata, RunLog, Source
 
 _MOST_STAGES, _MOST_WINDOWS = 16, 48
 _MOST_IMAGES = 12  # named beside a message

@@ -22,7 +22,7 @@ from forestgen.dataset.index import INDEX_NAME, read_index, write_index
 from forestgen.dataset.report.frames import read_frames
 from forestgen.dataset.report.gallery import BUDGET_BYTES, MOST_FRAMES, _mask, _photo, choose
 from forestgen.dataset.report.page import write_report
-from forestgen.dataset.report.run_log import MOST_MESSAGES, read_run
+from forestgen.dataset.report.source import MOST_MESSAGES, read_run
 from support.data_sets import SPLITS, write_data_set
 
 PICTURE = re.compile(r'src="data:image/webp;base64,([^"]*)"')
