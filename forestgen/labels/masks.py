@@ -208,15 +208,7 @@ def amodal_masks(amodal: Amodal, plant_id: NDArray[np.uint32], instance: NDArray
     area += _more_in_the_scene(*args[:3], amodal.plant_id, plant_id)
     first = np.concatenate([[0], np.cumsum(box[:, 2].astype(np.int64) * box[:, 3])]).astype(np.int64)
     inside, pixels = _fill(*args, box, first)
-    return AmodalMasks(
-        plant_id=amodal.plant_id,
-        box_px=box,
-        first=first,
-        inside=inside,
-        pixels=pixels,
-        area_px=area / amodal.samples,
-        full_box_px=amodal.full_box_px,
-    )
+    return AmodalMasks(amodal.plant_id, box, first, inside, pixels, area / amodal.samples, amodal.full_box_px)
 
 
 @compiled

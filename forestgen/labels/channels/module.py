@@ -32,11 +32,7 @@ class Module(LabelChannel):
         if branches is None:
             return {}
         return {
-            "module": {
-                **layer("number", branches.module),
-                **layer("node", branches.node),
-                **layer("own", branches.is_own),
-            }
+            "module": layer("number", branches.module) | layer("node", branches.node) | layer("own", branches.is_own)
         }
 
 
