@@ -43,7 +43,7 @@ def write_legend(root: Path, settings: DatasetSettings, palette: NDArray[np.uint
 
 
 def read_legend(split: SafePath) -> dict[str, Any]:
-    """classes.json of a split's folder; `semantic` counts from 0, and both it and `categories` have names.
+    """classes.json of a split's folder; `semantic` counts from 0 and `categories` from 1, and both have names.
 
     A file that is missing, damaged, or of another form raises `DatasetError`.
     """
@@ -52,19 +52,13 @@ def read_legend(split: SafePath) -> dict[str, Any]:
         content = path.read_json()
     except (OSError, ValueError) as error:
         raise unreadable(path, error, "forestgen verify checks all files") from error
-    for key in ("semantic", "categories"):
+    for key, first in (("semantic", 0), ("categories", 1)):
         named = content.get(key) if isinstance(content, dict) else None
-        if not isinstance(named, dict) or not all(_is_number(key) and isinstance(named[key], str) for key in named):
-            expected = f"{key}: a name for each number"
+        is_named = isinstance(named, dict) and all(isinstance(one, str) for one in named.values())
+        if not is_named or set(named) != {str(number) for number in range(first, first + len(named))}:
+            expected = f"{key}: a name for each number, from {first} on"
             raise DatasetError("a file is not what its name says", where=str(path), expected=expected)
-    if set(content["semantic"]) != {str(number) for number in range(len(content["semantic"]))}:
-        expected = "semantic: numbers from 0 on"
-        raise DatasetError("a file is not what its name says", where=str(path), expected=expected)
     return dict(content)
-
-
-def _is_number(key: str) -> bool:
-    return key.isascii() and key.isdecimal() and len(key) < 10 and key == str(int(key))
 
 
 def classes_text(class_names: Sequence[str]) -> str:

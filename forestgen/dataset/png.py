@@ -78,9 +78,11 @@ def rgb_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint8]:
 def _opened(content: bytes, size_px: tuple[int, int]) -> Image:
     from PIL.PngImagePlugin import PngImageFile
 
-    found = _size_of(content)
-    if found != size_px:
-        raise ValueError(f"the picture has {found[0]} x {found[1]} pixels, and its frame {size_px[0]} x {size_px[1]}")
+    if content[:8] != b"\x89PNG\r\n\x1a\n" or content[12:16] != b"IHDR" or len(content) < 24:
+        raise ValueError("this is no PNG")
+    width, height = struct.unpack(">II", content[16:24])
+    if (width, height) != size_px:
+        raise ValueError(f"the picture has {width} x {height} pixels, and its frame {size_px[0]} x {size_px[1]}")
     try:
         # `PIL.Image.open` would refuse large pictures whose size is known to be right.
         image = PngImageFile(io.BytesIO(content))
@@ -88,14 +90,6 @@ def _opened(content: bytes, size_px: tuple[int, int]) -> Image:
     except (struct.error, zlib.error, IndexError, KeyError, TypeError, EOFError, OverflowError) as error:
         raise ValueError(f"the picture is damaged: {error}") from error
     return image
-
-
-def _size_of(content: bytes) -> tuple[int, int]:
-    """Width and height of a PNG, as its first chunk says."""
-    if content[:8] != b"\x89PNG\r\n\x1a\n" or content[12:16] != b"IHDR" or len(content) < 24:
-        raise ValueError("this is no PNG")
-    width, height = struct.unpack(">II", content[16:24])
-    return width, height
 
 
 def write_semantic(path: Path, semantic: NDArray[np.uint8], class_names: Sequence[str]) -> None:
@@ -137,13 +131,10 @@ def overlay(preview: NDArray[np.uint8], instance: NDArray[np.uint32]) -> NDArray
 def _outline(instance: NDArray[np.uint32]) -> NDArray[np.bool_]:
     """Pixels whose right or lower neighbour, or for plants against no plant any neighbour, is another's."""
     edge = np.zeros(instance.shape, dtype=bool)
-    for axis in (0, 1):
-        a = instance[:-1] if axis == 0 else instance[:, :-1]
-        b = instance[1:] if axis == 0 else instance[:, 1:]
-        differs = a != b
-        first, second = (edge[:-1], edge[1:]) if axis == 0 else (edge[:, :-1], edge[:, 1:])
-        first |= differs & (a != 0)
-        second |= differs & (a == 0)
+    for ids, found in ((instance, edge), (instance.T, edge.T)):
+        differs = ids[:-1] != ids[1:]
+        found[:-1] |= differs & (ids[:-1] != 0)
+        found[1:] |= differs & (ids[:-1] == 0)
     return edge
 
 

@@ -48,7 +48,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Band, Spectrum
+from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Spectrum
 from forestgen.dataset.files import write_json
 from forestgen.dataset.png import write_grey
 from forestgen.dataset.tonemap import picture_bands
@@ -199,14 +199,11 @@ def _sensor(radiance: Radiance) -> _Sensor:
     colour = len(bands) == 3 and chosen.kind == "true colour"
     columns = chosen.channels if colour else tuple(range(len(bands)))
     power = np.array([bands[column].mean(d65()) for column in columns])
-    answer = power * [_area(bands[column]) for column in columns]
+    responses = [bands[column].response for column in columns]
+    answer = power * [float(np.trapezoid(one.value, one.wavelength_nm)) for one in responses]
     sensitivity = answer / answer.max() if colour else np.ones(len(bands))
     names = tuple(radiance.channels[column] for column in columns)
     return _Sensor(names, columns, sensitivity / power, 1.0 / sensitivity, 1.0 / sensitivity / len(names), colour)
-
-
-def _area(band: Band) -> float:
-    return float(np.trapezoid(band.response.value, band.response.wavelength_nm))
 
 
 @cache

@@ -58,7 +58,6 @@ from forestgen.runs.verify_index import (
 )
 
 
-@dataclass(frozen=True, repr=False)
 @dataclass(frozen=True)
 class CheckResult:
     """How a check went."""
@@ -70,6 +69,7 @@ class CheckResult:
     found: int  # findings, also those that are not named
 
 
+@dataclass(frozen=True, repr=False)
 class VerificationReport:
     """What the checks found."""
 

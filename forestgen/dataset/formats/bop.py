@@ -50,7 +50,7 @@ from forestgen.dataset.formats.shards import in_order, json_text, place, read_sh
 from forestgen.dataset.png import write_grey
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.labels.masks import AmodalMasks, rows_of
+from forestgen.labels.masks import rows_of
 from forestgen.scene.projection import Projection, projection_of
 
 FOLDER_NAME, SPLIT_NAME, SHARD_NAME = "bop", "train_pbr", "shard.json"
@@ -90,7 +90,9 @@ class Bop(DatasetFormat):
         plants = labelled.population.plant_id[rows]
         info = []
         for number, (row, own) in enumerate(zip(rows, rows_of(plants, amodal.plant_id), strict=True)):
-            whole = _whole_mask(amodal, int(own), steps.shape)
+            whole = np.zeros(steps.shape, dtype=np.bool_)
+            left, top, width, height = amodal.box_px[own]
+            whole[top : top + height, left : left + width] = amodal.mask_of(int(own))
             seen = labelled.pixels.instance == labelled.population.plant_id[row]
             for name, mask in zip(MASK_FOLDERS, (whole, seen), strict=True):
                 write_grey(home / name / f"{number:06d}.png", mask.astype(np.uint8) * np.uint8(255), _FAST)
@@ -155,21 +157,16 @@ def _poses(labelled: LabelledFrame, rows: NDArray[np.intp]) -> list[dict[str, An
     transform = measures.world_from_exemplar[rows]
     linear = pose[:3, :3] @ transform[:, :, :3]
     origin = transform[:, :, 3] @ pose[:3, :3].T + pose[:3, 3]
+    exemplar, plant = measures.exemplar[rows].tolist(), labelled.population.plant_id[rows].tolist()
     return [
         {
-            "cam_A_m2c": matrix.ravel().tolist(),
-            "cam_R_m2c": nearest_rotation(matrix).ravel().tolist(),
-            "cam_t_m2c": place_mm.tolist(),
-            "obj_id": exemplar + 1,
-            "plant_id": plant,
+            "cam_A_m2c": linear[k].ravel().tolist(),
+            "cam_R_m2c": nearest_rotation(linear[k]).ravel().tolist(),
+            "cam_t_m2c": (origin[k] * 1000.0).tolist(),
+            "obj_id": exemplar[k] + 1,
+            "plant_id": plant[k],
         }
-        for matrix, place_mm, exemplar, plant in zip(
-            linear,
-            origin * 1000.0,
-            measures.exemplar[rows].tolist(),
-            labelled.population.plant_id[rows].tolist(),
-            strict=True,
-        )
+        for k in range(len(rows))
     ]
 
 
@@ -178,11 +175,3 @@ def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     left, _, right = np.linalg.svd(matrix)
     left[:, 2] *= np.sign(np.linalg.det(left @ right))
     return np.asarray(left @ right)
-
-
-def _whole_mask(amodal: AmodalMasks, row: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """(H, W) amodal mask of a row."""
-    mask = np.zeros(shape, dtype=np.bool_)
-    left, top, width, height = amodal.box_px[row]
-    mask[top : top + height, left : left + width] = amodal.mask_of(row)
-    return mask

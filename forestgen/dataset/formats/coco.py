@@ -90,11 +90,16 @@ class Coco(DatasetFormat):
         """Write coco.json over all frames; see `DatasetFormat.merge`."""
         shards = ((folder, read_frame(root / folder / SHARD_NAME, _SHARD, settings)) for folder in in_order(folders))
         numbers = itertools.count(1)
+        keypoints = {"keypoints": list(KEYPOINTS), "skeleton": [list(pair) for pair in SKELETON]}
+        categories = [
+            {"id": i, "name": name, "supercategory": "plant", **keypoints}
+            for i, name in enumerate(settings.category_names, start=1)
+        ]
         write_merged(
             root / FILE_NAME,
             shards,
             lambda _, shard: [{**one, "id": next(numbers)} for one in shard["annotations"]],
-            _categories(settings.category_names),
+            categories,
             settings,
         )
 
@@ -215,11 +220,6 @@ def _finite(values: NDArray[np.float64]) -> list[float | None]:
 
 def _records(fields: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     return [dict(zip(fields, values, strict=True)) for values in zip(*fields.values(), strict=True)]
-
-
-def _categories(names: Sequence[str]) -> list[dict[str, Any]]:
-    keypoints = {"keypoints": list(KEYPOINTS), "skeleton": [list(pair) for pair in SKELETON]}
-    return [{"id": i, "name": name, "supercategory": "plant", **keypoints} for i, name in enumerate(names, start=1)]
 
 
 def encode_masks(instance: NDArray[np.uint32]) -> dict[int, dict[str, Any]]:

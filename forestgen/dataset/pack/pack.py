@@ -125,7 +125,7 @@ def pack(
     needed = len(folders) * (form.frame_bytes + len(chosen) * form.channel_bytes)
     with progress.stage("looking", len(folders)) as advance:
         for frame in folders:
-            needed += measure_frame(frame, chosen)
+            needed += measure_frame(frame, chosen, source.pixels(frame))
             advance(1)
     with OutputFolder(target, overwrite=overwrite, required_bytes=needed, is_ours=is_pack) as folder:
         shards: dict[str, list[Shard]] = {}

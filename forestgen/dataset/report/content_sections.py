@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from forestgen.dataset.report.charts import (
     Cell,
-    Chart,
     Fact,
     Part,
     Row,
@@ -140,34 +140,21 @@ def _balance_table(counted: Balance, legend: Legend, title: str, head: str) -> T
 def instance_section(source: Source) -> Section:
     """Sizes of the plants in view."""
     frames = source.frames
-    counts = _log_counts(frames.values("instance_pixels_histogram"))
-    total, small = int(counts.sum()), int(counts[:4].sum())
+    rows = frames.values("instance_pixels_histogram")  # how many have 1, 2-3, 4-7, 8-15, ... pixels
+    counts = np.array([sum(one) for one in zip_longest(*filter(None, rows), fillvalue=0)], dtype=np.int64)
+    total, small, edges = int(counts.sum()), int(counts[:4].sum()), 2.0 ** np.arange(len(counts) + 1)
+    sizes = f"Instances by size: {total:,} plants in view, the largest below {edges[-1]:,.0f} pixels"
     parts = (
         Fact(f"{total:,}", "plants in view") if total else None,
         Fact(percent(small / total), "smaller than 16 pixels") if total else None,
-        _sizes(counts) if total else None,
+        bars(counts, edges, "Size of instances", "visible pixels", summary=sizes, log=True, y_title="plants")
+        if total
+        else None,
         numbers(frames, "plants_in_view", "Plants in view of a frame", "plants"),
-        numbers(
-            frames, "visible_fraction_median", "How much of a plant is visible", "median of a frame, %", factor=100
-        ),
+        numbers(frames, "visible_fraction_median", "Visible share of a plant", "median of a frame, %", factor=100),
     )
     lead = "A plant is in view if it wins at least one pixel of the instance mask."
     return Section("instances", "Instances", "No instances are counted here.", lead, parts)
-
-
-def _sizes(counts: NDArray[np.int64]) -> Chart:
-    edges = 2.0 ** np.arange(len(counts) + 1)
-    summary = f"Instances by size: {counts.sum():,} plants in view, the largest below {edges[-1]:,.0f} pixels"
-    return bars(counts, edges, "Size of instances", "visible pixels", log=True, y_title="plants", summary=summary)
-
-
-def _log_counts(rows: Sequence[Sequence[int] | None]) -> NDArray[np.int64]:
-    """Sum of histograms of different lengths: how many have 1, 2-3, 4-7, 8-15, ... pixels."""
-    counts = np.zeros(max((len(row) for row in rows if row), default=0), dtype=np.int64)
-    for row in rows:
-        if row:
-            counts[: len(row)] += np.asarray(row, dtype=np.int64)
-    return counts
 
 
 def species_section(source: Source) -> Section:

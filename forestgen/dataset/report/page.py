@@ -66,9 +66,10 @@ def page_of(source: Source) -> Page:
     """Gather what is known of a data set."""
     description = source.metadata.description
     name = description if description not in ("", _UNNAMED) else source.folder.resolve().name
+    words = [f"{split} {source.frames.split.count(split):,}" for split in source.splits]
     return Page(
         title=name[:200],
-        lead=_lead(source),
+        lead=f"Frames by split: {listed(words, 20)}." if len(source.frames) else "No frames yet.",
         facts=_headline(source),
         notes=_notes(source),
         gallery=gallery(source.folder, source.frames, source.splits),
@@ -85,23 +86,13 @@ def render_page(page: Page) -> str:
     return _template().render(page=page, plot=_PLOT, polar=_POLAR, **inline, **hashes)
 
 
-def _lead(source: Source) -> str:
-    if not len(source.frames):
-        return "No frames yet."
-    words = [f"{split} {source.frames.split.count(split):,}" for split in source.splits]
-    return f"Frames by split: {listed(words, 20)}."
-
-
 def _headline(source: Source) -> list[Fact]:
     frames = source.frames
     species = {name for one in frames.counts("species_instances") for name in one or ()}
     plants = frames.numbers("plants_in_view")
     pixels = frames.numbers("width_px") * frames.numbers("height_px")
-    facts = [
-        _counted(frames.images, "image"),
-        _counted(len(frames), "frame"),
-        _counted(len(source.splits), "split"),
-    ]
+    counts = {"image": frames.images, "frame": len(frames), "split": len(source.splits)}
+    facts = [Fact(f"{number:,}", one if number == 1 else f"{one}s") for one, number in counts.items()]
     if np.isfinite(plants).any() or not len(frames):
         facts.append(Fact(f"{len(species):,}", "species in view"))
         facts.append(Fact(f"{int(np.nansum(plants)):,}", "plants labelled"))
@@ -110,10 +101,6 @@ def _headline(source: Source) -> list[Fact]:
     if source.metadata.bytes:
         facts.append(Fact(run_sections.size_text(source.metadata.bytes), "on disk"))
     return facts
-
-
-def _counted(number: int, one: str) -> Fact:
-    return Fact(f"{number:,}", one if number == 1 else f"{one}s")
 
 
 def _notes(source: Source) -> list[str]:
