@@ -22,7 +22,7 @@ from forestgen.core.errors import DatasetError, RecipeError, ResourceError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
 from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
-from forestgen.dataset.legend import read_legend
+from forestgen.dataset.png import read_legend
 from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.runs.description import DATASET_NAME

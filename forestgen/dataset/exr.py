@@ -68,7 +68,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.camera import camera_model, exr_attributes
-from forestgen.dataset.legend import classes_text, parts_text
+from forestgen.dataset.png import classes_text, parts_text
 from forestgen.dataset.tonemap import band_figures, picture_light
 from forestgen.labels.channels.channel import Layers, layer
 from forestgen.labels.labelled import LabelledFrame

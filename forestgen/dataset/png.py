@@ -1,8 +1,23 @@
-"""The PNG files of a frame: preview, overlay, instance and semantic masks, grey pictures. No dates in them."""
+"""The PNG files of a frame (preview, overlay, masks, grey pictures; no dates in them), its thumbnail, and classes.json.
+
+thumbnails/FRAME.jpg are small pictures of the frames, for pages and for people. classes.json says what the numbers in
+masks and annotations mean:
+
+| key | what it is |
+|---|---|
+| `semantic` | class number -> name, of semantic.png and of the channels `semantic` |
+| `semantic_colours` | class number -> red, green, blue of semantic.png's palette |
+| `part` | number -> name, of the channels `part` |
+| `categories` | category_id -> name, as in coco.json; panoptic.json adds ground and sky; YOLO counts from 0 |
+
+semantic.png holds `semantic` as JSON in its text `classes`; frame.exr holds `semantic` and `part` in its attributes
+``forestgen/classes`` and ``forestgen/parts``.
+"""
 
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
@@ -12,13 +27,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import OutputError
-from forestgen.dataset.files import write_bytes
-from forestgen.dataset.legend import classes_text
+from forestgen.core.errors import DatasetError, OutputError
+from forestgen.core.parts import Part
+from forestgen.dataset.files import make_folder, write_bytes
+from forestgen.dataset.safe_path import SafePath, unreadable
+from forestgen.dataset.settings import DatasetSettings
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+LEGEND_NAME, THUMBNAILS = "classes.json", "thumbnails"
+LONG_SIDE_PX, _QUALITY = 256, 85  # of thumbnails
 _COMPRESS_LEVEL = 4
 MAX_PNG_ID = (1 << 24) - 1
 _PALETTE_COLOURS = 256  # those without a class are black
@@ -166,3 +185,78 @@ def _save(
     buffer = io.BytesIO()
     image.save(buffer, format="PNG", compress_level=compress_level, pnginfo=chunks)
     write_bytes(path, buffer.getvalue())
+
+
+def write_legend(root: Path, settings: DatasetSettings) -> None:
+    """Write classes.json into the data set's folder."""
+    palette = class_palette(len(settings.class_names))
+    legend = {
+        "semantic": _numbered(settings.class_names),
+        "semantic_colours": {str(i): colour for i, colour in enumerate(palette.tolist())},
+        "part": _numbered(_part_names()),
+        "categories": {str(i): name for i, name in enumerate(settings.category_names, start=1)},
+    }
+    lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(names)}" for key, names in legend.items())
+    write_bytes(root / LEGEND_NAME, f"{{\n{lines}\n}}\n".encode())
+
+
+def read_legend(split: SafePath) -> dict[str, Any]:
+    """classes.json of a split's folder; `semantic` counts from 0 and `categories` from 1, and both have names.
+
+    A file that is missing, damaged, or of another form raises `DatasetError`.
+    """
+    path = split / LEGEND_NAME
+    try:
+        content = path.read_json()
+    except (OSError, ValueError) as error:
+        raise unreadable(path, error, "forestgen verify checks all files") from error
+    for key, first in (("semantic", 0), ("categories", 1)):
+        named = content.get(key) if isinstance(content, dict) else None
+        is_named = isinstance(named, dict) and all(isinstance(one, str) for one in named.values())
+        if not is_named or set(named) != {str(number) for number in range(first, first + len(named))}:
+            expected = f"{key}: a name for each number, from {first} on"
+            raise DatasetError("a file is not what its name says", where=str(path), expected=expected)
+    return dict(content)
+
+
+def classes_text(class_names: Sequence[str]) -> str:
+    """Class number -> name, as JSON on one line."""
+    return json.dumps(_numbered(class_names))
+
+
+def parts_text() -> str:
+    """Part number -> name, as JSON on one line."""
+    return json.dumps(_numbered(_part_names()))
+
+
+def _part_names() -> list[str]:
+    return [part.name.lower() for part in Part]
+
+
+def _numbered(names: Sequence[str]) -> dict[str, str]:
+    return {str(number): name for number, name in enumerate(names)}
+
+
+def thumbnail_name(frame: str) -> str:
+    """Path of a frame's thumbnail below the data set's folder."""
+    return f"{THUMBNAILS}/{frame}.jpg"
+
+
+def write_thumbnail(frame_folder: Path, target: Path) -> None:
+    """Write a frame's preview.png, at most `LONG_SIDE_PX` long and never enlarged, as JPEG without a date.
+
+    The target's folder is made if it is missing. Without a preview to read it raises `OutputError`.
+    """
+    from PIL import Image
+
+    source = frame_folder / "preview.png"
+    buffer = io.BytesIO()
+    try:
+        with Image.open(source) as image:
+            picture = image.convert("RGB")
+            picture.thumbnail((LONG_SIDE_PX, LONG_SIDE_PX), Image.Resampling.LANCZOS, reducing_gap=None)
+            picture.save(buffer, "JPEG", quality=_QUALITY, optimize=True)
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow's for files that are cut short
+        raise OutputError("the preview cannot be read", where=str(source), got=str(error)) from error
+    make_folder(target.parent)
+    write_bytes(target, buffer.getvalue())

@@ -23,7 +23,6 @@ from forestgen.dataset.camera import write_camera
 from forestgen.dataset.exr import write_exr
 from forestgen.dataset.files import make_folder, write_bytes, write_json
 from forestgen.dataset.formats.format import load_formats
-from forestgen.dataset.legend import write_legend
 from forestgen.dataset.settings import DRAW, DatasetSettings
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.tonemap import preview_of
@@ -96,7 +95,7 @@ def write_frame(
 def write_dataset(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
     """Write classes.json, and join the shards of all frames; `folders` are the frames' or their names, in any order."""
     known = list(folders)
-    write_legend(root, settings, png.class_palette(len(settings.class_names)))
+    png.write_legend(root, settings)
     for one in load_formats(settings.formats):
         one.merge(root, known, settings)
 

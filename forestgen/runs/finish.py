@@ -22,9 +22,9 @@ from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats.format import known_formats, load_formats
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.manifest import SUMS_NAME, file_sum, write_sums
+from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.dataset.writer import write_map
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe

@@ -27,8 +27,8 @@ from forestgen.dataset.check.files import (
     read_text,
 )
 from forestgen.dataset.index import INDEX_NAME, read_index
+from forestgen.dataset.png import thumbnail_name, write_thumbnail
 from forestgen.dataset.safe_path import SafePath
-from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
 from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.description import this_version
 from forestgen.runs.records import in_order

@@ -15,9 +15,9 @@ from forestgen.dataset.check import Finding
 from forestgen.dataset.check.files import MISUNDERSTOOD, UnreadableError, misunderstood, read_json, read_text
 from forestgen.dataset.index import COLUMNS, INDEX_NAME, open_index, read_index
 from forestgen.dataset.manifest import MANIFEST_NAME
+from forestgen.dataset.png import thumbnail_name
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DRAW
-from forestgen.dataset.thumbnails import thumbnail_name
 from forestgen.recipe.dataset import split_of
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.map_files import recipe_hash

@@ -16,7 +16,6 @@ from PIL import Image
 
 from forestgen.dataset import png
 from forestgen.dataset.index import INDEX_NAME, write_index
-from forestgen.dataset.legend import write_legend
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.dataset import split_of
 
@@ -62,7 +61,7 @@ def write_data_set(
     folder.mkdir(parents=True, exist_ok=True)
     for split in {row["split"] for row in rows}:
         (folder / split).mkdir(exist_ok=True)
-        write_legend(folder / split, settings, png.class_palette(len(settings.class_names)))
+        png.write_legend(folder / split, settings)
     write_index(folder / INDEX_NAME, rows)
     (folder / "dataset.json").write_text(json.dumps(_card(images, rows, description)), encoding="utf-8")
     return rows

@@ -14,7 +14,6 @@ from forestgen.core.progress import Progress
 from forestgen.dataset.card import markdown_template
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.folder import OutputFolder
-from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
 from forestgen.dataset.pack.source import (
     Channel,
     Sample,
@@ -27,6 +26,7 @@ from forestgen.dataset.pack.source import (
     read_json,
     read_samples,
 )
+from forestgen.dataset.png import LEGEND_NAME
 from forestgen.dataset.safe_path import SafePath
 from forestgen.recipe.registries import PACKS
 from forestgen.recipe.sources import parse_yaml
@@ -179,7 +179,7 @@ def _write_rest(
 ) -> None:
     """classes.json, README.md, pack.json."""
     source, names = contents.source, [channel.name for channel in contents.channels]
-    write_bytes(folder / CLASSES_FILE, read_file(source.splits[0].folder / CLASSES_FILE))
+    write_bytes(folder / LEGEND_NAME, read_file(source.splits[0].folder / LEGEND_NAME))
     of_card, chapter = _card_of(source.root)
     code = _opening_code(form, "PATH", shards)
     text = readme_body(form.title, code, shards, source.classes, names) + chapter

@@ -19,8 +19,7 @@ from forestgen.dataset.exr_chunks import read_whole
 from forestgen.dataset.formats.depth_png import SCALE_NAME
 from forestgen.dataset.formats.shards import json_text
 from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
-from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
-from forestgen.dataset.legend import read_legend
+from forestgen.dataset.png import LEGEND_NAME, read_legend
 from forestgen.dataset.safe_path import SafePath, load_json, unreadable
 
 T = TypeVar("T")
@@ -149,10 +148,10 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
 def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
     classes = read_legend(splits[0].folder)
     for split in splits[1:]:
-        if read_json(split.folder / CLASSES_FILE) != classes:
+        if read_json(split.folder / LEGEND_NAME) != classes:
             raise DatasetError(
                 "splits differ in the numbers of their classes",
-                where=str(split.folder / CLASSES_FILE),
+                where=str(split.folder / LEGEND_NAME),
                 expected=f"the same as in {splits[0].name}",
                 hint="pack them one by one, with `splits`",
             )

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from forestgen.dataset.png import thumbnail_name
 from forestgen.dataset.report.charts import percent
 from forestgen.dataset.report.frames import Frames
 from forestgen.dataset.safe_path import SafePath
-from forestgen.dataset.thumbnails import thumbnail_name
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -15,8 +15,7 @@ from typing import Any, get_args
 
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.index import INDEX_NAME
-from forestgen.dataset.legend import FILE_NAME as LEGEND_NAME
-from forestgen.dataset.png import class_palette
+from forestgen.dataset.png import LEGEND_NAME, class_palette
 from forestgen.dataset.report.frames import Frames, no_frames, read_frames
 from forestgen.dataset.safe_path import SafePath, check_folder, load_json
 

@@ -8,8 +8,7 @@ from PIL import Image
 
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.manifest import file_sum, read_sums, write_sums
-from forestgen.dataset.png import write_rgb
-from forestgen.dataset.thumbnails import LONG_SIDE_PX, write_thumbnail
+from forestgen.dataset.png import LONG_SIDE_PX, write_rgb, write_thumbnail
 
 
 def frame(folder, width, height):
