@@ -23,7 +23,7 @@ from forestgen.core.processes import without_main
 from forestgen.core.progress import Progress, Silent
 from forestgen.core.registry import Registration, register_again, registrations
 from forestgen.core.threads import cores
-from forestgen.dataset.check import geometry, light, manifest, masks, plants
+from forestgen.dataset.check import geometry, light, masks, merged, plants
 from forestgen.dataset.check.files import MISUNDERSTOOD, Finding, UnreadableError
 from forestgen.dataset.check.frame_data import FrameCheck, FrameData, FrameTask
 from forestgen.dataset.check.merged import UNKNOWN, DatasetCheck, Merged, following_frames, open_dataset
@@ -35,12 +35,12 @@ MOST_NAMED = 1000  # findings of one check that are named; the others are counte
 
 # Of a frame's own labels, in the order in which they run. Those of each registered format follow.
 _FRAME_CHECKS = (
-    manifest.files, geometry.camera, masks.ids, masks.instance_png, masks.parts, masks.semantic, manifest.names,
+    merged.files, geometry.camera, masks.ids, masks.instance_png, masks.parts, masks.semantic, merged.names,
     masks.coverage, plants.visible, plants.areas, plants.stems, plants.measures, plants.keypoints, plants.places,
     plants.amodal, geometry.depth, geometry.sky, geometry.circle, geometry.position, geometry.normals, geometry.centre,
     masks.branches, light.radiance, light.header, light.raw, light.surfaces, geometry.motion,
 )  # fmt: skip
-_DATASET_CHECKS = (manifest.listing, manifest.legend)
+_DATASET_CHECKS = (merged.listing, merged.legend)
 
 Named = tuple[list[Finding], int]  # a check's findings that are named, and the number of all
 
@@ -62,8 +62,8 @@ def check_dataset(root: Path, *, jobs: int | None = None, progress: Progress | N
     ----------
     jobs : worker processes; by default the cores. No result depends on it.
     """
-    merged = open_dataset(root)
-    tasks = _tasks(merged)
+    data_set = open_dataset(root)
+    tasks = _tasks(data_set)
     looked_at, found = Counter[str](), Counter[str]()
     findings: list[Finding] = []
 
@@ -78,8 +78,8 @@ def check_dataset(root: Path, *, jobs: int | None = None, progress: Progress | N
                 add(check, named, count)
             advance(1)
     for one in _dataset_checks():
-        if one.applies(merged):
-            own = list(one.findings(merged))
+        if one.applies(data_set):
+            own = list(one.findings(data_set))
             add(one.name, own, len(own))
     return Report(len(tasks), looked_at, tuple(findings), found.total())
 
@@ -125,33 +125,27 @@ def _applies(check: FrameCheck, data: FrameData) -> bool:
         return True
 
 
-def _tasks(merged: Merged) -> list[FrameTask]:
-    listed: dict[str, dict[str, Any]] = {name: {} for name in merged.frames}
-    for name, entry in merged.listed.items():
+def _tasks(data_set: Merged) -> list[FrameTask]:
+    listed: dict[str, dict[str, Any]] = {name: {} for name in data_set.frames}
+    for name, entry in data_set.listed.items():
         frame = name.partition("/")[0]
         if "/" in name and frame in listed:
             listed[frame][name] = entry
-    following = following_frames(merged.root, merged.frames)
-    shares = _shares(merged)
+    following = following_frames(data_set.root, data_set.frames)
+    shares = {}  # format -> frame -> what can be read of it in merged files; the format's own checks report the rest
+    for one in known_formats():
+        with suppress(UnreadableError, *MISUNDERSTOOD):
+            shares[one.name] = one.frame_shares(data_set)
     return [
         FrameTask(
-            root=merged.root,
+            root=data_set.root,
             name=name,
             listed=listed[name],
             shared={format_name: by_frame[name] for format_name, by_frame in shares.items() if name in by_frame},
             following=following.get(name),
         )
-        for name in merged.frames
+        for name in data_set.frames
     ]
-
-
-def _shares(merged: Merged) -> dict[str, Mapping[str, Any]]:
-    """Format -> frame -> what can be read of it in the format's merged files; its own checks report the rest."""
-    found = {}
-    for one in known_formats():
-        with suppress(UnreadableError, *MISUNDERSTOOD):
-            found[one.name] = one.frame_shares(merged)
-    return found
 
 
 def _frame_results(tasks: Sequence[FrameTask], jobs: int) -> Iterator[dict[str, Named]]:
