@@ -101,12 +101,8 @@ def write_parts(
 ) -> None:
     """Write parts of (H, W) channels; a failure raises `OutputError`.
 
-    A single part makes a file that old readers know, without name.
-
-    Parameters
-    ----------
-    header : attributes of all parts.
-    own : part -> attributes that it has besides, or instead.
+    `header` are attributes of all parts, `own` those that a part has besides, or instead. A single part makes a file
+    that old readers know, without name.
     """
     import OpenEXR
 

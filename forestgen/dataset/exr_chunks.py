@@ -45,13 +45,8 @@ class _Part(NamedTuple):
 def check_chunks(content: bytes, *, unpack: bool = True) -> int:
     """Number of parts of a file that the library would read in full.
 
-    Parameters
-    ----------
-    unpack : unpack every block too, which takes as long as to read the file; without it a changed bit may be missed.
-
-    Raises
-    ------
-    ValueError : the file is cut short, damaged, of another kind than forestgen writes, or larger than the free memory.
+    `unpack` every block too, which takes as long as to read the file; without it a changed bit may be missed. A file
+    that is cut short, damaged, of another kind than forestgen writes, or larger than the free memory, is a ValueError.
     """
     try:
         return _check_chunks(content, unpack)

@@ -133,11 +133,7 @@ def frame_row(
 ) -> dict[str, Any]:
     """A frame's row of the index: plain values (numbers, texts, lists, dicts of them), the same in every run.
 
-    Parameters
-    ----------
-    name : of the frame's folder.
-    ground_m : height of the ground below the camera, world.
-    notes : for people.
+    `name` is the folder's, `ground_m` the height of the ground below the camera, world; `notes` are for people.
     """
     return {
         "frame": name,

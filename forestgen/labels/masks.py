@@ -84,12 +84,8 @@ def semantic_mask(
 ) -> NDArray[np.uint8]:
     """(H, W) class of each pixel, by the species of its instance and its part.
 
-    Parameters
-    ----------
-    instance, part : (H, W), from `instance_mask` and `part_mask`; an id that is not in `plant_id` raises `ValueError`.
-    plant_id : (N,) uint32, sorted: the population.
-    species : (N,) index of each plant's species in the recipe's order.
-    class_of : (species + 1, parts) from `forestgen.labels.classes.ClassMap`; its last row is for what is no plant.
+    `class_of` is that of a `ClassMap`, `species` (N,) the numbers of the plants of `plant_id`, sorted. An instance that
+    is not among them raises `ValueError`.
     """
     kind = np.full(instance.shape, len(class_of) - 1, dtype=np.intp)
     is_plant = instance != 0
@@ -157,14 +153,7 @@ def pixel_labels(
     species: NDArray[np.integer],
     classes: ClassMap,
 ) -> PixelLabels:
-    """Label an image.
-
-    Parameters
-    ----------
-    samples, part : (H, W, S) plant and part that each sample of the identity pass hit.
-    plant_id : (N,) uint32, sorted: the population.
-    species : (N,) index of each plant's species in the recipe's order.
-    """
+    """Label an image of samples (H, W, S) of plants and parts; plants (N,), ids sorted, and their species' numbers."""
     ranks = coverage_ranks(samples)
     instance = ranks.plant_id[..., 0].copy()
     parts = part_mask(samples, part, instance)

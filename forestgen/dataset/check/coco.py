@@ -253,12 +253,7 @@ def _box(frame: FrameData, plant: int) -> list[int]:
 
 
 def run_lengths(code: Any, size_px: tuple[int, int]) -> NDArray[np.int64]:
-    """(R,) lengths of runs of zeros and ones in turn.
-
-    Raises
-    ------
-    ValueError : the code is none, or its runs do not fill an image of width and height `size_px`.
-    """
+    """(R,) lengths of runs of zeros and ones in turn; `ValueError`: they do not fill an image of width and height."""
     width, height = size_px
     if not isinstance(code, dict) or list(code.get("size", ())) != [height, width]:
         raise ValueError(f"the code's size is not [{height}, {width}]")

@@ -56,12 +56,7 @@ class Report:
 
 
 def check_dataset(root: Path, *, jobs: int | None = None, progress: Progress | None = None) -> Report:
-    """Check a data set's folder; one that is no data set of forestgen raises `RecipeError`.
-
-    Parameters
-    ----------
-    jobs : worker processes; by default the cores. No result depends on it.
-    """
+    """Check a data set's folder, by so many processes; one that is no data set of forestgen raises `RecipeError`."""
     data_set = open_dataset(root)
     tasks = _tasks(data_set)
     looked_at, found = Counter[str](), Counter[str]()

@@ -120,12 +120,9 @@ def write_merged(
     categories: list[dict[str, Any]],
     settings: DatasetSettings,
 ) -> None:
-    """Write a COCO file over all frames. No date in it: equal data sets have equal files.
+    """Write a COCO file over all frames, `shards` being each one's folder and share in the order of the images.
 
-    Parameters
-    ----------
-    shards : each frame's folder and share, in the order of the images.
-    annotations_of : the annotations of such a frame, without their `image_id`.
+    `annotations_of` such a frame have no `image_id` yet. No date in the file: equal data sets have equal files.
     """
     images: list[dict[str, Any]] = []
     licences = [{"id": 1, "name": settings.licence_name, "url": settings.licence_url}] if settings.licence_name else []

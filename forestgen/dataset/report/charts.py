@@ -244,13 +244,7 @@ class Ranges:
 
 
 def ranges(values: Mapping[str, NDArray[np.float64]], title: str, x_title: str, unit: str) -> Ranges | None:
-    """Quantiles of several quantities, a row each; None if nothing is known of any.
-
-    Parameters
-    ----------
-    values : name -> (N,) positive numbers; NaN and what is not positive count as unknown.
-    unit : of the numbers beside the rows.
-    """
+    """Quantiles of positive numbers (N,), a row a name; NaN and others are unknown. None if nothing is known of any."""
     known = {name: column[np.isfinite(column) & (column > 0)] for name, column in values.items()}
     found = {name: np.quantile(column, _QUANTILES) for name, column in known.items() if len(column)}
     if not found:
@@ -287,13 +281,7 @@ class Polar:
 
 
 def sun_plot(azimuth_deg: NDArray[np.float64], elevation_deg: NDArray[np.float64]) -> Polar | None:
-    """Suns above the horizon, counted by cell; None if no sun is known.
-
-    Parameters
-    ----------
-    azimuth_deg : (N,) clockwise from north; NaN where a frame has no sun.
-    elevation_deg : (N,) above the horizon.
-    """
+    """Suns (N,) above the horizon, counted by cell; NaN where a frame has none. None if no sun is known."""
     known = np.isfinite(azimuth_deg) & np.isfinite(elevation_deg)
     if not known.any():
         return None

@@ -64,14 +64,9 @@ class Balance:
 def balance(
     counted: Sequence[Mapping[str, int] | None], split: Sequence[str], names: Sequence[str], splits: Sequence[str]
 ) -> Balance:
-    """Sum counts by name and split.
+    """Sum counts of frames, name -> count or None if nothing is known, by name and by the frame's split.
 
-    Parameters
-    ----------
-    counted : name -> count for each frame; None where nothing is known of a frame.
-    split : of each frame.
-    names : all that can occur, such as the legend's classes; others that do are added.
-    splits : all splits, in the order to show them.
+    `names` are all that can occur, such as the legend's classes; others that do are added.
     """
     occurring = {name for one in counted if one for name in one}
     known = tuple(dict.fromkeys([*names, *sorted(occurring)]))

@@ -226,13 +226,7 @@ class Source:
 
 
 def open_source(folder: Path) -> Source:
-    """Read a data set, finished or not.
-
-    Raises
-    ------
-    RecipeError : there is no such folder, or it holds no data set.
-    DatasetError : its index is damaged.
-    """
+    """Read a data set, finished or not; a folder of none raises `RecipeError`, a damaged index `DatasetError`."""
     check_folder(folder, "a folder that forestgen render, batch or merge wrote")
     notes: list[str] = []
     card = _read_json(SafePath(folder, _CARD_NAME), notes)
