@@ -40,7 +40,11 @@ def cryptomatte(frame: FrameData) -> Iterator[Finding | Wrong]:
     plant_of = {int(code, 16): int(name.rpartition("_")[2]) for name, code in manifests[_LAYER].items()}
     for plant in sorted(set(plant_of.values()) - set(frame.row_of)):
         yield finding("a named plant is not in plants.parquet", "a row of it", plant_id=plant)
-    ids, share = _ranks(channels)
+    levels = [(f"{_LAYER}{rank // 2:02d}", ("RG", "BA")[rank % 2]) for rank in range(_RANKS)]
+    ids = np.stack(
+        [np.ascontiguousarray(channels[f"{one}.{pair[0]}"]).view(np.uint32) for one, pair in levels], axis=-1
+    )
+    share = np.stack([channels[f"{one}.{pair[1]}"] for one, pair in levels], axis=-1)
     if share.shape[:2] != frame.instance.shape:
         yield finding("the picture has another size than frame.exr", got=share.shape[1::-1])
         return
@@ -106,14 +110,6 @@ def _manifests(header: dict[str, Any]) -> dict[str, dict[str, str]]:
         if key.startswith("cryptomatte/") and key.endswith("/name"):
             found[str(value)] = dict(load_json(header[key.removesuffix("name") + "manifest"]))
     return found
-
-
-def _ranks(channels: dict[str, NDArray[Any]]) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """(H, W, 8) bits of ids and coverages of the layer of plants."""
-    names = [(f"{_LAYER}{rank // 2:02d}", "RG" if rank % 2 == 0 else "BA") for rank in range(_RANKS)]
-    ids = [np.ascontiguousarray(channels[f"{level}.{pair[0]}"]).view(np.uint32) for level, pair in names]
-    share = [channels[f"{level}.{pair[1]}"] for level, pair in names]
-    return np.stack(ids, axis=-1), np.stack(share, axis=-1)
 
 
 def _without_background(

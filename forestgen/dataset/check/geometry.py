@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -168,12 +167,8 @@ def camera(frame: FrameData) -> Iterator[Finding]:
         yield finding("the focal length of K is not that of hfov_deg", focal_of_angle, focal)
     header = frame.exr_camera
     for key in ("model", "K", "hfov_deg", "width_m", "lens", "camera_from_world", "position_m", "size_px"):
-        if header is not None and key in header and not _equal(model.values.get(key), header[key]):
+        if header is not None and key in header and model.values.get(key) != header[key]:
             yield finding(f"{key} differs from frame.exr's header", header[key], model.values.get(key))
-
-
-def _equal(one: Any, other: Any) -> bool:
-    return bool(one == other) if isinstance(other, str | dict) else bool(np.array_equal(one, other))
 
 
 @frame_check(
@@ -194,8 +189,13 @@ def motion(frame: FrameData) -> Iterator[Wrong]:
         return  # the next frame's own checks say so
     way, depth, slant = _by_cameras(frame, camera.position_m, following)
     behind = depth <= 0
-    moves = _in_wind(frame)
-    sure = (np.abs(depth) > _GRAZING * slant) & ~moves & ~_at_circle(frame, following, way)
+    moves = np.zeros(frame.instance.shape, dtype=bool)  # what may move by itself
+    if float(frame.recipe["wind"].get("speed_m_per_s", 0.0)) != 0.0 and frame.has_part("identity", "centre.plant_id"):
+        moves = frame.exr["identity"]["centre.plant_id"] != 0
+    sure = (np.abs(depth) > _GRAZING * slant) & ~moves
+    beyond_px = following.camera.geometry.beyond_rim_px(pixel_centres(frame.size_px) + way)
+    if beyond_px is not None:  # where rounding decides on which side of a fisheye's circle a point lands
+        sure &= ~(np.abs(beyond_px) < _MOTION_PX)
     yield Wrong(sure & (behind != unknown), "NaN is for points behind the next camera", "NaN there alone", vector)
     still = ~unknown & ~behind & sure
     off = np.sqrt(((vector - way) ** 2).sum(axis=-1))
@@ -208,14 +208,6 @@ def motion(frame: FrameData) -> Iterator[Wrong]:
         here, there = frame.exr["depth"]["Z"].astype(np.float64), np.where(depth > 0, depth, np.inf)
         smaller = frame.camera.pixels_a_metre(here) > _SMALLER * following.camera.pixels_a_metre(there)
         yield from _landings(frame, following, vector, moves & ~unknown & ~smaller, depth)
-
-
-def _in_wind(frame: FrameData) -> NDArray[np.bool_]:
-    """(H, W) whether the centre's surface may move by itself."""
-    is_calm = float(frame.recipe["wind"].get("speed_m_per_s", 0.0)) == 0.0
-    if is_calm or not frame.has_part("identity", "centre.plant_id"):
-        return np.zeros(frame.instance.shape, dtype=bool)
-    return np.asarray(frame.exr["identity"]["centre.plant_id"] != 0)
 
 
 def _by_cameras(
@@ -237,14 +229,6 @@ def _by_cameras(
         around = following.camera.size_px[0]
         way[..., 0] = (way[..., 0] + around / 2) % around - around / 2
     return way, depth, np.sqrt((seen**2).sum(axis=-1))
-
-
-def _at_circle(frame: FrameData, following: FrameData, way: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(H, W) whether a point lands so near to a fisheye's circle that rounding decides on which side."""
-    beyond_px = following.camera.geometry.beyond_rim_px(pixel_centres(frame.size_px) + way)
-    if beyond_px is None:
-        return np.zeros(frame.instance.shape, dtype=bool)
-    return np.asarray(np.abs(beyond_px) < _MOTION_PX)
 
 
 def _landings(

@@ -191,15 +191,11 @@ def following_frames(root: Path, frames: Sequence[str]) -> dict[str, str]:
             unsure.add(image)
     following = {frame: UNKNOWN for frame in frames if frame.partition("-")[0] in unsure}
     for way in members.values():
-        pairs = pairwise(name for _, name in sorted(way))
-        following |= {one: UNKNOWN if _is_gap(one, other) else other for one, other in pairs}
+        for one, other in pairwise(name for _, name in sorted(way)):
+            numbers = [name.rpartition("-")[2] for name in (one, other)]  # of names such as NAME-0000, NAME-0001, ...
+            is_gap = all(map(str.isdecimal, numbers)) and int(numbers[1]) != int(numbers[0]) + 1
+            following[one] = UNKNOWN if is_gap else other
     return following
-
-
-def _is_gap(one: str, other: str) -> bool:
-    """Whether numbers are left out between two frames' names, NAME-0000, NAME-0001, ..."""
-    numbers = [name.rpartition("-")[2] for name in (one, other)]
-    return all(map(str.isdecimal, numbers)) and int(numbers[1]) != int(numbers[0]) + 1
 
 
 @frame_check("files", "")
