@@ -178,11 +178,9 @@ def read_index(path: Path) -> Iterator[dict[str, Any]]:
 
     A file that is missing, or no index, raises `DatasetError`.
     """
-    maps = [name for name, kind in COLUMNS.items() if kind == _BY_NAME]
     with open_index(path, ("frame", "folder", "split", "image")) as file:
         for number in range(file.num_row_groups):
-            for row in file.read_row_group(number).to_pylist():
-                yield row | {name: dict(row[name]) for name in maps if row.get(name) is not None}
+            yield from plain_rows(file.read_row_group(number), path)
 
 
 @contextmanager
@@ -197,8 +195,7 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
     try:
         with SafePath(path.parent, path.name).open() as stream, pq.ParquetFile(stream) as file:
             names = file.schema_arrow.names
-            missing = [name for name in needed if name not in names]
-            if missing:
+            if missing := [name for name in needed if name not in names]:
                 expected = f"columns {', '.join(missing)}"
                 raise DatasetError("this is no index of forestgen", where=str(path), expected=expected)
             check_cells(file.metadata.num_rows, len(names))

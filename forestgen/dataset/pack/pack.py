@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,11 @@ def pack(
     _check_apart(root, target)
     folders = source.folders
     chosen = choose_channels(folders, channels)
-    names, contents = _split_names(source, form), Contents(source, chosen, shard_bytes)
+    contents = Contents(source, chosen, shard_bytes)
+    names = {split.name: form.split_name(split.name) for split in source.splits}
+    if len(set(names.values())) < len(names):
+        problem, hint = "two splits would have the same name, for hyphens become underscores", "pack them one by one"
+        raise RecipeError(problem, parameter="splits", got=", ".join(names), hint=hint)
     needed = len(folders) * (form.frame_bytes + len(chosen) * form.channel_bytes)
     with progress.stage("looking", len(folders)) as advance:
         for frame in folders:
@@ -152,26 +157,10 @@ def _opening_code(form: Pack, target: Path | str, shards: Mapping[str, Sequence[
 
 
 def _check_apart(root: Path, target: Path) -> None:
-    try:
-        inside = target.resolve().is_relative_to(root.resolve())
-    except (OSError, RuntimeError):
-        return  # OutputFolder reports what is wrong with the path
-    if inside:
-        problem = "the pack would lie inside the data set"
-        raise OutputError(problem, where=str(target), hint=f"choose a folder beside {root}")
-
-
-def _split_names(source: Source, form: Pack) -> dict[str, str]:
-    """Split -> its name in the pack."""
-    names = {split.name: form.split_name(split.name) for split in source.splits}
-    if len(set(names.values())) < len(names):
-        raise RecipeError(
-            "two splits would have the same name, for hyphens become underscores",
-            parameter="splits",
-            got=", ".join(names),
-            hint="pack them one by one",
-        )
-    return names
+    with suppress(OSError, RuntimeError):  # OutputFolder reports what is wrong with the path
+        if target.resolve().is_relative_to(root.resolve()):
+            problem = "the pack would lie inside the data set"
+            raise OutputError(problem, where=str(target), hint=f"choose a folder beside {root}")
 
 
 def _write_rest(

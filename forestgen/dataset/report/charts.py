@@ -287,10 +287,8 @@ def sun_plot(azimuth_deg: NDArray[np.float64], elevation_deg: NDArray[np.float64
         return None
     azimuth, elevation = azimuth_deg[known] % 360.0, elevation_deg[known]
     up = elevation >= 0
-    column = (azimuth[up] // _AZIMUTH_STEP_DEG).astype(int) % (360 // _AZIMUTH_STEP_DEG)
-    row = np.minimum(elevation[up] // _ELEVATION_STEP_DEG, 90 // _ELEVATION_STEP_DEG - 1).astype(int)
-    counts = np.zeros((90 // _ELEVATION_STEP_DEG, 360 // _AZIMUTH_STEP_DEG), dtype=np.int64)
-    np.add.at(counts, (row, column), 1)
+    edges = np.arange(0, 91, _ELEVATION_STEP_DEG), np.arange(0, 361, _AZIMUTH_STEP_DEG)
+    counts = np.histogram2d(elevation[up], azimuth[up], edges)[0].astype(np.int64)
     wedges = tuple(_wedge(i, j, counts) for i, j in np.argwhere(counts))
     dots = tuple(map(_spot, azimuth[up], elevation[up])) if up.sum() <= _MOST_DOTS else ()
     rings = tuple((_radius(degrees), f"{degrees}°") for degrees in (0, 30, 60))

@@ -162,7 +162,8 @@ def correlations(frames: Frames, drawn: Sequence[str]) -> list[Correlation]:
 
 def standard_ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Ranks, ties sharing their mean, of mean 0 and length 1, so that a product of two is their correlation."""
-    _, place, ties = np.unique(values, return_inverse=True, return_counts=True)
-    ranks = (np.cumsum(ties) - (ties - 1) / 2)[place]
+    from scipy.stats import rankdata
+
+    ranks = rankdata(values)
     ranks = ranks - ranks.mean()
     return np.asarray(ranks / np.linalg.norm(ranks), dtype=np.float64)
