@@ -13,8 +13,8 @@ Largest files that are read in one piece:
 | other texts: .json, .yaml, .txt, .md | 64 MB |
 | all others: pictures, tables, maps | 16 GB |
 
-and in no case more than the free memory. No file is larger than 64 GB. JSON has at most 100 levels, whole numbers of at
-most 40 digits, others below 1e100, and whole characters.
+and in no case more than the free memory. No file is larger than 64 GB. JSON has at most 100 levels, numbers of at most
+40 digits and below 1e100, and whole characters.
 """
 
 from __future__ import annotations

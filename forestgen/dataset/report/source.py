@@ -13,9 +13,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, get_args
 
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.index import INDEX_NAME
-from forestgen.dataset.png import LEGEND_NAME, class_palette
+from forestgen.dataset.png import LEGEND_NAME, class_palette, read_legend
 from forestgen.dataset.report.frames import Frames, no_frames, read_frames
 from forestgen.dataset.safe_path import SafePath, check_folder, load_json
 
@@ -245,28 +245,22 @@ def open_source(folder: Path) -> Source:
 
 def _read_legend(folder: Path, splits: tuple[str, ...], notes: list[str]) -> Legend:
     """classes.json of the first split that has one: all splits have the same."""
-    path = next((path for split in splits if (path := SafePath(folder, split) / LEGEND_NAME).is_file()), None)
-    content = {} if path is None else _read_json(path, notes)
-    names = _in_order(_of(content, "semantic", dict))
+    split = next((one for name in splits if ((one := SafePath(folder, name)) / LEGEND_NAME).is_file()), None)
+    if split is None:
+        return Legend()
+    try:
+        content = read_legend(split)
+    except DatasetError:
+        notes.append(f"{LEGEND_NAME} cannot be read.")
+        return Legend()
+    names = [content["semantic"][str(number)] for number in range(len(content["semantic"]))]
     colours = dict(zip(names, class_palette(len(names)).tolist(), strict=True))
-    for key, rgb in _of(content, "semantic_colours", dict).items():
-        if _is_number(key) and int(key) < len(names) and _is_colour(rgb):
-            colours[names[int(key)]] = rgb
+    for number, name in enumerate(names):
+        rgb = _of(_of(content, "semantic_colours", dict), str(number), list)
+        if len(rgb) == 3 and all(isinstance(one, int) and 0 <= one < 256 for one in rgb):
+            colours[name] = rgb
     hexadecimal = {name: "#{:02x}{:02x}{:02x}".format(*rgb) for name, rgb in colours.items()}
-    return Legend(names, hexadecimal, _in_order(_of(content, "categories", dict)))
-
-
-def _in_order(numbered: Mapping[str, Any]) -> tuple[str, ...]:
-    names = sorted(numbered, key=int) if all(map(_is_number, numbered)) else []
-    return tuple(str(numbered[key]) for key in names)
-
-
-def _is_number(key: str) -> bool:
-    return key.isdecimal() and len(key) < 10
-
-
-def _is_colour(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 3 and all(isinstance(v, int) and 0 <= v < 256 for v in value)
+    return Legend(tuple(names), hexadecimal, tuple(content["categories"].values()))
 
 
 def _read_json(path: SafePath, notes: list[str]) -> dict[str, Any]:
