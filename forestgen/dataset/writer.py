@@ -23,6 +23,7 @@ from forestgen.dataset.camera import write_camera
 from forestgen.dataset.exr import write_exr
 from forestgen.dataset.files import make_folder, write_bytes, write_json
 from forestgen.dataset.formats.format import load_formats
+from forestgen.dataset.formats.shards import finite
 from forestgen.dataset.settings import DRAW, DatasetSettings
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.tonemap import preview_of
@@ -193,8 +194,8 @@ def _light(radiance: Radiance) -> dict[str, Any]:
     return {
         "channels": list(radiance.channels),
         "samples": int(radiance.samples),
-        "relative_error": _known(radiance.relative_error),
-        "relative_error_p95": _known(radiance.relative_error_p95),
+        "relative_error": finite(radiance.relative_error),
+        "relative_error_p95": finite(radiance.relative_error_p95),
         "stopped_by": radiance.stopped_by,
     }
 
@@ -240,10 +241,6 @@ def _by_name(
     """How often each number occurs, or the sum of its weights, by name; what does not occur is left out."""
     counts = np.bincount(number, weights=weight, minlength=len(names))
     return {str(names[index]): int(counts[index]) for index in np.flatnonzero(counts).tolist()}
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _mean(values: NDArray[Any]) -> float | None:

@@ -13,6 +13,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
+from forestgen.core.figures import show_bytes
 from forestgen.dataset.formats.shards import whole_file
 from forestgen.dataset.report import charts, content_sections, run_sections
 from forestgen.dataset.report.charts import Fact, Section, listed
@@ -99,7 +100,7 @@ def _headline(source: Source) -> list[Fact]:
     if np.isfinite(pixels).any():
         facts.append(Fact(charts.short(np.nansum(pixels)), "pixels labelled"))
     if source.metadata.bytes:
-        facts.append(Fact(run_sections.size_text(source.metadata.bytes), "on disk"))
+        facts.append(Fact(show_bytes(source.metadata.bytes), "on disk"))
     return facts
 
 

@@ -260,7 +260,11 @@ def _read_legend(folder: Path, splits: tuple[str, ...], notes: list[str]) -> Leg
         if len(rgb) == 3 and all(isinstance(one, int) and 0 <= one < 256 for one in rgb):
             colours[name] = rgb
     hexadecimal = {name: "#{:02x}{:02x}{:02x}".format(*rgb) for name, rgb in colours.items()}
-    return Legend(tuple(names), hexadecimal, tuple(content["categories"].values()))
+    return Legend(
+        tuple(names),
+        hexadecimal,
+        tuple(content["categories"][str(number + 1)] for number in range(len(content["categories"]))),
+    )
 
 
 def _read_json(path: SafePath, notes: list[str]) -> dict[str, Any]:
