@@ -61,14 +61,14 @@ class Sizes(DatasetFormat):
 
 
 def _size(frame: FrameData) -> Iterator[Finding]:
-    said = read_json(frame.task.root, frame.file(SHARD))["size_px"]
+    said = read_json(frame.root, frame.file(SHARD))["size_px"]
     if tuple(said) != frame.camera.size_px:
         yield finding("another size", frame.camera.size_px, said)
 
 
 @frame_check("whole size", WHOLE, share="sizes", shared=True)
 def _whole_size(frame: FrameData) -> Iterator[Finding]:
-    said = frame.task.shared["sizes"]
+    said = frame.shared["sizes"]
     if tuple(said) != frame.camera.size_px:
         yield finding("another size", frame.camera.size_px, said)
 

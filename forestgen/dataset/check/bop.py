@@ -56,7 +56,7 @@ def structure(merged: Merged) -> Iterator[Finding]:
 @frame_check("bop", _FOLDER, share=_FOLDER, shared=True)
 def plants(frame: FrameData) -> Iterator[Finding]:
     """The plants of the mask by rising id, with the counts of visible and amodal masks, and their pictures."""
-    share = frame.task.shared[_FOLDER]
+    share = frame.shared[_FOLDER]
     scene, image = PurePosixPath(share["scene"]), int(share["image"])
     yield from _camera(frame, share, str(scene / "scene_camera.json"))
     listed = [one["plant_id"] for one in share["gt"]]
@@ -108,7 +108,7 @@ def _info(frame: FrameData, file: str, row: int, info: dict[str, Any]) -> Iterat
 
 def _mask(frame: FrameData, file: str, folder: str, row: int) -> Iterator[Finding]:
     plant = int(frame.extents.plant_id[row])
-    mask = read_picture(frame.task.root, file)
+    mask = read_picture(frame.root, file)
     if mask.shape != frame.instance.shape or not np.isin(mask, (0, 255)).all():
         yield finding("this is no mask of the image's size", "0 and 255", mask.shape, plant, file=file)
         return

@@ -86,7 +86,7 @@ def structure(merged: Merged) -> Iterator[Finding]:
 @frame_check("coco", _FILE, share=_FORMAT, shared=True)
 def plants(frame: FrameData) -> Iterator[Finding]:
     """The plants of the image are annotated, each once, with its own box, area and mask."""
-    share = frame.task.shared[_FORMAT]
+    share = frame.shared[_FORMAT]
     image, found = share["image"], share["annotations"]
     if (image["width"], image["height"]) != frame.size_px:
         yield finding("the image has another size", frame.size_px, (image["width"], image["height"]))
@@ -226,7 +226,7 @@ def keypoints(frame: FrameData) -> Iterator[Finding]:
 @frame_check("coco shard", _SHARD, files=(_SHARD,), share=_FORMAT)
 def shard(frame: FrameData) -> Iterator[Finding]:
     """The frame's own annotations.json holds what coco.json holds of it."""
-    own, share = read_json(frame.task.root, frame.file(_SHARD))["annotations"], _annotations(frame)
+    own, share = read_json(frame.root, frame.file(_SHARD))["annotations"], _annotations(frame)
     if len(own) != len(share):
         yield finding(f"{_SHARD} has another number of annotations", len(own), len(share))
     listed = {one["plant_id"]: one for one in own}
@@ -242,7 +242,7 @@ def shard(frame: FrameData) -> Iterator[Finding]:
 
 
 def _annotations(frame: FrameData) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = frame.task.shared[_FORMAT]["annotations"]
+    found: list[dict[str, Any]] = frame.shared[_FORMAT]["annotations"]
     return found
 
 

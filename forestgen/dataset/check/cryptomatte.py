@@ -29,7 +29,7 @@ _TOLERANCE = 1e-6
 @frame_check("cryptomatte", _FILE, files=(_FILE,))
 def cryptomatte(frame: FrameData) -> Iterator[Finding | Wrong]:
     """Every name has the standard's id; plants and shares are those of frame.exr's ranks, or suit its mask."""
-    parts, header = read_exr(frame.task.root, frame.file(_FILE))
+    parts, header = read_exr(frame.root, frame.file(_FILE))
     channels = next(iter(parts.values()))
     manifests = _manifests(header)
     for layer, names in manifests.items():

@@ -17,7 +17,7 @@ _HALF = 0.5 + 1e-6  # a step; float32 against decimal
 @frame_check("depth.png", _PICTURE, files=(_PICTURE,), exr=("depth Z",))
 def depth_png(frame: FrameData) -> Iterator[Finding | Wrong]:
     """Steps times unit_m is the depth within half a step."""
-    unit_m = float(read_json(frame.task.root, frame.file(_SCALE))["unit_m"])
+    unit_m = float(read_json(frame.root, frame.file(_SCALE))["unit_m"])
     if not 0 < unit_m < np.inf:
         yield finding("unit_m is no length", "metres, more than 0 and finite", unit_m, file=frame.file(_SCALE))
         return

@@ -40,34 +40,23 @@ _BOX = ("box_x", "box_y", "box_w", "box_h")
 _PLANT_COLUMNS = ("plant_id", "species", "visible_pixels", "visible_area_px", *_BOX, "truncated")
 
 
-@dataclass(frozen=True)
-class FrameTask:
-    """What a worker gets of a frame: plain values, so that it can cross to another process."""
+@dataclass
+class FrameData:
+    """A frame's files as arrays, each read when it is first asked for; before, it can cross to another process."""
 
     root: Path
     name: str  # of the frame's folder
-    listed: Mapping[str, Mapping[str, Any]]  # manifest's entries of this frame: path relative to the root -> entry
-    shared: Mapping[str, Any]  # format -> what its merged files hold of this frame
-    following: str | None = None  # folder of the sequence's next frame; None: there is none
-
-
-@dataclass
-class FrameData:
-    """A frame's files as arrays, each read when it is first asked for."""
-
-    task: FrameTask
-    following: FrameData | None = field(default=None, repr=False)
-
-    @property
-    def name(self) -> str:
-        return self.task.name
+    listed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # manifest's entries: path from root -> entry
+    shared: Mapping[str, Any] = field(default_factory=dict)  # format -> what its merged files hold of this frame
+    next_name: str | None = None  # folder of the sequence's next frame; None: there is none
+    following: FrameData | None = field(default=None, repr=False)  # that frame
 
     def file(self, name: str) -> str:
         """A file of this frame, relative to the data set's folder."""
-        return f"{self.task.name}/{name}"
+        return f"{self.name}/{name}"
 
     def has(self, name: str) -> bool:
-        return SafePath(self.task.root, self.file(name)).is_file()
+        return SafePath(self.root, self.file(name)).is_file()
 
     def refused(self, name: str, problem: str, expected: object = "", got: object = "") -> UnreadableError:
         """The error of a file of this frame."""
@@ -76,7 +65,7 @@ class FrameData:
     @cached_property
     def _exr_read(self) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]] | UnreadableError:
         try:
-            return read_exr(self.task.root, self.file(EXR))
+            return read_exr(self.root, self.file(EXR))
         except UnreadableError as error:
             return error  # kept, since most checks ask for this file
 
@@ -103,7 +92,7 @@ class FrameData:
     @cached_property
     def recipe(self) -> dict[str, Any]:
         """What the drawn recipe says of labels."""
-        return read_recipe(self.task.root, self.file(RECIPE))
+        return read_recipe(self.root, self.file(RECIPE))
 
     @cached_property
     def categories(self) -> dict[int, str]:
@@ -171,7 +160,7 @@ class FrameData:
     @cached_property
     def plants(self) -> dict[str, NDArray[Any]]:
         """Columns of plants.parquet; null is NaN."""
-        table = read_table(self.task.root, self.file(PLANTS))
+        table = read_table(self.root, self.file(PLANTS))
         for column in _PLANT_COLUMNS:
             if column not in table:
                 raise self.refused(PLANTS, f"the column {column} is missing")
@@ -187,11 +176,11 @@ class FrameData:
 
     @cached_property
     def camera(self) -> CameraFile:
-        return camera_of(read_json(self.task.root, self.file(CAMERA)), self.file(CAMERA))
+        return camera_of(read_json(self.root, self.file(CAMERA)), self.file(CAMERA))
 
     def picture(self, name: str) -> NDArray[np.uint8]:
         """(H, W) or (H, W, 3) of a PNG, of the frame's size."""
-        pixels = read_picture(self.task.root, self.file(name))
+        pixels = read_picture(self.root, self.file(name))
         if pixels.shape[:2] != self.instance.shape:
             raise self.refused(name, "the picture has another size", _size(self.instance.shape), _size(pixels.shape))
         return pixels
@@ -376,7 +365,7 @@ def frame_check(
 
     def applies(frame: FrameData) -> bool:
         return (
-            (not share or share in frame.task.shared)
+            (not share or share in frame.shared)
             and all(map(frame.has, files))
             and all(frame.has_part(*one.split()) for one in exr)
             and all(map(frame.known, columns))

@@ -173,7 +173,7 @@ def camera(frame: FrameData) -> Iterator[Finding]:
 
 @frame_check(
     "motion", EXR, files=(CAMERA,), exr=(f"motion {_U} {_V}", *_DEPTH),
-    when=lambda frame: frame.task.following != UNKNOWN,
+    when=lambda frame: frame.next_name != UNKNOWN,
 )  # fmt: skip
 def motion(frame: FrameData) -> Iterator[Wrong]:
     """Vectors land where their surface is in the next frame; there are none in a sequence's last frame."""

@@ -95,7 +95,7 @@ def header(frame: FrameData) -> Iterator[Finding]:
         if list(parts[part]) != channels:
             yield finding(f"{part} has other channels than radiance", " ".join(channels), " ".join(parts[part]))
     if frame.has(_PREVIEW):
-        view = read_palette(frame.task.root, frame.file(_PREVIEW))[1].get("view", "none")
+        view = read_palette(frame.root, frame.file(_PREVIEW))[1].get("view", "none")
         if view != about.get("forestgen/view"):
             yield finding("the view is not frame.exr's", about.get("forestgen/view"), view, file=frame.file(_PREVIEW))
     biased = "radiance.denoised" if "radiance.denoised" in parts else None
@@ -116,11 +116,11 @@ def _bands(frame: FrameData) -> list[str] | None:
 
 @frame_check(
     "raw", _RAW,
-    when=lambda frame: frame.has(_RAW) or frame.file(_RAW) in frame.task.listed,
+    when=lambda frame: frame.has(_RAW) or frame.file(_RAW) in frame.listed,
 )  # fmt: skip
 def raw(frame: FrameData) -> Iterator[Finding | Wrong]:
     """Digital numbers lie within their range, and within their noise of the radiance."""
-    facts = read_json(frame.task.root, frame.file(_RAW))
+    facts = read_json(frame.root, frame.file(_RAW))
     black, white, bits, gain = (facts[name] for name in ("black_level", "white_level", "bits", "electrons_per_dn"))
     if not (0 <= black < white < 2**bits <= 2**16 and gain > 0):
         got = f"black {black}, white {white}, {bits} bits, {gain} electrons"
@@ -131,7 +131,7 @@ def raw(frame: FrameData) -> Iterator[Finding | Wrong]:
         return
     light = frame.exr[facts["of"]]
     for key, name in facts["files"].items():
-        numbers = read_picture(frame.task.root, frame.file(name))
+        numbers = read_picture(frame.root, frame.file(name))
         if numbers.ndim != 2 or numbers.shape != frame.instance.shape:
             yield finding("the raw image has another size", frame.size_px, numbers.shape[::-1], file=frame.file(name))
             continue

@@ -76,7 +76,7 @@ def semantic(frame: FrameData) -> Iterator[Finding | Wrong]:
         if shown.ndim != 2:
             yield finding("the picture is no palette's", "8-bit indices", "colours")
             return
-        bits = read_bit_depth(frame.task.root, frame.file(SEMANTIC))
+        bits = read_bit_depth(frame.root, frame.file(SEMANTIC))
         if bits != _SEMANTIC_BITS:
             yield finding("bits of a pixel", _SEMANTIC_BITS, bits)
         yield Wrong(shown != frame.semantic, "the class differs from frame.exr's semantic", frame.semantic, shown)

@@ -201,11 +201,11 @@ def following_frames(root: Path, frames: Sequence[str]) -> dict[str, str]:
 @frame_check("files", "")
 def files(frame: FrameData) -> Iterator[Finding]:
     """All files of the frame are there and can be read."""
-    for name in frame.task.listed:
-        if not SafePath(frame.task.root, name).is_file():
+    for name in frame.listed:
+        if not SafePath(frame.root, name).is_file():
             yield finding("the file is missing", "a file, as manifest.json lists it", file=name)
     for name in _ALWAYS:
-        if frame.file(name) not in frame.task.listed and not frame.has(name):
+        if frame.file(name) not in frame.listed and not frame.has(name):
             yield finding("the file is missing", "a file in each frame's folder", file=frame.file(name))
     # Each of these reads a file and refuses one that is cut short, of another kind or of another size.
     for attribute in ("exr", "plants", "camera", "recipe"):
@@ -218,7 +218,7 @@ def files(frame: FrameData) -> Iterator[Finding]:
 
 def _check_ids_fit(frame: FrameData) -> None:
     """instance.png may be missing only where an id does not fit its 24 bits."""
-    listed = frame.file(INSTANCE) in frame.task.listed
+    listed = frame.file(INSTANCE) in frame.listed
     if not frame.has(INSTANCE) and not listed and int(frame.instance.max(initial=0)) < 1 << 24:
         raise frame.refused(INSTANCE, "there is no instance.png", "one: all ids fit it")
 
@@ -270,7 +270,7 @@ def names(frame: FrameData) -> Iterator[Finding]:
     header, classes = frame.exr_header, _numbered(class_names(frame.recipe))
     texts = [(EXR, _CLASSES, header[_CLASSES], classes), (EXR, _PARTS, header.get(_PARTS), _part_names())]
     if frame.has(SEMANTIC):
-        text = read_palette(frame.task.root, frame.file(SEMANTIC))[1].get("classes")
+        text = read_palette(frame.root, frame.file(SEMANTIC))[1].get("classes")
         texts.append((SEMANTIC, "the text classes", text, classes))
     for file, key, text, expected in texts:
         if text is None or load_json(text) != expected:

@@ -51,7 +51,7 @@ def structure(merged: Merged) -> Iterator[Finding]:
 @frame_check("transforms", _FILE, share=_SHARE, shared=True)
 def transforms(frame: FrameData) -> Iterator[Finding]:
     """The pose is camera.json's inverse with y and z turned round; the focal lengths and the centre are its model's."""
-    share, camera = frame.task.shared[_SHARE], frame.camera
+    share, camera = frame.shared[_SHARE], frame.camera
     file = share["file"]
     expected = np.linalg.inv(camera.camera_from_world) @ np.diag([1.0, -1.0, -1.0, 1.0])
     got = np.asarray(share["transform_matrix"], dtype=np.float64)

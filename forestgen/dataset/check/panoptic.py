@@ -59,9 +59,9 @@ def structure(merged: Merged) -> Iterator[Finding]:
 @frame_check("panoptic", _FILE, share=_FORMAT, shared=True)
 def segments(frame: FrameData) -> Iterator[Finding]:
     """Every pixel has the segment of its plant, or of sky or ground; segments_info describes each segment."""
-    share = frame.task.shared[_FORMAT]
+    share = frame.shared[_FORMAT]
     name = f"panoptic/{share['file_name']}"
-    rgb = read_picture(frame.task.root, name).astype(np.int64)
+    rgb = read_picture(frame.root, name).astype(np.int64)
     if rgb.shape != (*frame.instance.shape, 3):
         yield finding("the picture has another size or no three colours", file=name)
         return
@@ -96,7 +96,7 @@ def segments(frame: FrameData) -> Iterator[Finding]:
 def own_picture(frame: FrameData) -> Iterator[Wrong]:
     """The frame's own panoptic.png is the one beside panoptic.json."""
     own = frame.picture(_PICTURE)
-    placed = read_picture(frame.task.root, f"panoptic/{frame.task.shared[_FORMAT]['file_name']}")
+    placed = read_picture(frame.root, f"panoptic/{frame.shared[_FORMAT]['file_name']}")
     wrong = (own != placed).any(axis=-1) if own.shape == placed.shape else np.ones(frame.instance.shape, dtype=bool)
     yield Wrong(wrong, "the picture differs from the one beside panoptic.json")
 

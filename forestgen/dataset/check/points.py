@@ -61,7 +61,7 @@ def laz(frame: FrameData) -> Iterator[Finding]:
     """points.laz holds the points of points.ply, in their order."""
     import laspy
 
-    content = read_bytes(frame.task.root, frame.file(_LAZ))
+    content = read_bytes(frame.root, frame.file(_LAZ))
     try:
         with laspy.open(io.BytesIO(content)) as reader:
             if reader.header.point_count > frame.instance.size:  # before memory is taken for them
@@ -83,7 +83,7 @@ def laz(frame: FrameData) -> Iterator[Finding]:
 
 def read_ply(frame: FrameData) -> NDArray[Any]:
     """(P,) records of a binary PLY."""
-    content = read_bytes(frame.task.root, frame.file(_PLY))
+    content = read_bytes(frame.root, frame.file(_PLY))
     end = content.find(_END)
     lines = content[: max(end, 0)].decode("ascii", errors="replace").splitlines()
     try:

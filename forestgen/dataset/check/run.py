@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from multiprocessing import get_context
 from pathlib import Path
@@ -25,11 +25,11 @@ from forestgen.core.registry import Registration, register_again, registrations
 from forestgen.core.threads import cores
 from forestgen.dataset.check import geometry, light, masks, merged, plants
 from forestgen.dataset.check.files import MISUNDERSTOOD, Finding, UnreadableError
-from forestgen.dataset.check.frame_data import FrameCheck, FrameData, FrameTask
+from forestgen.dataset.check.frame_data import FrameCheck, FrameData
 from forestgen.dataset.check.merged import UNKNOWN, DatasetCheck, Merged, following_frames, open_dataset
 from forestgen.dataset.formats.format import known_formats
 
-_FRAMES_A_TASK = 4  # in a row, so that a sequence's next frame is read once
+_FRAMES_A_CHUNK = 4  # in a row, so that a sequence's next frame is read once
 _FEWEST_FOR_PROCESSES = 6  # frames: below, starting a process takes longer than its share of the work
 MOST_NAMED = 1000  # findings of one check that are named; the others are counted
 
@@ -58,7 +58,7 @@ class Report:
 def check_dataset(root: Path, *, jobs: int | None = None, progress: Progress | None = None) -> Report:
     """Check a data set's folder, by so many processes; one that is no data set of forestgen raises `RecipeError`."""
     data_set = open_dataset(root)
-    tasks = _tasks(data_set)
+    frames = _frames(data_set)
     looked_at, found = Counter[str](), Counter[str]()
     findings: list[Finding] = []
 
@@ -67,8 +67,8 @@ def check_dataset(root: Path, *, jobs: int | None = None, progress: Progress | N
         findings.extend(named[: max(0, MOST_NAMED - found[check])])
         found[check] += count
 
-    with (progress or Silent()).stage("images", len(tasks)) as advance:
-        for result in _frame_results(tasks, _job_count(jobs, len(tasks))):
+    with (progress or Silent()).stage("images", len(frames)) as advance:
+        for result in _frame_results(frames, _job_count(jobs, len(frames))):
             for check, (named, count) in result.items():
                 add(check, named, count)
             advance(1)
@@ -76,7 +76,7 @@ def check_dataset(root: Path, *, jobs: int | None = None, progress: Progress | N
         if one.applies(data_set):
             own = list(one.findings(data_set))
             add(one.name, own, len(own))
-    return Report(len(tasks), looked_at, tuple(findings), found.total())
+    return Report(len(frames), looked_at, tuple(findings), found.total())
 
 
 def _frame_checks() -> Iterator[FrameCheck]:
@@ -120,7 +120,7 @@ def _applies(check: FrameCheck, data: FrameData) -> bool:
         return True
 
 
-def _tasks(data_set: Merged) -> list[FrameTask]:
+def _frames(data_set: Merged) -> list[FrameData]:
     listed: dict[str, dict[str, Any]] = {name: {} for name in data_set.frames}
     for name, entry in data_set.listed.items():
         frame = name.partition("/")[0]
@@ -132,21 +132,21 @@ def _tasks(data_set: Merged) -> list[FrameTask]:
         with suppress(UnreadableError, *MISUNDERSTOOD):
             shares[one.name] = one.frame_shares(data_set)
     return [
-        FrameTask(
-            root=data_set.root,
-            name=name,
-            listed=listed[name],
+        FrameData(
+            data_set.root,
+            name,
+            listed[name],
             shared={format_name: by_frame[name] for format_name, by_frame in shares.items() if name in by_frame},
-            following=following.get(name),
+            next_name=following.get(name),
         )
         for name in data_set.frames
     ]
 
 
-def _frame_results(tasks: Sequence[FrameTask], jobs: int) -> Iterator[dict[str, Named]]:
+def _frame_results(frames: Sequence[FrameData], jobs: int) -> Iterator[dict[str, Named]]:
     """Results in the order of frames."""
-    size = max(1, min(_FRAMES_A_TASK, math.ceil(len(tasks) / (2 * jobs))))
-    chunks = [tasks[first : first + size] for first in range(0, len(tasks), size)]
+    size = max(1, min(_FRAMES_A_CHUNK, math.ceil(len(frames) / (2 * jobs))))
+    chunks = [frames[first : first + size] for first in range(0, len(frames), size)]
     if jobs == 1:
         yield from chain.from_iterable(map(_chunk, chunks))
         return
@@ -163,14 +163,14 @@ def _frame_results(tasks: Sequence[FrameTask], jobs: int) -> Iterator[dict[str, 
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _chunk(tasks: Sequence[FrameTask]) -> list[dict[str, Named]]:
+def _chunk(frames: Sequence[FrameData]) -> list[dict[str, Named]]:
     """Check frames in a row; a sequence's next frame is read once."""
-    waiting = {task.name: FrameData(task) for task in tasks}
+    waiting = {one.name: replace(one) for one in frames}  # which hold what they have read until they are checked
     results = []
-    for task in tasks:
-        data = waiting.pop(task.name)
-        if task.following is not None and task.following != UNKNOWN:
-            data.following = waiting.get(task.following) or FrameData(FrameTask(task.root, task.following, {}, {}))
+    for name in [one.name for one in frames]:
+        data = waiting.pop(name)
+        if data.next_name is not None and data.next_name != UNKNOWN:
+            data.following = waiting.get(data.next_name) or FrameData(data.root, data.next_name)
         results.append(check_frame(data))
     return results
 

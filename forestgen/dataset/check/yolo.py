@@ -83,7 +83,7 @@ def _outline_line(frame: FrameData, row: int, values: NDArray[np.float64]) -> It
 
 
 def _has_lines(frame: FrameData, task: str) -> bool:
-    return SafePath(frame.task.root, _file(frame, task)).is_file()
+    return SafePath(frame.root, _file(frame, task)).is_file()
 
 
 def _file(frame: FrameData, task: str) -> str:
@@ -93,7 +93,7 @@ def _file(frame: FrameData, task: str) -> str:
 def _lines(frame: FrameData, task: str, check_line: _LineCheck) -> Iterator[Finding]:
     """Check a file of labels, line by line."""
     file, plants = _file(frame, task), frame.extents.plant_id.tolist()
-    lines = read_text(frame.task.root, file).splitlines()
+    lines = read_text(frame.root, file).splitlines()
     for row, line in enumerate(lines):
         for one in _line(frame, row, line, check_line):
             yield replace(one, file=file, plant_id=plants[row] if row < len(plants) else None)

@@ -106,7 +106,7 @@ class DatasetFormat:
         return cast("tuple[DatasetCheck, ...]", getattr(self._checks(), "DATASET_CHECKS", ()))
 
     def frame_shares(self, merged: Merged) -> Mapping[str, Any]:
-        """Frame -> what a split's merged files hold of it, as plain values: `FrameData.task.shared` of its checks."""
+        """Frame -> what a split's merged files hold of it, as plain values: `FrameData.shared` of its checks."""
         frame_shares = getattr(self._checks(), "frame_shares", None)
         return {} if frame_shares is None else cast("Mapping[str, Any]", frame_shares(merged))
 
