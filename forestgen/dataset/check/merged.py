@@ -37,7 +37,7 @@ from forestgen.dataset.check.frame_data import (
     completed,
     frame_check,
 )
-from forestgen.dataset.safe_path import SafePath, check_folder, is_frame, load_json
+from forestgen.dataset.safe_path import SafePath, is_frame, load_json
 
 MANIFEST, _LEGEND = "manifest.json", "classes.json"
 UNKNOWN = "?"  # a following frame that is not known
@@ -141,34 +141,15 @@ def folder_of(path: Any) -> str:
 
 
 def open_dataset(root: Path) -> Merged:
-    """The folder of a data set; any other folder raises `RecipeError` with what it seems to be."""
-    check_folder(root, "the folder of a split")
+    """A split's folder; one that cannot be read, or holds no frames, raises `RecipeError`."""
     merged = Merged(root)
     try:
-        frames = merged.frames
-        inside = sorted(path.name for path in root.iterdir() if (path / MANIFEST).is_file())
+        if merged.frames:
+            return merged
     except OSError as error:
         raise RecipeError(f"the folder cannot be read: {error.strerror}", where=str(root)) from error
-    if frames:
-        return merged
-    raise RecipeError(
-        "the folder holds no images of forestgen",
-        where=str(root),
-        expected="folders such as 000000-camera0, as in the folder of a split",
-        got=_what_is_there(merged, inside),
-        hint=f"{root / inside[0]}" if inside else None,
-    )
-
-
-def _what_is_there(merged: Merged, inside: list[str]) -> str:
-    if (merged.root / "frame.exr").is_file():
-        return "the folder of one frame: give the folder above it"
-    if merged.listed:
-        return "a forestgen output without images"
-    if inside:
-        return f"a folder of outputs, such as {inside[0]}"
-    count = sum(1 for _ in merged.root.iterdir())
-    return "nothing" if count == 0 else f"{count} other files or folders"
+    expected = "folders such as 000000-camera0"
+    raise RecipeError("the folder holds no images of forestgen", where=str(root), expected=expected)
 
 
 def following_frames(root: Path, frames: Sequence[str]) -> dict[str, str]:

@@ -63,14 +63,10 @@ def polygons(instance: NDArray[np.uint32]) -> dict[int, Corners]:
     found = {}
     for plant, box in zip(ids.tolist(), boxes, strict=True):
         if plant:
-            corner = (box[1].start, box[0].start)
-            found[plant] = _polygon(instance[box] == plant) + np.array(corner, dtype=np.int32)
+            kept, bridges = join_pieces(instance[box] == plant)
+            corner = np.array((box[1].start, box[0].start), dtype=np.int32)
+            found[plant] = _without_collinear(_joined(kept, *_rings(kept), bridges)) + corner
     return found
-
-
-def _polygon(mask: NDArray[np.bool_]) -> Corners:
-    kept, bridges = join_pieces(mask)
-    return _without_collinear(_joined(kept, *_rings(kept), bridges))
 
 
 def _without_collinear(ring: NDArray[np.int64]) -> Corners:

@@ -142,20 +142,13 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     if not found:
         raise DatasetError("the data set has no frame", where=str(root))
     numbers = {frame: number for number, (_, frame) in enumerate(names)}
-    return Source(root, found, _common_classes(found), index, numbers)
-
-
-def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
-    classes = read_legend(splits[0].folder)
-    for split in splits[1:]:
-        if read_json(split.folder / LEGEND_NAME) != classes:
-            raise DatasetError(
-                "splits differ in the numbers of their classes",
-                where=str(split.folder / LEGEND_NAME),
-                expected=f"the same as in {splits[0].name}",
-                hint="pack them one by one, with `splits`",
-            )
-    return classes
+    classes = read_legend(found[0].folder)
+    for other in found[1:]:
+        path = other.folder / LEGEND_NAME
+        if read_json(path) != classes:
+            texts = {"expected": f"the same as in {found[0].name}", "hint": "pack them one by one, with `splits`"}
+            raise DatasetError("splits differ in the numbers of their classes", where=str(path), **texts)
+    return Source(root, found, classes, index, numbers)
 
 
 def choose_channels(folders: Sequence[SafePath], wanted: Sequence[str] | None) -> tuple[Channel, ...]:
@@ -247,11 +240,8 @@ def _npy(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]
     """(H, W) or (H, W, C) float32 of frame.exr."""
     part = exr.get(channel.part, {})
     if not all(layer in part for layer in channel.layers):
-        raise DatasetError(
-            f"a frame lacks the channel {channel.name}",
-            where=str(folder / channel.file),
-            hint="frames differ in what they hold: leave the channel out",
-        )
+        hint = "frames differ in what they hold: leave the channel out"
+        raise DatasetError(f"a frame lacks the channel {channel.name}", where=str(folder / channel.file), hint=hint)
     layers = [part[layer] for layer in channel.layers]
     buffer = io.BytesIO()
     np.save(buffer, layers[0] if len(layers) == 1 else np.stack(layers, axis=-1))
