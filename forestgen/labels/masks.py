@@ -34,7 +34,7 @@ class CoverageRanks:
 
 def coverage_ranks(plant_id: NDArray[np.uint32], k: int = 8) -> CoverageRanks:
     """The `k` ids that cover most of each pixel of (H, W, S) samples; beyond the ids present, 0 with coverage 0."""
-    height, width, samples = _checked_shape(plant_id)
+    height, width, samples = plant_id.shape
     ids = np.zeros((height, width, k), dtype=np.uint32)
     coverage = np.zeros((height, width, k), dtype=np.float32)
     kept = min(k, samples)
@@ -57,9 +57,6 @@ def part_mask(plant_id: NDArray[np.uint32], part: NDArray[np.uint8], instance: N
 
     Ties go to the smaller number of `forestgen.core.parts.Part`.
     """
-    _checked_shape(plant_id)
-    if part.shape != plant_id.shape or instance.shape != plant_id.shape[:2]:
-        raise ValueError(f"shapes disagree: {plant_id.shape}, {part.shape}, {instance.shape}")
     winner = np.zeros(instance.shape, dtype=np.uint8)
     counter = np.min_scalar_type(plant_id.shape[2])
     for rows in _row_blocks(plant_id.shape):
@@ -102,13 +99,6 @@ def rows_of(ids: NDArray[np.uint32], plant_id: NDArray[np.uint32]) -> NDArray[np
         strangers = np.unique(ids[~known])[:5].tolist()
         raise ValueError(f"the image shows plants that have no row, such as {strangers}")
     return row
-
-
-def _checked_shape(plant_id: NDArray[np.uint32]) -> tuple[int, int, int]:
-    if plant_id.ndim != 3 or plant_id.shape[2] == 0 or plant_id.dtype != np.uint32:
-        raise ValueError(f"expected (H, W, S) uint32 with S > 0, got {plant_id.shape} {plant_id.dtype}")
-    height, width, samples = plant_id.shape
-    return height, width, samples
 
 
 def _row_blocks(shape: tuple[int, ...]) -> Iterator[slice]:
