@@ -48,7 +48,7 @@ class ClassMap:
             expected, got = f"at most {MOST_CLASSES} species", str(len(self.own_names))
             problem, hint = (
                 "too many species for an 8-bit semantic mask",
-                "let labels.classes put several into one class",
+                "let labels.classes put several species into one class",
             )
             raise RecipeError(problem, where="species", expected=expected, got=got, hint=hint)
 

@@ -41,7 +41,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import OutputError
 from forestgen.dataset.camera import camera_from_world
 from forestgen.dataset.files import make_folder
 from forestgen.dataset.formats.depth_png import BEYOND, encode_depth
@@ -55,7 +54,6 @@ from forestgen.scene.projection import Projection, projection_of
 
 FOLDER_NAME, SPLIT_NAME, SHARD_NAME = "bop", "train_pbr", "shard.json"
 SCENE_FILES = ("scene_camera", "scene_gt", "scene_gt_info")
-NEEDS_AMODAL = "BOP's visible fractions need amodal masks"
 MASK_FOLDERS = ("mask", "mask_visib")
 _FAST = 1  # of zlib: two pictures a plant, of almost nothing but zeros
 
@@ -69,17 +67,15 @@ class Bop(DatasetFormat):
     name = "bop"
     check_module = "forestgen.dataset.check.bop"
     bytes_per_pixel, bytes_per_plant = 7, 6000
-    label_channels: Mapping[str, str] = {"amodal": NEEDS_AMODAL}
+    label_channels: Mapping[str, str] = {"amodal": "BOP's visible fractions need amodal masks"}
 
     def holds(self, projection: Projection) -> bool:
         return projection.is_pinhole
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-        """Write the frame's poses and pictures into its folder; without amodal masks it raises `OutputError`."""
+        """Write the frame's poses and pictures into its folder; a failure raises `OutputError`."""
         amodal, home, visible = labelled.amodal, folder / FOLDER_NAME, labelled.views.visible
-        if amodal is None:
-            hint = "add amodal to labels.channels, or leave bop out of dataset.formats"
-            raise OutputError(NEEDS_AMODAL, where=str(home), hint=hint)
+        assert amodal is not None  # the recipe asks for it: see `label_channels`
         for name in MASK_FOLDERS:
             make_folder(home / name)
         steps = encode_depth(labelled.frame.surface.depth_m, settings.depth_unit_m)
