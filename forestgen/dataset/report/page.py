@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -16,8 +14,8 @@ from markupsafe import Markup
 from forestgen.core.figures import show_bytes
 from forestgen.dataset.formats.shards import whole_file
 from forestgen.dataset.report import charts, content_sections, run_sections
-from forestgen.dataset.report.charts import Fact, Section, listed
-from forestgen.dataset.report.gallery import SHOWN_AT_ONCE, GalleryItem, gallery
+from forestgen.dataset.report.charts import Fact, listed
+from forestgen.dataset.report.gallery import SHOWN_AT_ONCE, gallery
 from forestgen.dataset.report.source import Source, open_source
 from forestgen.dataset.settings import DatasetSettings
 
@@ -34,20 +32,6 @@ _PLOT = {name: getattr(charts, name.upper()) for name in ("width", "height", "le
 _POLAR = {name: getattr(charts, f"SUN_{name.upper()}") for name in ("size", "centre", "radius")}
 
 
-@dataclass(frozen=True)
-class Page:
-    """All that the template shows."""
-
-    title: str
-    lead: str
-    facts: Sequence[Fact]
-    notes: Sequence[str]  # warnings of the whole
-    gallery: Sequence[GalleryItem]
-    legend: Sequence[tuple[str, str]]  # class and colour of the masks
-    sections: Sequence[Section]
-    shown_at_once: int = SHOWN_AT_ONCE
-
-
 def write_report(folder: Path, target: Path) -> None:
     """Write the report on the data set of `folder`; the file `target` appears whole, and replaces what has its name.
 
@@ -58,29 +42,26 @@ def write_report(folder: Path, target: Path) -> None:
     DatasetError : the folder is no data set of ours, or its index is damaged.
     OutputError : the page cannot be written.
     """
-    content = render_page(page_of(open_source(folder))).encode("utf-8", "replace").decode()
+    content = _rendered(open_source(folder)).encode("utf-8", "replace").decode()
     with whole_file(target) as stream:
         stream.write(content)
 
 
-def page_of(source: Source) -> Page:
-    """Gather what is known of a data set."""
+def _rendered(source: Source) -> str:
+    """The page as HTML. Every text is escaped by the template's engine; style and script are ours alone."""
     description = source.metadata.description
     name = description if description not in ("", _UNNAMED) else source.folder.resolve().name
     words = [f"{split} {source.frames.split.count(split):,}" for split in source.splits]
-    return Page(
-        title=name[:200],
-        lead=f"Frames by split: {listed(words, 20)}." if len(source.frames) else "No frames yet.",
-        facts=_headline(source),
-        notes=_notes(source),
-        gallery=gallery(source.folder, source.frames, source.splits),
-        legend=[(one, source.legend.colour(one)) for one in source.legend.classes],
-        sections=[section(source) for section in _SECTIONS],
-    )
-
-
-def render_page(page: Page) -> str:
-    """The page as HTML. Every text is escaped by the template's engine; style and script are ours alone."""
+    page = {
+        "title": name[:200],
+        "lead": f"Frames by split: {listed(words, 20)}." if len(source.frames) else "No frames yet.",
+        "facts": _headline(source),
+        "notes": _notes(source),
+        "gallery": gallery(source.folder, source.frames, source.splits),
+        "shown_at_once": SHOWN_AT_ONCE,
+        "legend": [(one, source.legend.colour(one)) for one in source.legend.classes],
+        "sections": [section(source) for section in _SECTIONS],
+    }
     style, script = ((_TEMPLATES / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     inline = {"style": Markup(style), "script": Markup(script)}
     hashes = {"style_hash": _hash(style), "script_hash": _hash(script)}
