@@ -45,18 +45,6 @@ _TINT = 0.42  # share of a plant's own colour inside its mask
 _SKY_RGB, _GROUND_RGB = (110, 160, 220), (122, 96, 70)
 
 
-def write_rgb(path: Path, picture: NDArray[np.uint8], text: Mapping[str, str] | None = None) -> None:
-    """Write an (H, W, 3) uint8 picture; `text` goes into text chunks."""
-    _save(path, picture, text=text)
-
-
-def write_grey(
-    path: Path, picture: NDArray[np.uint8] | NDArray[np.uint16], compress_level: int = _COMPRESS_LEVEL
-) -> None:
-    """Write an (H, W) picture as a grey PNG of 8 or 16 bits."""
-    _save(path, picture, compress_level)
-
-
 def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
     """Write plant ids as colours, id = R + 256 G + 65536 B, as COCO panoptic does; others raise `OutputError`."""
     largest = int(instance.max(initial=0))
@@ -68,7 +56,7 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
             got=str(largest),
             hint="ids count all plants that ever lived: make the site smaller, or stop after fewer steps",
         )
-    write_rgb(path, np.stack([(instance >> shift) & 0xFF for shift in (0, 8, 16)], axis=-1).astype(np.uint8))
+    write_png(path, np.stack([(instance >> shift) & 0xFF for shift in (0, 8, 16)], axis=-1).astype(np.uint8))
 
 
 def semantic_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint8]:
@@ -119,7 +107,7 @@ def write_semantic(path: Path, semantic: NDArray[np.uint8], class_names: Sequenc
     # Pillow packs a short palette's pixels into 1, 2 or 4 bits, which some readers do not unpack (torchvision 0.29).
     palette = np.zeros((_PALETTE_COLOURS, 3), dtype=np.uint8)
     palette[: len(class_names)] = class_palette(len(class_names))
-    _save(path, semantic, text={"classes": classes_text(class_names)}, palette=palette)
+    write_png(path, semantic, {"classes": classes_text(class_names)}, palette=palette)
 
 
 def class_palette(classes: int) -> NDArray[np.uint8]:
@@ -166,13 +154,15 @@ def _rgb_from_hsv(
     return np.asarray(np.rint(rgb * 255.0), dtype=np.uint8)
 
 
-def _save(
+def write_png(
     path: Path,
     pixels: NDArray[np.unsignedinteger[Any]],
-    compress_level: int = _COMPRESS_LEVEL,
     text: Mapping[str, str] | None = None,
+    *,
     palette: NDArray[np.uint8] | None = None,
+    compress_level: int = _COMPRESS_LEVEL,
 ) -> None:
+    """Write (H, W, 3) uint8, or (H, W) grey of 8 or 16 bits or indices of a palette; `text` goes into text chunks."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 

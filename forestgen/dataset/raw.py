@@ -50,7 +50,7 @@ from numpy.typing import NDArray
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Spectrum
 from forestgen.dataset.files import write_json
-from forestgen.dataset.png import write_grey
+from forestgen.dataset.png import write_png
 from forestgen.dataset.tonemap import picture_bands
 from forestgen.recipe.camera_keys import Exposure
 from forestgen.recipe.spectra import load_table
@@ -145,7 +145,7 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
 def write_raw(folder: Path, raw: Raw) -> None:
     """Write a raw image's files; a failure raises `OutputError`."""
     for name, numbers in raw.planes.items():
-        write_grey(folder / name, numbers)
+        write_png(folder / name, numbers)
     write_json(folder / JSON_NAME, raw.facts)
 
 

@@ -74,8 +74,8 @@ def write_frame(
     make_folder(folder)
     png.write_instance(folder / "instance.png", pixels.instance)
     png.write_semantic(folder / "semantic.png", pixels.semantic, settings.class_names)
-    png.write_rgb(folder / "preview.png", made.picture, made.texts)
-    png.write_rgb(folder / "overlay.png", png.overlay(made.picture, pixels.instance))
+    png.write_png(folder / "preview.png", made.picture, made.texts)
+    png.write_png(folder / "overlay.png", png.overlay(made.picture, pixels.instance))
     write_exr(folder / "frame.exr", labelled, {"view": settings.view, **attributes})
     if camera.exposure is not None:
         from forestgen.dataset.raw import raw_image, write_raw

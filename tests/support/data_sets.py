@@ -79,8 +79,8 @@ def _frame(
         target.mkdir(parents=True)
         colours = png.class_palette(len(settings.class_names)).astype(float)[semantic]
         picture = np.clip(0.7 * colours + rng.normal(20, 14, colours.shape), 0, 255).astype(np.uint8)
-        png.write_rgb(target / "preview.png", picture)
-        png.write_rgb(target / "overlay.png", png.overlay(picture, instance))
+        png.write_png(target / "preview.png", picture)
+        png.write_png(target / "overlay.png", png.overlay(picture, instance))
         png.write_semantic(target / "semantic.png", semantic, settings.class_names)
         png.write_instance(target / "instance.png", instance)
     return row

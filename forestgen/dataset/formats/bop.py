@@ -46,7 +46,7 @@ from forestgen.dataset.files import make_folder
 from forestgen.dataset.formats.depth_png import BEYOND, encode_depth
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import in_order, json_text, place, read_shard, whole_file, write_shard
-from forestgen.dataset.png import write_grey
+from forestgen.dataset.png import write_png
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import rows_of
@@ -80,7 +80,7 @@ class Bop(DatasetFormat):
             make_folder(home / name)
         steps = encode_depth(labelled.frame.surface.depth_m, settings.depth_unit_m)
         steps[steps == BEYOND] = 0
-        write_grey(home / "depth.png", steps)
+        write_png(home / "depth.png", steps)
 
         rows = np.flatnonzero(visible.has_box)
         plants = labelled.population.plant_id[rows]
@@ -91,7 +91,9 @@ class Bop(DatasetFormat):
             whole[top : top + height, left : left + width] = amodal.mask_of(int(own))
             seen = labelled.pixels.instance == labelled.population.plant_id[row]
             for name, mask in zip(MASK_FOLDERS, (whole, seen), strict=True):
-                write_grey(home / name / f"{number:06d}.png", mask.astype(np.uint8) * np.uint8(255), _FAST)
+                write_png(
+                    home / name / f"{number:06d}.png", mask.astype(np.uint8) * np.uint8(255), compress_level=_FAST
+                )
             info.append(
                 {
                     "bbox_obj": amodal.box_px[own].tolist(),
