@@ -228,7 +228,7 @@ def shard(frame: FrameData) -> Iterator[Finding]:
     """The frame's own annotations.json holds what coco.json holds of it."""
     own, share = read_json(frame.root, frame.file(_SHARD))["annotations"], _annotations(frame)
     if len(own) != len(share):
-        yield finding(f"{_SHARD} has another number of annotations", len(own), len(share))
+        yield finding(f"{_SHARD} has another number of annotations", len(own), len(share), file=_FILE)
     listed = {one["plant_id"]: one for one in own}
     for merged in share:
         mine = listed.get(merged["plant_id"], {})
@@ -236,9 +236,9 @@ def shard(frame: FrameData) -> Iterator[Finding]:
         for key in sorted({*mine, *plain} if mine else {"plant_id"}):
             if mine.get(key) != plain.get(key):
                 got, expected = str(plain.get(key))[:80], str(mine.get(key))[:80]
-                yield finding(f"{key} is not {_SHARD}'s", expected, got, plain.get("plant_id"))
+                yield finding(f"{key} is not {_SHARD}'s", expected, got, plain.get("plant_id"), file=_FILE)
     for plant in sorted(listed.keys() - {one["plant_id"] for one in share}):
-        yield finding(f"an annotation of {_SHARD} is not in {_FILE}", "one", "none", plant)
+        yield finding(f"an annotation of {_SHARD} is not in {_FILE}", "one", "none", plant, file=_FILE)
 
 
 def _annotations(frame: FrameData) -> list[dict[str, Any]]:
