@@ -202,8 +202,8 @@ def read_legend(split: SafePath) -> dict[str, Any]:
         raise unreadable(path, error, "forestgen verify checks all files") from error
     for key, first in (("semantic", 0), ("categories", 1)):
         named = content.get(key) if isinstance(content, dict) else None
-        is_named = isinstance(named, dict) and all(isinstance(one, str) for one in named.values())
-        if not is_named or set(named) != {str(number) for number in range(first, first + len(named))}:
+        numbers = [str(number) for number in range(first, first + len(named))] if isinstance(named, dict) else []
+        if not isinstance(named, dict) or not all(isinstance(named.get(one), str) for one in numbers):
             expected = f"{key}: a name for each number, from {first} on"
             raise DatasetError("a file is not what its name says", where=str(path), expected=expected)
     return dict(content)

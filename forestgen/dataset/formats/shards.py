@@ -48,7 +48,7 @@ def read_shard(path: Path, types: Mapping[str, type]) -> dict[str, Any]:
     except ValueError as error:
         raise damaged(path, str(error)) from error
     for key, kind in types.items():
-        value = content.get(key) if isinstance(content, dict) else None
+        value: Any = content.get(key) if isinstance(content, dict) else None
         items = [get_origin(item) or item for item in get_args(kind)]
         is_one = isinstance(value, get_origin(kind) or kind)
         if not is_one or not all(isinstance(one, item) for item in items for one in value):
