@@ -292,12 +292,14 @@ class Wrong(NamedTuple):
         if self.at.ndim == 1:
             for row in np.flatnonzero(self.at).tolist():
                 plant = int(frame.plants["plant_id"][row])
-                yield finding(self.problem, *self._values(row), plant, file=file)
+                expected, got = self._values(row)
+                yield finding(self.problem, expected, got, plant, file=file)
             return
         for x, y, count in first_of_each(self.at, frame.instance):
             more = f" ({count:,} such pixels)" if count > 1 else ""
             plant_id = int(frame.instance[y, x]) or None
-            yield finding(self.problem + more, *self._values((y, x)), plant_id, pixel=(x, y), file=file)
+            expected, got = self._values((y, x))
+            yield finding(self.problem + more, expected, got, plant_id, pixel=(x, y), file=file)
 
     def _values(self, place: Any) -> Iterator[str]:
         """What was expected and found at an index of `at`."""

@@ -50,8 +50,8 @@ class WebDataset(Pack):
                     held = next(samples, None)
             shards.append(Shard(name, frames, (folder / name).stat().st_size))
         listed = [{"url": one.name, "nsamples": one.frames, "filesize": one.size_bytes} for one in shards]
-        content = {"__kind__": "wids-shard-index-v1", "wids_version": 1, "name": split, "shardlist": listed}
-        write_json(folder / f"{split}.json", content)
+        index = {"__kind__": "wids-shard-index-v1", "wids_version": 1, "name": split, "shardlist": listed}
+        write_json(folder / f"{split}.json", index)
         return shards
 
     def opening_code(self, target: str, split: str, shards: Sequence[Shard]) -> tuple[str, str]:

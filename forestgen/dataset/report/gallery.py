@@ -60,9 +60,9 @@ def choose(frames: Frames, splits: Sequence[str], most: int = MOST_FRAMES) -> li
     for row, (split, stratum) in enumerate(zip(frames.split, strata, strict=True)):
         by_split.setdefault(split, {}).setdefault(repr(stratum), []).append(row)
     queues = [
-        _in_turns(_spread(strata[name]) for name in _spread(sorted(strata)))
+        _in_turns(_spread(by_split[split][name]) for name in _spread(sorted(by_split[split])))
         for split in splits
-        if (strata := by_split.get(split))
+        if split in by_split
     ]
     return _in_turns(queues)[:most]
 
