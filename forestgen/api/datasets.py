@@ -22,7 +22,7 @@ from forestgen.core.errors import DatasetError, RecipeError, ResourceError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
 from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
-from forestgen.dataset.legend import read_legend
+from forestgen.dataset.png import read_legend
 from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.runs.description import DATASET_NAME
@@ -136,7 +136,7 @@ class Dataset(Sequence[Frame]):
         if not 0 <= number < len(self):
             raise IndexError(f"the data set has {len(self)} frames, there is none of number {index}")
         row = plain_rows(self._rows.slice(number, 1), self.folder / INDEX_NAME)[0]
-        return Frame(StoredFrame(SafePath(self.folder, f"{row['split']}/{row['frame']}"), row, self.classes))
+        return StoredFrame(SafePath(self.folder, f"{row['split']}/{row['frame']}"), row, self.classes)
 
     def frame(self, name: str) -> Frame:
         """The frame of a name such as 000000-camera0."""
@@ -198,15 +198,17 @@ class Dataset(Sequence[Frame]):
         seed : of the frames' random order.
         by_name : in the order of their names instead.
         """
-        from forestgen.dataset.pack.pack import pack, packing_of
+        from forestgen.dataset.pack.pack import pack
 
         target = path_of(out, "out", output=True)
         names = None if channels is None else texts_of(channels, "channels")
-        order = None if by_name else seed
-        packing = packing_of(text_of(format, "format"), shard_size, names, texts_of(splits, "splits"), order)
         display = display_of(progress)
         with display.running():
-            return pack(self.folder, target, packing, overwrite=overwrite, progress=display)
+            return pack(
+                self.folder, target, text_of(format, "format"), shard_size=shard_size, channels=names,
+                splits=texts_of(splits, "splits"), seed=None if by_name else seed, overwrite=overwrite,
+                progress=display,
+            )  # fmt: skip
 
     def as_torch(self, channels: str | Sequence[str] = _PICTURES, transform: Transform | None = None) -> Any:
         """A map-style data set for `torch.utils.data.DataLoader`: a dict of tensors a frame, pictures as (C, H, W).
@@ -282,7 +284,7 @@ def verify(
 
 def write_report(folder: PathLike, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
     """Write the page of a data set, finished or not; the path of it. See `Dataset.report`."""
-    from forestgen.dataset.file_set import check_writable
+    from forestgen.dataset.files import check_writable
     from forestgen.dataset.report import page
 
     root = path_of(folder, "folder")

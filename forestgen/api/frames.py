@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -28,38 +28,42 @@ from forestgen.runs.tracker import Display
 from forestgen.scene.plan import check_memory, make_plan
 
 
-class MadeFrame:
-    """A `forestgen.dataset.frame.FrameSource`: a frame that was just rendered."""
+class MadeFrame(Frame):
+    """A frame that was just rendered."""
 
     def __init__(self, frame: RenderedFrame, drawn: DrawnRecipe, settings: DatasetSettings) -> None:
+        super().__init__(frame.row, settings.class_names)
         self._frame, self._drawn, self._settings = frame, drawn, settings
-        self.name = frame.name
-        self.info: Mapping[str, Any] = frame.row
-        self.classes = settings.class_names
 
+    @cached_property
+    def recipe(self) -> str:
+        return dump_yaml(self._drawn)
+
+    @cached_property
     def parts(self) -> Parts:
         return frame_parts(self._frame.labelled)
 
+    @property
     def instance(self) -> NDArray[np.uint32]:
         return self._frame.labelled.pixels.instance
 
+    @property
     def semantic(self) -> NDArray[np.uint8]:
         return self._frame.labelled.pixels.semantic
 
+    @cached_property
     def plants(self) -> Any:
         return plants_table(self._frame.labelled)
 
+    @cached_property
     def camera(self) -> dict[str, Any]:
         return camera_model(self._frame.labelled.frame.camera)
 
+    @cached_property
     def preview(self) -> NDArray[np.uint8]:
         return preview_of(self._frame.labelled.frame.radiance, self._settings.view).picture
 
-    @cached_property
-    def recipe_yaml(self) -> str:
-        return dump_yaml(self._drawn)
-
-    def save(self, folder: Path, beside: Path) -> None:
+    def _write(self, folder: Path, beside: Path) -> None:
         stored = replace(self._drawn, data=write_maps(beside, self._drawn.data, self._drawn.folder))
         write_frame(folder, self._frame.labelled, dump_yaml(stored), self._frame.attributes, self._settings)
 
@@ -79,7 +83,7 @@ def frames_of(
                 frame = next(made, None)
             if frame is None:
                 break
-            yield Frame(MadeFrame(frame, image.drawn, data_set_of(image.drawn)))
+            yield MadeFrame(frame, image.drawn, data_set_of(image.drawn))
 
 
 @contextmanager

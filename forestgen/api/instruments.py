@@ -100,7 +100,7 @@ class Instruments:
         """
         from forestgen.atmosphere.clouds.source import cloud_source_of
         from forestgen.community.plot_series import plot_weather
-        from forestgen.dataset.file_set import check_writable
+        from forestgen.dataset.files import check_writable
 
         files = paths_of(out, "out", output=True)
         for one in files:
@@ -196,7 +196,7 @@ def _measured(
     progress: bool | Progress | None,
 ) -> ReadingT:
     """Measure, and write a file of it."""
-    from forestgen.dataset.file_set import FileSet, check_writable
+    from forestgen.dataset.files import FileSet, check_writable
     from forestgen.instruments.instrument import read_keys
     from forestgen.pipeline import measure
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from forestgen.api.display import display_of
 from forestgen.core.arguments import path_of, paths_of
 from forestgen.core.progress import Progress
-from forestgen.dataset.file_set import FileSet, check_writable
+from forestgen.dataset.files import FileSet, check_writable
 from forestgen.geometry.export import model_files, png
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.build import check_sways, sway

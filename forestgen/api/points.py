@@ -13,7 +13,7 @@ from forestgen.core.arguments import MOST_SEEDS, PathLike, listed, number_of, pa
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import count
 from forestgen.core.progress import Progress
-from forestgen.dataset.file_set import FileSet, check_writable
+from forestgen.dataset.files import FileSet, check_writable
 from forestgen.recipe.assets import list_assets
 
 if TYPE_CHECKING:

@@ -46,6 +46,8 @@ class CardCounts:
 
 def card_text(description: Mapping[str, Any], counts: CardCounts, settings: DatasetSettings) -> str:
     """The card, of the content of dataset.json and the counts of all rows of the index."""
+    pixels = counts.totals[_CLASS]
+    every = max(1, sum(pixels.values()))
     return str(
         markdown_template(_TEMPLATE).render(
             said=description,
@@ -53,7 +55,10 @@ def card_text(description: Mapping[str, Any], counts: CardCounts, settings: Data
             settings=settings,
             licence=_licence(settings),
             size=next((name for most, name in _SIZES if description["frames"] < most), "n>10M"),
-            classes=_classes(counts, settings),
+            classes=[
+                (number, name, pixels[name], pixels[name] / every, counts.frames_with[name])
+                for number, name in enumerate(settings.class_names)
+            ],
             categories=[(name, counts.totals[_INSTANCES][name]) for name in settings.category_names],
             species=[
                 (name, counts.totals[_SPECIES][name], counts.totals["species_pixels"][name])
@@ -97,16 +102,6 @@ def _licence(settings: DatasetSettings) -> dict[str, str]:
         return {"license": known}
     link = {"license_link": settings.licence_url} if settings.licence_url else {}
     return {"license": "other", "license_name": settings.licence_name, **link}
-
-
-def _classes(counts: CardCounts, settings: DatasetSettings) -> list[tuple[int, str, int, float, int]]:
-    """Number, name, pixels, share of all pixels, frames that show it."""
-    pixels = counts.totals[_CLASS]
-    every = max(1, sum(pixels.values()))
-    return [
-        (number, name, pixels[name], pixels[name] / every, counts.frames_with[name])
-        for number, name in enumerate(settings.class_names)
-    ]
 
 
 def markdown(value: object) -> str:

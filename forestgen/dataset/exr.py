@@ -68,7 +68,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.camera import camera_model, exr_attributes
-from forestgen.dataset.legend import classes_text, parts_text
+from forestgen.dataset.png import classes_text, parts_text
 from forestgen.dataset.tonemap import band_figures, picture_light
 from forestgen.labels.channels.channel import Layers, layer
 from forestgen.labels.labelled import LabelledFrame
@@ -101,12 +101,8 @@ def write_parts(
 ) -> None:
     """Write parts of (H, W) channels; a failure raises `OutputError`.
 
-    A single part makes a file that old readers know, without name.
-
-    Parameters
-    ----------
-    header : attributes of all parts.
-    own : part -> attributes that it has besides, or instead.
+    `header` are attributes of all parts, `own` those that a part has besides, or instead. A single part makes a file
+    that old readers know, without name.
     """
     import OpenEXR
 

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from dataclasses import dataclass
-from typing import IO, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +33,7 @@ _MOST_PARTS, _MOST_NAME, _MOST_SIDE_PX = 200, 255, 16_384
 _SHARE_OF_MEMORY = 0.8
 
 
-@dataclass(frozen=True)
-class _Part:
+class _Part(NamedTuple):
     """What a header says of its part's blocks."""
 
     lines: int  # of a block
@@ -43,49 +41,44 @@ class _Part:
     height: int
     line_bytes: int  # unpacked
 
-    @property
-    def blocks(self) -> int:
-        return -(-self.height // self.lines)
 
-    def block_bytes(self, number: int) -> int:
-        return min(self.lines, self.height - number * self.lines) * self.line_bytes
-
-
-def check_chunks(stream: IO[bytes], *, unpack: bool = True) -> int:
+def check_chunks(content: bytes, *, unpack: bool = True) -> int:
     """Number of parts of a file that the library would read in full.
 
-    Parameters
-    ----------
-    unpack : unpack every block too, which takes as long as to read the file; without it a changed bit may be missed.
-
-    Raises
-    ------
-    ValueError : the file is cut short, damaged, of another kind than forestgen writes, or larger than the free memory.
+    `unpack` every block too, which takes as long as to read the file; without it a changed bit may be missed. A file
+    that is cut short, damaged, of another kind than forestgen writes, or larger than the free memory, is a ValueError.
     """
-    magic, version = _unpack(stream, "<4sI")
+    try:
+        return _check_chunks(content, unpack)
+    except (struct.error, IndexError, KeyError) as error:
+        raise ValueError("the file is cut short, damaged, or of another kind than forestgen's") from error
+
+
+def _check_chunks(content: bytes, unpack: bool) -> int:
+    magic, version = struct.unpack_from("<4sI", content)
     if magic != _MAGIC or version & ~(_LONG_NAMES | _MULTIPART) != _VERSION:
         raise ValueError("this is no OpenEXR file of scan lines")
     several = bool(version & _MULTIPART)
-    parts = _parts(stream, several)
+    parts, at = _parts(content, 8, several)
     need = sum(part.height * part.line_bytes for part in parts)
     if need > _SHARE_OF_MEMORY * free_bytes():
         raise ValueError(f"its pixels take more than the free memory: {need / 1e6:,.0f} MB")
-    tables = [_unpack(stream, f"<{part.blocks}Q") for part in parts]
-    for number, (part, offsets) in enumerate(zip(parts, tables, strict=True)):
+    for number, part in enumerate(parts):
+        offsets = struct.unpack_from(f"<{-(-part.height // part.lines)}Q", content, at)
+        at += 8 * len(offsets)
         for block, offset in enumerate(offsets):
-            _check_block(stream, offset, part, block, number if several else None, unpack)
+            _check_block(content, min(offset, len(content)), part, block, (number,) if several else (), unpack)
     return len(parts)
 
 
 def read_whole(path: SafePath, *, unpack: bool = True) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
     """Part -> channel -> (H, W) array in the type it was stored in, and the first part's header, of a checked file.
 
-    Raises what `check_chunks` and `SafePath.open` raise, and what the library's C++ throws.
+    Raises what `check_chunks` and `SafePath.read` raise, and what the library's C++ throws.
     """
     import OpenEXR
 
-    with path.open() as stream:
-        count = check_chunks(stream, unpack=unpack)
+    count = check_chunks(path.read(), unpack=unpack)
     parts = OpenEXR.File(str(path.located()), separate_channels=True).parts
     if len(parts) != count:
         raise ValueError(f"{len(parts)} of {count} parts can be read")
@@ -93,36 +86,38 @@ def read_whole(path: SafePath, *, unpack: bool = True) -> tuple[dict[str, dict[s
     return pixels, dict(parts[0].header)
 
 
-def _parts(stream: IO[bytes], several: bool) -> list[_Part]:
+def _parts(content: bytes, at: int, several: bool) -> tuple[list[_Part], int]:
+    """What the headers say, and where they end."""
     parts: list[_Part] = []
-    while (header := _header(stream)) or not parts:
+    while content[at] or not parts:
         if len(parts) == _MOST_PARTS:
             raise ValueError(f"more than {_MOST_PARTS} parts")
+        header = {}
+        while content[at]:
+            name, at = _name(content, at)
+            kind, at = _name(content, at)
+            (size,) = struct.unpack_from("<i", content, at)
+            header[name] = content[at + 4 : at + 4 + size]
+            at += 4 + size
+            if len(header[name]) != size or kind != _KINDS.get(name, kind):  # else the library takes another value
+                raise ValueError("its header is damaged")
+        at += 1
         parts.append(_part(header))
         if not several:
-            break
-    return parts
+            return parts, at
+    return parts, at + 1
 
 
-def _header(stream: IO[bytes]) -> dict[bytes, bytes]:
-    """Attributes of a part; empty after the last one."""
-    found = {}
-    while name := _name(stream):
-        kind = _name(stream)
-        (size,) = _unpack(stream, "<i")
-        found[name] = _read(stream, size)
-        if kind != _KINDS.get(name, kind):  # the library would not know it, and take another value
-            raise ValueError("its header is damaged")
-    return found
+def _name(content: bytes, at: int) -> tuple[bytes, int]:
+    end = content.find(b"\0", at, at + _MOST_NAME + 1)
+    if end < 0:
+        raise ValueError("its header is damaged")
+    return content[at:end], end + 1
 
 
 def _part(header: dict[bytes, bytes]) -> _Part:
-    try:
-        left, top, right, bottom = struct.unpack("<4i", header[b"dataWindow"])
-        lines = _LINES[header[b"compression"][0]]
-        sample_bytes = _pixel_bytes(header[b"channels"])
-    except (KeyError, IndexError, struct.error) as error:
-        raise ValueError("its header is damaged, or of another compression than forestgen's") from error
+    left, top, right, bottom = struct.unpack("<4i", header[b"dataWindow"])
+    lines = _LINES[header[b"compression"][0]]
     width, height = right - left + 1, bottom - top + 1
     count = struct.pack("<i", min(max(0, -(-height // lines)), 2**31 - 1))
     if header.get(b"chunkCount", count) != count:
@@ -131,7 +126,7 @@ def _part(header: dict[bytes, bytes]) -> _Part:
         raise ValueError("a part does not consist of scan lines")
     if not (0 < width <= _MOST_SIDE_PX and 0 < height <= _MOST_SIDE_PX):
         raise ValueError(f"{width:,} x {height:,} pixels, at most {_MOST_SIDE_PX:,} a side")
-    return _Part(lines, top, height, width * sample_bytes)
+    return _Part(lines, top, height, width * _pixel_bytes(header[b"channels"]))
 
 
 def _pixel_bytes(channels: bytes) -> int:
@@ -147,40 +142,20 @@ def _pixel_bytes(channels: bytes) -> int:
     return total
 
 
-def _check_block(stream: IO[bytes], offset: int, part: _Part, block: int, number: int | None, unpack: bool) -> None:
+def _check_block(content: bytes, at: int, part: _Part, block: int, number: tuple[int, ...], unpack: bool) -> None:
     """One block of lines: it is where the table says, of this part and line, and can be unpacked."""
-    stream.seek(min(offset, 2**62))
-    leader = _unpack(stream, "<ii" if number is None else "<iii")
-    size, whole = leader[-1], part.block_bytes(block)
-    if leader[:-1] != (*(() if number is None else (number,)), part.first + block * part.lines) or size > whole:
-        raise ValueError("a block of lines is damaged")
-    content = _read(stream, size)
+    *leader, size = struct.unpack_from("<ii" if not number else "<iii", content, at)
+    whole = min(part.lines, part.height - block * part.lines) * part.line_bytes
+    begin = at + 4 * (len(leader) + 1)
+    packed = content[begin : begin + max(0, size)]
+    if leader != [*number, part.first + block * part.lines] or size > whole or len(packed) != size:
+        raise ValueError("a block of lines is cut short or damaged")
     if not unpack or size == whole:  # not compressed: it would not have become shorter
         return
     unpacker = zlib.decompressobj()
     try:
-        is_whole = len(unpacker.decompress(content, whole + 1)) == whole and unpacker.eof
+        is_whole = len(unpacker.decompress(packed, whole + 1)) == whole and unpacker.eof
     except zlib.error:
         is_whole = False
     if not is_whole:
         raise ValueError("a block of lines cannot be unpacked")
-
-
-def _name(stream: IO[bytes]) -> bytes:
-    found = bytearray()
-    while (one := _read(stream, 1)) != b"\0":
-        found += one
-        if len(found) > _MOST_NAME:
-            raise ValueError("its header is damaged")
-    return bytes(found)
-
-
-def _unpack(stream: IO[bytes], form: str) -> tuple[Any, ...]:
-    return struct.unpack(form, _read(stream, struct.calcsize(form)))
-
-
-def _read(stream: IO[bytes], size: int) -> bytes:
-    content = stream.read(size) if size >= 0 else b""
-    if len(content) != size:
-        raise ValueError("the file is cut short")
-    return content

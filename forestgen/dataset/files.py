@@ -1,11 +1,13 @@
-"""Small files in memory, then on disk: failures to write name the path, the reason and a remedy."""
+"""Small files in memory, then on disk, one by one or all together: failures name the path, the reason and a remedy."""
 
 from __future__ import annotations
 
 import errno
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
+import os
+import stat
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -68,3 +70,83 @@ def write_json(path: Path, content: Any) -> None:
     """Write JSON with sorted keys; NaN and infinities, which JSON lacks, raise `ValueError`."""
     text = json.dumps(content, sort_keys=True, indent=1, allow_nan=False, ensure_ascii=False)
     write_bytes(path, (text + "\n").encode())
+
+
+def check_writable(paths: Iterable[Path], *, overwrite: bool) -> None:
+    """Raise `OutputError` for a folder, for a file that may not be replaced, and where nobody may write.
+
+    Links, pipes and devices are never replaced.
+    """
+    for path in paths:
+        other = "choose another name"
+        try:
+            if path.is_dir():
+                raise OutputError("the output is a folder", where=str(path), expected="a file", hint=other)
+            if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
+                expected = "a new name, or a regular file: no link, pipe or device"
+                raise OutputError("the output is no regular file", where=str(path), expected=expected, hint=other)
+            if path.exists() and not overwrite:
+                raise OutputError("the file exists", where=str(path), hint=f"{other}, or `overwrite=True`")
+            folder = next(parent for parent in path.absolute().parents if parent.exists())
+        except OSError as error:
+            raise output_error(error, path) from error
+        if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
+            reason = errno.EACCES if folder.is_dir() else errno.ENOTDIR
+            raise output_error(OSError(reason, os.strerror(reason)), path)
+
+
+class FileSet:
+    """Context manager: files are written under hidden names, and renamed when all are complete.
+
+    On any failure, Ctrl-C included, the hidden files go, and the folders that were made for them.
+
+    `overwrite`: replace files that exist.
+    """
+
+    def __init__(self, *, overwrite: bool) -> None:
+        self._overwrite = overwrite
+        self._hidden: dict[Path, Path] = {}  # by the name that it will have
+        self._made: list[Path] = []  # folders, the innermost first
+
+    def __enter__(self) -> FileSet:
+        return self
+
+    def write(self, path: Path, content: bytes) -> None:
+        """Write one file.
+
+        Raises `OutputError`: it exists and may not be replaced, or cannot be written.
+        """
+        check_writable([path], overwrite=self._overwrite)
+        self._made = [folder for folder in path.parents if not folder.exists()] + self._made
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._hidden[path] = path.with_name(f".{path.name}.partial-{os.getpid()}")
+            self._hidden[path].write_bytes(content)
+        except OSError as error:
+            raise output_error(error, path) from error
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            if kind is None:
+                self._place()
+        finally:
+            for hidden in self._hidden.values():
+                with suppress(OSError):
+                    hidden.unlink(missing_ok=True)
+            for folder in self._made:
+                with suppress(OSError):  # it holds what was written
+                    folder.rmdir()
+
+    def _place(self) -> None:
+        """Rename all files; where one cannot be, those that were new go again."""
+        check_writable(self._hidden, overwrite=self._overwrite)  # another process may have written there meanwhile
+        with ExitStack() as undo:
+            for path, hidden in self._hidden.items():
+                new = not path.exists()
+                try:
+                    hidden.replace(path)
+                except OSError as error:
+                    raise output_error(error, path) from error
+                if new:
+                    undo.callback(path.unlink, missing_ok=True)
+            undo.pop_all()

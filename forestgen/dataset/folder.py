@@ -7,12 +7,14 @@ process that was killed leaves its staging folder behind; the next run to the sa
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import os
 import platform
 import secrets
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -64,34 +66,35 @@ class OutputFolder:
             staging = self._final.parent / hidden_name(self._final, "partial")
             self._staging = staging
             staging.mkdir()
-        except BaseException as error:
+        except (OSError, RuntimeError) as error:  # resolve() of looping links raises RuntimeError
             self._discard()
-            if isinstance(error, OSError | RuntimeError):  # resolve() of looping links raises RuntimeError
-                raise self._as_output_error(error) from error
+            raise self._as_output_error(error) from error
+        except BaseException:
+            self._discard()
             raise
         return staging
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if error is None:
-            try:
+        try:
+            if error is None:
                 self._commit()
-            except BaseException as failure:
-                self._discard()
-                if isinstance(failure, OSError):
-                    raise self._as_output_error(failure) from failure
-                raise
-            return
-        self._discard()
-        if isinstance(error, OSError) and self._is_about_output(error):
+                return
+        except OSError as failure:
+            raise self._as_output_error(failure) from failure
+        finally:
+            self._discard()
+        # An error on a path is ours if the path is in the staging folder; one without a path if storage failed.
+        if isinstance(error, OSError) and (
+            self._below(error) is not None or (error.filename is None and error.errno in STORAGE_ERRNOS)
+        ):
             raise self._as_output_error(error) from error
-        if isinstance(error, OutputError) and error.where is not None and self._staging is not None:
+        if isinstance(error, OutputError) and error.where is not None:
             known = error.where.replace(str(self._staging), str(self.target))
             if known != error.where:  # name the folder that the user asked for, not the hidden one
-                raise OutputError(
-                    error.problem, where=known, expected=error.expected, got=error.got, hint=error.hint
-                ) from error
+                texts = {"expected": error.expected, "got": error.got, "hint": error.hint}
+                raise OutputError(error.problem, where=known, **texts) from error
 
     def _check_target(self) -> None:
         target = self._final
@@ -114,14 +117,10 @@ class OutputFolder:
             raise OutputError(OURS, where=str(self.target), hint=hint)
 
     def _make_parents(self) -> None:
-        missing = []
-        parent = self._final.parent
-        while not _exists(parent):
-            missing.append(parent)
-            parent = parent.parent
-        for folder in reversed(missing):
-            folder.mkdir()
-            self._made_parents.append(folder)
+        for folder in reversed(self._final.parents):
+            if not _exists(folder):
+                folder.mkdir()
+                self._made_parents.append(folder)
 
     def _check_space(self) -> None:
         free = shutil.disk_usage(self._final.parent).free
@@ -152,30 +151,25 @@ class OutputFolder:
         shutil.rmtree(aside, ignore_errors=True)  # what stays is cleared by the next run
 
     def _discard(self) -> None:
-        """Remove the staging folder, and the parents that were made for it and are empty."""
+        """Remove the staging folder if it is still there, and the parents that were made for it and are empty."""
         if self._staging is not None:
             shutil.rmtree(self._staging, ignore_errors=True)
-        for folder in reversed(self._made_parents):
-            try:
+        with suppress(OSError):
+            for folder in reversed(self._made_parents):
                 folder.rmdir()
-            except OSError:
-                break
 
-    def _is_about_output(self, error: OSError) -> bool:
-        """An error on a path is ours if the path is in the staging folder; one without a path if storage failed."""
-        if isinstance(error.filename, str | os.PathLike) and self._staging is not None:
-            return Path(error.filename).is_relative_to(self._staging)
-        return error.errno in STORAGE_ERRNOS
+    def _below(self, error: OSError) -> Path | None:
+        """The path of an error, below the staging folder; None: it lies elsewhere."""
+        if self._staging is None or not isinstance(error.filename, str | os.PathLike):
+            return None
+        path = Path(error.filename)
+        return path.relative_to(self._staging) if path.is_relative_to(self._staging) else None
 
     def _as_output_error(self, error: OSError | RuntimeError) -> OutputError:
+        """It names the path that the user knows."""
         if not isinstance(error, OSError):
             return OutputError(f"cannot write: {error}", where=str(self.target), hint="choose another folder")
-        staging = self._staging
-        if staging is not None and isinstance(error.filename, str | os.PathLike):
-            path = Path(error.filename)
-            if path.is_relative_to(staging):  # the name that the user knows
-                return output_error(error, self.target / path.relative_to(staging))
-        return output_error(error, self.target)
+        return output_error(error, self.target / (self._below(error) or ""))
 
 
 def _exists(path: Path) -> bool:
@@ -220,21 +214,16 @@ def _started(pid: int) -> str:
             return ""
 
 
-def _is_alive(pid: int, started: str) -> bool:
-    """Whether a process may still run; in doubt it does."""
+def leftovers(target: Path, kind: str) -> list[Path]:
+    """What processes of this machine that are dead have left beside `target`; sorted. In doubt a process lives."""
     import psutil
 
-    return bool(psutil.pid_exists(pid)) and _started(pid) in (started, "")
-
-
-def leftovers(target: Path, kind: str) -> list[Path]:
-    """What processes of this machine that are dead have left beside `target`; sorted."""
     found = []
-    for path in sorted(target.parent.iterdir()) if _exists(target.parent) else ():
-        host, *process = path.name.removeprefix(f"{_stem(target)}{kind}-").split("-")
-        if not path.name.startswith(f"{_stem(target)}{kind}-") or host != _host():
-            continue
-        if len(process) == 3 and process[0].isdecimal() and not _is_alive(int(process[0]), process[1]):
+    for path in sorted(target.parent.glob(f"{glob.escape(_stem(target))}{kind}-{_host()}-*")):
+        process = path.name.rsplit("-", 3)[1:]
+        if process[0].isdecimal() and not (
+            psutil.pid_exists(int(process[0])) and _started(int(process[0])) in (process[1], "")
+        ):
             found.append(path)
     return found
 

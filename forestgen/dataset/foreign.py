@@ -7,7 +7,6 @@ the data set, whatever its name.
 from __future__ import annotations
 
 from fnmatch import fnmatchcase
-from functools import lru_cache
 
 _TOOLS: dict[str, tuple[str, ...]] = {
     "Ultralytics": ("*.cache",),  # what it has read of the labels
@@ -31,9 +30,4 @@ _PATTERNS = sorted(
 
 def tool_of(path: str) -> str | None:
     """The tool that makes files of this path below the data set's folder; None if forestgen knows none."""
-    return next((tool for name in path.split("/") if (tool := _tool_of_name(name)) is not None), None)
-
-
-@lru_cache(maxsize=4096)
-def _tool_of_name(name: str) -> str | None:
-    return next((tool for pattern, tool in _PATTERNS if fnmatchcase(name, pattern)), None)
+    return next((tool for name in path.split("/") for pattern, tool in _PATTERNS if fnmatchcase(name, pattern)), None)

@@ -24,11 +24,12 @@ Arrays are (H, W) or (H, W, C), row 0 at the top. What a recipe's `labels.channe
 from __future__ import annotations
 
 import io
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,57 +43,20 @@ from forestgen.recipe.assets import MAPS
 Parts = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
-class FrameSource(Protocol):
-    """Where a frame's content comes from: memory, or the files of a data set."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def info(self) -> Mapping[str, Any]: ...
-
-    @property
-    def classes(self) -> tuple[str, ...]:
-        """Names of the semantic classes, by number."""
-
-    @property
-    def recipe_yaml(self) -> str: ...
-
-    def parts(self) -> Parts:
-        """Part -> channel -> (H, W) array, as in frame.exr."""
-
-    def instance(self) -> NDArray[np.uint32]:
-        """(H, W) plant_id."""
-
-    def semantic(self) -> NDArray[np.uint8]:
-        """(H, W) class."""
-
-    def plants(self) -> Any:
-        """A `pyarrow.Table`."""
-
-    def camera(self) -> dict[str, Any]: ...
-
-    def preview(self) -> NDArray[np.uint8]:
-        """(H, W, 3) sRGB."""
-
-    def save(self, folder: Path, beside: Path) -> None:
-        """Write the frame's files into `folder`, and maps that its recipe names into ``maps/`` of `beside`."""
-
-
-class Frame:
+class Frame(ABC):
     """See the module."""
 
-    def __init__(self, source: FrameSource) -> None:
-        self._source = source
+    def __init__(self, info: Mapping[str, Any], classes: tuple[str, ...]) -> None:
+        self._info, self._classes = info, classes
 
     @property
     def name(self) -> str:
         """Of its folder, such as ``000000-camera0``."""
-        return self._source.name
+        return str(self._info["frame"])
 
     @property
     def info(self) -> Mapping[str, Any]:
-        return self._source.info
+        return self._info
 
     @property
     def image(self) -> int:
@@ -107,7 +71,7 @@ class Frame:
     @property
     def classes(self) -> tuple[str, ...]:
         """Names of the semantic classes, by number."""
-        return self._source.classes
+        return self._classes
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -115,22 +79,22 @@ class Frame:
         return tuple(self.info["channels"])
 
     @property
+    @abstractmethod
     def recipe(self) -> str:
         """The drawn recipe as YAML: rendered again it gives this image."""
-        return self._source.recipe_yaml
 
-    @cached_property
+    @property
+    @abstractmethod
     def parts(self) -> Parts:
         """Part of frame.exr -> channel -> (H, W) array."""
-        return self._source.parts()
 
-    @cached_property
-    def plants(self) -> Any:
-        return self._source.plants()
+    @property
+    @abstractmethod
+    def plants(self) -> Any: ...
 
-    @cached_property
-    def camera(self) -> dict[str, Any]:
-        return self._source.camera()
+    @property
+    @abstractmethod
+    def camera(self) -> dict[str, Any]: ...
 
     @cached_property
     def radiance(self) -> NDArray[np.float32]:
@@ -144,13 +108,13 @@ class Frame:
     def denoised(self) -> NDArray[np.float32] | None:
         return self._stack("radiance.denoised", self.channels) if "radiance.denoised" in self.parts else None
 
-    @cached_property
-    def instance(self) -> NDArray[np.uint32]:
-        return self._source.instance()
+    @property
+    @abstractmethod
+    def instance(self) -> NDArray[np.uint32]: ...
 
-    @cached_property
-    def semantic(self) -> NDArray[np.uint8]:
-        return self._source.semantic()
+    @property
+    @abstractmethod
+    def semantic(self) -> NDArray[np.uint8]: ...
 
     @cached_property
     def part(self) -> NDArray[np.uint8]:
@@ -192,9 +156,9 @@ class Frame:
     def boundary(self) -> NDArray[np.bool_] | None:
         return self.channel("boundary", "occluding").astype(bool) if "boundary" in self.parts else None
 
-    @cached_property
-    def preview(self) -> NDArray[np.uint8]:
-        return self._source.preview()
+    @property
+    @abstractmethod
+    def preview(self) -> NDArray[np.uint8]: ...
 
     @cached_property
     def overlay(self) -> NDArray[np.uint8]:
@@ -233,8 +197,12 @@ class Frame:
             hint = "choose another folder, or `overwrite=True`"
             raise OutputError("the frame is there already", where=str(target), hint=hint)
         with OutputFolder(target, overwrite=overwrite, is_ours=_is_frame_folder) as staging:
-            self._source.save(staging, Path(folder))
+            self._write(staging, Path(folder))
         return target
+
+    @abstractmethod
+    def _write(self, folder: Path, beside: Path) -> None:
+        """Write the frame's files into `folder`, and maps that its recipe names into ``maps/`` of `beside`."""
 
     def show(self) -> Any:
         """A matplotlib figure: the picture, and the masks over it."""
@@ -269,38 +237,40 @@ def _is_frame_folder(folder: Path) -> bool:
     return all(SafePath(folder, name).is_file() for name in ("frame.exr", "camera.json", "recipe.yaml"))
 
 
-class StoredFrame:
-    """A `FrameSource`: the files of a frame's folder, each read when it is asked for."""
+class StoredFrame(Frame):
+    """The files of a frame's folder, each read when it is asked for."""
 
     def __init__(self, folder: SafePath, info: Mapping[str, Any], classes: tuple[str, ...]) -> None:
-        self.folder, self.info, self.classes = folder, info, classes
-
-    @property
-    def name(self) -> str:
-        return str(self.info["frame"])
+        super().__init__(info, classes)
+        self._folder = folder
 
     @property
     def _size_px(self) -> tuple[int, int]:
         return int(self.info["width_px"]), int(self.info["height_px"])
 
+    @cached_property
     def parts(self) -> Parts:
         from forestgen.dataset.exr_chunks import read_whole
 
         with self._reading("frame.exr") as path:
             return read_whole(path, unpack=False)[0]
 
+    @cached_property
     def instance(self) -> NDArray[np.uint32]:
         with self._reading("instance.png") as path:
             return instance_of(path.read(), self._size_px)
 
+    @cached_property
     def semantic(self) -> NDArray[np.uint8]:
         with self._reading("semantic.png") as path:
             return semantic_of(path.read(), self._size_px)
 
+    @cached_property
     def plants(self) -> Any:
         with self._reading("plants.parquet") as path:
             return read_parquet(path)
 
+    @cached_property
     def camera(self) -> dict[str, Any]:
         with self._reading("camera.json") as path:
             content = path.read_json()
@@ -308,18 +278,19 @@ class StoredFrame:
                 raise ValueError("no JSON object")
             return content
 
+    @cached_property
     def preview(self) -> NDArray[np.uint8]:
         with self._reading("preview.png") as path:
             return rgb_of(path.read(), self._size_px)
 
     @property
-    def recipe_yaml(self) -> str:
+    def recipe(self) -> str:
         with self._reading("recipe.yaml") as path:
             return path.read().decode()
 
-    def save(self, folder: Path, beside: Path) -> None:
-        maps, recipe = SafePath(self.folder.root, f"{self.info['split']}/{MAPS}"), self.recipe_yaml
-        self._copy(self.folder, folder)
+    def _write(self, folder: Path, beside: Path) -> None:
+        maps, recipe = SafePath(self._folder.root, f"{self.info['split']}/{MAPS}"), self.recipe
+        self._copy(self._folder, folder)
         for name in maps.names():
             if name in recipe:
                 make_folder(beside / MAPS)
@@ -341,7 +312,7 @@ class StoredFrame:
         """A file of the frame's folder; what fails while it is read is a `DatasetError` that names it."""
         import pyarrow as pa
 
-        path = (folder or self.folder) / name
+        path = (folder or self._folder) / name
         try:
             yield path
         except (OSError, ValueError, SyntaxError, RuntimeError, pa.ArrowException) as error:

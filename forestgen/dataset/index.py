@@ -118,7 +118,9 @@ class DrawTypes:
     @property
     def columns(self) -> dict[str, str]:
         """Column -> type, by name: boolean, int64, double, string or JSON."""
-        return {name: _common(self._kinds[name] - {"null"}) for name in sorted(self._kinds)}
+        kinds = {name: self._kinds[name] - {"null"} for name in sorted(self._kinds)}
+        several = {name: _NUMBER if own == {_WHOLE, _NUMBER} else _JSON for name, own in kinds.items()}
+        return {name: min(own) if len(own) == 1 else several[name] for name, own in kinds.items()}
 
 
 def _kind(value: Any) -> str:
@@ -129,12 +131,6 @@ def _kind(value: Any) -> str:
     if isinstance(value, int | float):
         return _WHOLE if _is_whole(value) else _NUMBER
     return _TEXT if isinstance(value, str) else _JSON
-
-
-def _common(kinds: set[str]) -> str:
-    if len(kinds) == 1:
-        return next(iter(kinds))
-    return _NUMBER if kinds == {_WHOLE, _NUMBER} else _JSON
 
 
 def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[str, str] | None = None) -> None:
@@ -182,11 +178,9 @@ def read_index(path: Path) -> Iterator[dict[str, Any]]:
 
     A file that is missing, or no index, raises `DatasetError`.
     """
-    maps = [name for name, kind in COLUMNS.items() if kind == _BY_NAME]
     with open_index(path, ("frame", "folder", "split", "image")) as file:
         for number in range(file.num_row_groups):
-            for row in file.read_row_group(number).to_pylist():
-                yield row | {name: dict(row[name]) for name in maps if row.get(name) is not None}
+            yield from plain_rows(file.read_row_group(number), path)
 
 
 @contextmanager
@@ -201,8 +195,7 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
     try:
         with SafePath(path.parent, path.name).open() as stream, pq.ParquetFile(stream) as file:
             names = file.schema_arrow.names
-            missing = [name for name in needed if name not in names]
-            if missing:
+            if missing := [name for name in needed if name not in names]:
                 expected = f"columns {', '.join(missing)}"
                 raise DatasetError("this is no index of forestgen", where=str(path), expected=expected)
             check_cells(file.metadata.num_rows, len(names))
@@ -309,19 +302,15 @@ def _is_of_its_type(field: Any, needed: Sequence[str]) -> bool:
     wanted, kind = COLUMNS.get(field.name), field.type
     if types.is_null(kind):
         return field.name not in needed
-    if wanted is None:
-        plain = (types.is_boolean, types.is_integer, types.is_floating, types.is_string, types.is_large_string)
-        return not field.name.startswith(DRAW) or any(test(kind) for test in plain)
-    if wanted == _TEXT:
-        return bool(types.is_string(kind) or types.is_large_string(kind))
-    if wanted in (_WHOLE, _SMALL):
-        return bool(types.is_integer(kind))
-    if wanted == _NUMBER:
-        return bool(types.is_floating(kind) or types.is_integer(kind))
     if wanted == _BY_NAME:
         return bool(types.is_map(kind) and types.is_string(kind.key_type) and types.is_integer(kind.item_type))
-    is_item = types.is_string if wanted == _TEXTS else types.is_integer
-    return bool(types.is_list(kind) and (is_item(kind.value_type) or types.is_null(kind.value_type)))
+    if wanted in (_TEXTS, _COUNTS):
+        is_item = types.is_string if wanted == _TEXTS else types.is_integer
+        return bool(types.is_list(kind) and (is_item(kind.value_type) or types.is_null(kind.value_type)))
+    texts, whole, numbers = (types.is_string, types.is_large_string), (types.is_integer,), (types.is_floating,)
+    tests = {_TEXT: texts, _WHOLE: whole, _SMALL: whole, _NUMBER: (*numbers, *whole)}
+    plain = tests.get(wanted or "", (types.is_boolean, *whole, *numbers, *texts))  # the latter of draws
+    return any(test(kind) for test in plain) or (wanted is None and not field.name.startswith(DRAW))
 
 
 def check_row(row: Mapping[str, Any]) -> None:

@@ -1,19 +1,26 @@
-"""manifest.json of what `simulate` and `calibrate` write, and of a split: what made its files, and their sums."""
+"""What made files, and their sums: manifest.json of `simulate`, `calibrate` and a split, and SHA256SUMS of a data set.
+
+SHA256SUMS has a line a file, as `sha256sum -c SHA256SUMS` reads it.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import platform
+import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from forestgen.dataset.files import write_json
-from forestgen.dataset.safe_path import SafePath
+from forestgen.core.errors import DatasetError
+from forestgen.dataset.files import output_error, write_json
+from forestgen.dataset.safe_path import SafePath, is_inside
 
-MANIFEST_NAME = "manifest.json"
+MANIFEST_NAME, SUMS_NAME = "manifest.json", "SHA256SUMS"
+_LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")  # of SHA256SUMS
+_LONGEST_LINE = 8192  # bytes
 SCHEMA = "forestgen-manifest/1"
 PACKAGES = (
     "forestgen", "numpy", "scipy", "numba", "mitsuba", "drjit", "mitsuba-oidn", "colour-science", "pvlib",
@@ -89,7 +96,46 @@ def list_files(root: Path) -> dict[str, dict[str, Any]]:
     for path in sorted(root.rglob("*")):
         name = path.relative_to(root).as_posix()
         if path.is_file() and name != MANIFEST_NAME:
-            with path.open("rb") as stream:
-                digest = hashlib.file_digest(stream, "sha256").hexdigest()
-            files[name] = {"bytes": path.stat().st_size, "sha256": digest}
+            files[name] = {"bytes": path.stat().st_size, "sha256": file_sum(path)}
     return files
+
+
+def write_sums(path: Path, sums: Iterable[tuple[str, str]]) -> None:
+    """Write path and SHA-256, hexadecimal, of each file, in the order given; a failure raises `OutputError`."""
+    try:
+        with path.open("w", encoding="utf-8", newline="\n") as stream:
+            stream.writelines(f"{digest}  {name}\n" for name, digest in sums)
+    except OSError as error:
+        raise output_error(error, path) from error
+
+
+def read_sums(path: Path, refused: Callable[[DatasetError], None] | None = None) -> Iterator[tuple[str, str]]:
+    """Path and SHA-256 of each file that is listed; a file that is missing raises `DatasetError`.
+
+    `refused` takes the error of each line of another form, and the other lines are read; None: the first one raises.
+    """
+    try:
+        with SafePath(path.parent, path.name).open() as stream:
+            lines = (line.decode("utf-8") for line in iter(lambda: stream.readline(_LONGEST_LINE), b""))
+            for number, line in enumerate(lines, start=1):
+                match = _LINE.fullmatch(line.rstrip("\n"))
+                if match is None or not line.endswith("\n") or not is_inside(match[2]):
+                    error = DatasetError(
+                        "this line is no checksum",
+                        where=f"{path}:{number}",
+                        expected="64 hexadecimal digits, two blanks and a path below the data set's folder",
+                        got=repr(line[:80]),
+                    )
+                    if refused is None:
+                        raise error
+                    refused(error)
+                else:
+                    yield match[2], match[1]
+    except (OSError, ValueError) as error:  # ValueError: bytes that are no UTF-8
+        raise DatasetError("the checksums cannot be read", where=str(path), got=str(error)) from error
+
+
+def file_sum(path: Path | SafePath) -> str:
+    """SHA-256, hexadecimal, of a file."""
+    with path.open() if isinstance(path, SafePath) else path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -1,8 +1,23 @@
-"""The PNG files of a frame: preview, overlay, instance and semantic masks, grey pictures. No dates in them."""
+"""The PNG files of a frame (preview, overlay, masks, grey pictures; no dates in them), its thumbnail, and classes.json.
+
+thumbnails/FRAME.jpg are small pictures of the frames, for pages and for people. classes.json says what the numbers in
+masks and annotations mean:
+
+| key | what it is |
+|---|---|
+| `semantic` | class number -> name, of semantic.png and of the channels `semantic` |
+| `semantic_colours` | class number -> red, green, blue of semantic.png's palette |
+| `part` | number -> name, of the channels `part` |
+| `categories` | category_id -> name, as in coco.json; panoptic.json adds ground and sky; YOLO counts from 0 |
+
+semantic.png holds `semantic` as JSON in its text `classes`; frame.exr holds `semantic` and `part` in its attributes
+``forestgen/classes`` and ``forestgen/parts``.
+"""
 
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
@@ -12,30 +27,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import OutputError
-from forestgen.dataset.files import write_bytes
-from forestgen.dataset.legend import classes_text
+from forestgen.core.errors import DatasetError, OutputError
+from forestgen.core.parts import Part
+from forestgen.dataset.files import make_folder, write_bytes
+from forestgen.dataset.safe_path import SafePath, unreadable
+from forestgen.dataset.settings import DatasetSettings
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+LEGEND_NAME, THUMBNAILS = "classes.json", "thumbnails"
+LONG_SIDE_PX, _QUALITY = 256, 85  # of thumbnails
 _COMPRESS_LEVEL = 4
 MAX_PNG_ID = (1 << 24) - 1
 _PALETTE_COLOURS = 256  # those without a class are black
 _TINT = 0.42  # share of a plant's own colour inside its mask
 _SKY_RGB, _GROUND_RGB = (110, 160, 220), (122, 96, 70)
-
-
-def write_rgb(path: Path, picture: NDArray[np.uint8], text: Mapping[str, str] | None = None) -> None:
-    """Write an (H, W, 3) uint8 picture; `text` goes into text chunks."""
-    _save(path, picture, text=text)
-
-
-def write_grey(
-    path: Path, picture: NDArray[np.uint8] | NDArray[np.uint16], compress_level: int = _COMPRESS_LEVEL
-) -> None:
-    """Write an (H, W) picture as a grey PNG of 8 or 16 bits."""
-    _save(path, picture, compress_level)
 
 
 def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
@@ -49,7 +56,7 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
             got=str(largest),
             hint="ids count all plants that ever lived: make the site smaller, or stop after fewer steps",
         )
-    write_rgb(path, np.stack([(instance >> shift) & 0xFF for shift in (0, 8, 16)], axis=-1).astype(np.uint8))
+    write_png(path, np.stack([(instance >> shift) & 0xFF for shift in (0, 8, 16)], axis=-1).astype(np.uint8))
 
 
 def semantic_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint8]:
@@ -78,9 +85,11 @@ def rgb_of(content: bytes, size_px: tuple[int, int]) -> NDArray[np.uint8]:
 def _opened(content: bytes, size_px: tuple[int, int]) -> Image:
     from PIL.PngImagePlugin import PngImageFile
 
-    found = _size_of(content)
-    if found != size_px:
-        raise ValueError(f"the picture has {found[0]} x {found[1]} pixels, and its frame {size_px[0]} x {size_px[1]}")
+    if content[:8] != b"\x89PNG\r\n\x1a\n" or content[12:16] != b"IHDR" or len(content) < 24:
+        raise ValueError("this is no PNG")
+    width, height = struct.unpack(">II", content[16:24])
+    if (width, height) != size_px:
+        raise ValueError(f"the picture has {width} x {height} pixels, and its frame {size_px[0]} x {size_px[1]}")
     try:
         # `PIL.Image.open` would refuse large pictures whose size is known to be right.
         image = PngImageFile(io.BytesIO(content))
@@ -88,14 +97,6 @@ def _opened(content: bytes, size_px: tuple[int, int]) -> Image:
     except (struct.error, zlib.error, IndexError, KeyError, TypeError, EOFError, OverflowError) as error:
         raise ValueError(f"the picture is damaged: {error}") from error
     return image
-
-
-def _size_of(content: bytes) -> tuple[int, int]:
-    """Width and height of a PNG, as its first chunk says."""
-    if content[:8] != b"\x89PNG\r\n\x1a\n" or content[12:16] != b"IHDR" or len(content) < 24:
-        raise ValueError("this is no PNG")
-    width, height = struct.unpack(">II", content[16:24])
-    return width, height
 
 
 def write_semantic(path: Path, semantic: NDArray[np.uint8], class_names: Sequence[str]) -> None:
@@ -106,7 +107,7 @@ def write_semantic(path: Path, semantic: NDArray[np.uint8], class_names: Sequenc
     # Pillow packs a short palette's pixels into 1, 2 or 4 bits, which some readers do not unpack (torchvision 0.29).
     palette = np.zeros((_PALETTE_COLOURS, 3), dtype=np.uint8)
     palette[: len(class_names)] = class_palette(len(class_names))
-    _save(path, semantic, text={"classes": classes_text(class_names)}, palette=palette)
+    write_png(path, semantic, {"classes": classes_text(class_names)}, palette=palette)
 
 
 def class_palette(classes: int) -> NDArray[np.uint8]:
@@ -137,13 +138,10 @@ def overlay(preview: NDArray[np.uint8], instance: NDArray[np.uint32]) -> NDArray
 def _outline(instance: NDArray[np.uint32]) -> NDArray[np.bool_]:
     """Pixels whose right or lower neighbour, or for plants against no plant any neighbour, is another's."""
     edge = np.zeros(instance.shape, dtype=bool)
-    for axis in (0, 1):
-        a = instance[:-1] if axis == 0 else instance[:, :-1]
-        b = instance[1:] if axis == 0 else instance[:, 1:]
-        differs = a != b
-        first, second = (edge[:-1], edge[1:]) if axis == 0 else (edge[:, :-1], edge[:, 1:])
-        first |= differs & (a != 0)
-        second |= differs & (a == 0)
+    for ids, found in ((instance, edge), (instance.T, edge.T)):
+        differs = ids[:-1] != ids[1:]
+        found[:-1] |= differs & (ids[:-1] != 0)
+        found[1:] |= differs & (ids[:-1] == 0)
     return edge
 
 
@@ -156,13 +154,15 @@ def _rgb_from_hsv(
     return np.asarray(np.rint(rgb * 255.0), dtype=np.uint8)
 
 
-def _save(
+def write_png(
     path: Path,
     pixels: NDArray[np.unsignedinteger[Any]],
-    compress_level: int = _COMPRESS_LEVEL,
     text: Mapping[str, str] | None = None,
+    *,
     palette: NDArray[np.uint8] | None = None,
+    compress_level: int = _COMPRESS_LEVEL,
 ) -> None:
+    """Write (H, W, 3) uint8, or (H, W) grey of 8 or 16 bits or indices of a palette; `text` goes into text chunks."""
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
@@ -175,3 +175,78 @@ def _save(
     buffer = io.BytesIO()
     image.save(buffer, format="PNG", compress_level=compress_level, pnginfo=chunks)
     write_bytes(path, buffer.getvalue())
+
+
+def write_legend(root: Path, settings: DatasetSettings) -> None:
+    """Write classes.json into the data set's folder."""
+    palette = class_palette(len(settings.class_names))
+    legend = {
+        "semantic": _numbered(settings.class_names),
+        "semantic_colours": {str(i): colour for i, colour in enumerate(palette.tolist())},
+        "part": _numbered(_part_names()),
+        "categories": {str(i): name for i, name in enumerate(settings.category_names, start=1)},
+    }
+    lines = ",\n".join(f" {json.dumps(key)}: {json.dumps(names)}" for key, names in legend.items())
+    write_bytes(root / LEGEND_NAME, f"{{\n{lines}\n}}\n".encode())
+
+
+def read_legend(split: SafePath) -> dict[str, Any]:
+    """classes.json of a split's folder; `semantic` counts from 0 and `categories` from 1, and both have names.
+
+    A file that is missing, damaged, or of another form raises `DatasetError`.
+    """
+    path = split / LEGEND_NAME
+    try:
+        content = path.read_json()
+    except (OSError, ValueError) as error:
+        raise unreadable(path, error, "forestgen verify checks all files") from error
+    for key, first in (("semantic", 0), ("categories", 1)):
+        named = content.get(key) if isinstance(content, dict) else None
+        numbers = [str(number) for number in range(first, first + len(named))] if isinstance(named, dict) else []
+        if not isinstance(named, dict) or not all(isinstance(named.get(one), str) for one in numbers):
+            expected = f"{key}: a name for each number, from {first} on"
+            raise DatasetError("a file is not what its name says", where=str(path), expected=expected)
+    return dict(content)
+
+
+def classes_text(class_names: Sequence[str]) -> str:
+    """Class number -> name, as JSON on one line."""
+    return json.dumps(_numbered(class_names))
+
+
+def parts_text() -> str:
+    """Part number -> name, as JSON on one line."""
+    return json.dumps(_numbered(_part_names()))
+
+
+def _part_names() -> list[str]:
+    return [part.name.lower() for part in Part]
+
+
+def _numbered(names: Sequence[str]) -> dict[str, str]:
+    return {str(number): name for number, name in enumerate(names)}
+
+
+def thumbnail_name(frame: str) -> str:
+    """Path of a frame's thumbnail below the data set's folder."""
+    return f"{THUMBNAILS}/{frame}.jpg"
+
+
+def write_thumbnail(frame_folder: Path, target: Path) -> None:
+    """Write a frame's preview.png, at most `LONG_SIDE_PX` long and never enlarged, as JPEG without a date.
+
+    The target's folder is made if it is missing. Without a preview to read it raises `OutputError`.
+    """
+    from PIL import Image
+
+    source = frame_folder / "preview.png"
+    buffer = io.BytesIO()
+    try:
+        with Image.open(source) as image:
+            picture = image.convert("RGB")
+            picture.thumbnail((LONG_SIDE_PX, LONG_SIDE_PX), Image.Resampling.LANCZOS, reducing_gap=None)
+            picture.save(buffer, "JPEG", quality=_QUALITY, optimize=True)
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow's for files that are cut short
+        raise OutputError("the preview cannot be read", where=str(source), got=str(error)) from error
+    make_folder(target.parent)
+    write_bytes(target, buffer.getvalue())

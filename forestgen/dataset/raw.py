@@ -48,9 +48,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Band, Spectrum
+from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Spectrum
 from forestgen.dataset.files import write_json
-from forestgen.dataset.png import write_grey
+from forestgen.dataset.png import write_png
 from forestgen.dataset.tonemap import picture_bands
 from forestgen.recipe.cameras import Exposure
 from forestgen.recipe.spectra import load_table
@@ -145,7 +145,7 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
 def write_raw(folder: Path, raw: Raw) -> None:
     """Write a raw image's files; a failure raises `OutputError`."""
     for name, numbers in raw.planes.items():
-        write_grey(folder / name, numbers)
+        write_png(folder / name, numbers)
     write_json(folder / JSON_NAME, raw.facts)
 
 
@@ -199,14 +199,11 @@ def _sensor(radiance: Radiance) -> _Sensor:
     colour = len(bands) == 3 and chosen.kind == "true colour"
     columns = chosen.channels if colour else tuple(range(len(bands)))
     power = np.array([bands[column].mean(d65()) for column in columns])
-    answer = power * [_area(bands[column]) for column in columns]
+    responses = [bands[column].response for column in columns]
+    answer = power * [float(np.trapezoid(one.value, one.wavelength_nm)) for one in responses]
     sensitivity = answer / answer.max() if colour else np.ones(len(bands))
     names = tuple(radiance.channels[column] for column in columns)
     return _Sensor(names, columns, sensitivity / power, 1.0 / sensitivity, 1.0 / sensitivity / len(names), colour)
-
-
-def _area(band: Band) -> float:
-    return float(np.trapezoid(band.response.value, band.response.wavelength_nm))
 
 
 @cache

@@ -29,9 +29,6 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.processes import free_bytes
 
@@ -40,13 +37,12 @@ _MOST_BYTES = 64 * _GB  # of any file
 _TEXTS = (".json", ".yaml", ".yml", ".txt", ".md")
 _SHARE_OF_MEMORY = 0.8
 _MOST_LEVELS = 100
-_MOST_DIGITS = 40
+_MOST_DIGITS, _LARGEST = 40, 1e100
 _MOST_CELLS = 200_000_000  # of a table that is read in one piece
 _DRIVE = re.compile(r"[A-Za-z]:")
 _FRAME = re.compile(r"[0-9]{6,18}-[A-Za-z0-9][A-Za-z0-9_-]{0,79}")
 _SPLIT = re.compile(r"[a-z][a-z0-9_-]{0,31}")
-_STRING = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
-_LARGE_NUMBER = re.compile(r"[eE]\+?0*[1-9][0-9]{2}")
+_TOO_DEEP = f"nested too deeply: more than {_MOST_LEVELS} levels"
 _HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")
 _FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
 
@@ -116,9 +112,17 @@ class SafePath:
 
     def read(self) -> bytes:
         """All bytes, of a file that is not larger than this module's table says; raises what `open` raises."""
+        name = self.name.lower()
+        most = 64 * _MB if name.endswith(_TEXTS) else 16 * _GB
+        if name.endswith(".json") and not any(map(is_frame, self.name.split("/"))):
+            most = 8 * _GB
         with self.open() as stream:
             size_bytes = os.fstat(stream.fileno()).st_size
-            _check_size(size_bytes, _most_bytes(self.name))
+            size = f"{size_bytes / _MB:,.0f} MB"
+            if size_bytes > most:
+                raise RefusedFileError(f"the file is too large: {size}, at most {most / _MB:,.0f} MB")
+            if size_bytes > 64 * _MB and size_bytes > _SHARE_OF_MEMORY * free_bytes():
+                raise RefusedFileError(f"the file is larger than the free memory: {size}")
             return stream.read(size_bytes)
 
     def read_json(self) -> Any:
@@ -178,49 +182,31 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
         raise RefusedFileError(f"the file is too large: {status.st_size / _GB:,.0f} GB")
 
 
-def _most_bytes(name: str) -> int:
-    if name.lower().endswith(".json") and not any(map(is_frame, name.split("/"))):
-        return 8 * _GB
-    return 64 * _MB if name.lower().endswith(_TEXTS) else 16 * _GB
-
-
-def _check_size(size_bytes: int, most: int) -> None:
-    if size_bytes > most:
-        raise RefusedFileError(f"the file is too large: {size_bytes / _MB:,.0f} MB, at most {most / _MB:,.0f} MB")
-    if size_bytes > 64 * _MB and size_bytes > _SHARE_OF_MEMORY * free_bytes():
-        raise RefusedFileError(f"the file is larger than the free memory: {size_bytes / _MB:,.0f} MB")
-
-
 def load_json(content: bytes | str) -> Any:
     """JSON within the bounds of this module's description; anything else raises `ValueError`."""
     text = content if isinstance(content, str) else content.decode("utf-8")
-    bare = _STRING.sub("", text)
-    signs = np.frombuffer(bare.encode("utf-8", "replace"), dtype=np.uint8)
-    if _levels(signs) > _MOST_LEVELS:
-        raise ValueError(f"nested too deeply: more than {_MOST_LEVELS} levels")
-    if _longest_digits(signs) > _MOST_DIGITS or _LARGE_NUMBER.search(bare):
-        raise ValueError(f"a number is too large: more than {_MOST_DIGITS} digits, or 1e100 and beyond")
-    value = json.loads(text, parse_constant=_no_number)
+    try:
+        value = json.loads(text, parse_constant=_number, parse_int=_number, parse_float=_number)
+        _check_levels(value, _MOST_LEVELS)
+    except RecursionError as error:
+        raise ValueError(_TOO_DEEP) from error
     if _HALF_CHARACTER.search(text):
         json.dumps(value, ensure_ascii=False).encode("utf-8")
     return value
 
 
-def _levels(signs: NDArray[np.uint8]) -> int:
-    """How deep brackets are nested, of JSON without its strings."""
-    opens, closes = (signs == ord("[")) | (signs == ord("{")), (signs == ord("]")) | (signs == ord("}"))
-    steps = np.where(opens, 1, -1)[opens | closes].astype(np.int8)
-    return int(np.cumsum(steps, dtype=np.int64).max(initial=0))
+def _check_levels(value: Any, most: int) -> None:
+    if most < 0:
+        raise ValueError(_TOO_DEEP)
+    for one in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        if isinstance(one, dict | list):
+            _check_levels(one, most - 1)
 
 
-def _longest_digits(signs: NDArray[np.uint8]) -> int:
-    """Digits in a row, at most."""
-    others = np.flatnonzero((signs < ord("0")) | (signs > ord("9")))
-    return int(np.diff(others, prepend=-1, append=len(signs)).max()) - 1
-
-
-def _no_number(text: str) -> Any:
-    raise ValueError(f"not a number: {text}")
+def _number(text: str) -> int | float:
+    if len(text) > _MOST_DIGITS or not abs(float(text)) < _LARGEST:
+        raise ValueError(f"{text[:40]}: no number, or a number of more than {_MOST_DIGITS} digits, or from 1e100 on")
+    return int(text) if text.lstrip("-").isdigit() else float(text)
 
 
 def check_cells(rows: int, columns: int) -> None:

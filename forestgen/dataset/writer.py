@@ -23,7 +23,7 @@ from forestgen.dataset.camera import write_camera
 from forestgen.dataset.exr import write_exr
 from forestgen.dataset.files import make_folder, write_bytes, write_json
 from forestgen.dataset.formats.format import load_formats
-from forestgen.dataset.legend import write_legend
+from forestgen.dataset.formats.shards import finite
 from forestgen.dataset.settings import DRAW, DatasetSettings
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.tonemap import preview_of
@@ -74,8 +74,8 @@ def write_frame(
     make_folder(folder)
     png.write_instance(folder / "instance.png", pixels.instance)
     png.write_semantic(folder / "semantic.png", pixels.semantic, settings.class_names)
-    png.write_rgb(folder / "preview.png", made.picture, made.texts)
-    png.write_rgb(folder / "overlay.png", png.overlay(made.picture, pixels.instance))
+    png.write_png(folder / "preview.png", made.picture, made.texts)
+    png.write_png(folder / "overlay.png", png.overlay(made.picture, pixels.instance))
     write_exr(folder / "frame.exr", labelled, {"view": settings.view, **attributes})
     if camera.exposure is not None:
         from forestgen.dataset.raw import raw_image, write_raw
@@ -96,7 +96,7 @@ def write_frame(
 def write_dataset(root: Path, folders: Iterable[Path | str], settings: DatasetSettings) -> None:
     """Write classes.json, and join the shards of all frames; `folders` are the frames' or their names, in any order."""
     known = list(folders)
-    write_legend(root, settings, png.class_palette(len(settings.class_names)))
+    png.write_legend(root, settings)
     for one in load_formats(settings.formats):
         one.merge(root, known, settings)
 
@@ -134,11 +134,7 @@ def frame_row(
 ) -> dict[str, Any]:
     """A frame's row of the index: plain values (numbers, texts, lists, dicts of them), the same in every run.
 
-    Parameters
-    ----------
-    name : of the frame's folder.
-    ground_m : height of the ground below the camera, world.
-    notes : for people.
+    `name` is the folder's, `ground_m` the height of the ground below the camera, world; `notes` are for people.
     """
     return {
         "frame": name,
@@ -198,8 +194,8 @@ def _light(radiance: Radiance) -> dict[str, Any]:
     return {
         "channels": list(radiance.channels),
         "samples": int(radiance.samples),
-        "relative_error": _known(radiance.relative_error),
-        "relative_error_p95": _known(radiance.relative_error_p95),
+        "relative_error": finite(radiance.relative_error),
+        "relative_error_p95": finite(radiance.relative_error_p95),
         "stopped_by": radiance.stopped_by,
     }
 
@@ -245,10 +241,6 @@ def _by_name(
     """How often each number occurs, or the sum of its weights, by name; what does not occur is left out."""
     counts = np.bincount(number, weights=weight, minlength=len(names))
     return {str(names[index]): int(counts[index]) for index in np.flatnonzero(counts).tolist()}
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def _mean(values: NDArray[Any]) -> float | None:

@@ -31,34 +31,26 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.recipe.classes import MOST_CLASSES, OTHERS, PARTS, RESERVED, wrong_classes
+from forestgen.recipe.classes import MOST_CLASSES, OTHERS, PARTS, RESERVED
 
 NOTHING_CLASS, GROUND_CLASS, FIRST_OWN_CLASS = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class ClassMap:
-    """Semantic classes of a data set, see above. A mistake in `classes` raises `RecipeError`."""
+    """Semantic classes of a data set, see above; too many species raise `RecipeError`. The recipe checks `classes`."""
 
     species_names: tuple[str, ...]  # in the recipe's order
     classes: Mapping[str, Sequence[str]] | None = None  # name -> species and parts; None: a class for each species
 
     def __post_init__(self) -> None:
         if len(self.own_names) > MOST_CLASSES:
-            what = "species" if self.classes is None else "classes"
-            raise RecipeError(
-                f"too many {what} for an 8-bit semantic mask",
-                where="species" if self.classes is None else "labels.classes",
-                expected=f"at most {MOST_CLASSES} {what}",
-                got=str(len(self.own_names)),
-                hint="let labels.classes put several species into one class",
+            expected, got = f"at most {MOST_CLASSES} species", str(len(self.own_names))
+            problem, hint = (
+                "too many species for an 8-bit semantic mask",
+                "let labels.classes put several species into one class",
             )
-        if self.classes is not None:
-            wrong = wrong_classes(self.classes, self.species_names)
-            if wrong is not None:
-                about = dict(wrong.context or {})
-                where = ".".join(map(str, about.pop("at")))
-                raise RecipeError(**about, where=where)
+            raise RecipeError(problem, where="species", expected=expected, got=got, hint=hint)
 
     @property
     def own_names(self) -> tuple[str, ...]:

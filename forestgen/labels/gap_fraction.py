@@ -110,13 +110,14 @@ def gap_fraction(
             weights += np.bincount(ring[chosen], weights=weight[chosen], minlength=RINGS)
     share = np.divide(gap_weight, seen_weight, out=np.full(RINGS, np.nan), where=seen > 0)
     logs = -np.log(np.maximum(share, 0.5 / np.maximum(seen, 1)))
+    hinge = int(np.searchsorted(edges, _HINGE_RAD)) - 1
     return GapFraction(
         edges_deg=np.degrees(edges),
         gap_fraction=share,
         samples=seen,
         gaps=gaps,
         effective_lai=_miller(edges, logs),
-        hinge_lai=_hinge(edges, logs),
+        hinge_lai=float(2 * np.cos(0.5 * (edges[hinge] + edges[hinge + 1])) * logs[hinge]),
         openness=float(gap_weight.sum() / seen_weight.sum()) if seen.any() else float("nan"),
     )
 
@@ -145,8 +146,3 @@ def _miller(edges: NDArray[np.float64], logs: NDArray[np.float64]) -> float:
     middle = 0.5 * (edges[:-1] + edges[1:])
     weight = np.cos(edges[:-1]) - np.cos(edges[1:])  # 1 over the whole sky
     return float(2 * (logs * np.cos(middle) * weight)[known].sum() / weight[known].sum())
-
-
-def _hinge(edges: NDArray[np.float64], logs: NDArray[np.float64]) -> float:
-    ring = int(np.searchsorted(edges, _HINGE_RAD)) - 1
-    return float(2 * np.cos(0.5 * (edges[ring] + edges[ring + 1])) * logs[ring])

@@ -44,12 +44,9 @@ def label_frame(
     measures: PlantMeasures,
     channels: Collection[str] = DEFAULT_CHANNELS,
 ) -> LabelledFrame:
-    """Make all labels of a frame of `population`.
+    """Make all labels of a frame of `population`; `channels` are those to write, as in the recipe's labels.channels.
 
-    Parameters
-    ----------
-    measures : of the same plants, in the same order; others raise `ValueError`, as plants of the image alone do.
-    channels : what to write, names as in the recipe's labels.channels.
+    Measures of other plants, or of another order, raise `ValueError`, as plants of the image alone do.
     """
     if len(measures.exemplar) != len(population):
         raise ValueError(f"measures of {len(measures.exemplar)} plants for a population of {len(population)}")
@@ -57,14 +54,7 @@ def label_frame(
     species = classes.species_index(population.species_names)[population.species]
     pixels = pixel_labels(identity.plant_id, identity.part, population.plant_id, species, classes)
     amodal = None if frame.amodal is None else amodal_masks(frame.amodal, identity.plant_id, pixels.instance)
+    views = plant_views(frame, population.plant_id, pixels, measures, amodal)
     return LabelledFrame(
-        frame=frame,
-        population=population,
-        species=species,
-        classes=classes,
-        pixels=pixels,
-        views=plant_views(frame, population.plant_id, pixels, measures, amodal),
-        measures=measures,
-        amodal=amodal,
-        channels=frozenset(channels),
+        frame, population, species, classes, pixels, views, measures, amodal, channels=frozenset(channels)
     )

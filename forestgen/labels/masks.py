@@ -34,7 +34,7 @@ class CoverageRanks:
 
 def coverage_ranks(plant_id: NDArray[np.uint32], k: int = 8) -> CoverageRanks:
     """The `k` ids that cover most of each pixel of (H, W, S) samples; beyond the ids present, 0 with coverage 0."""
-    height, width, samples = _checked_shape(plant_id)
+    height, width, samples = plant_id.shape
     ids = np.zeros((height, width, k), dtype=np.uint32)
     coverage = np.zeros((height, width, k), dtype=np.float32)
     kept = min(k, samples)
@@ -57,9 +57,6 @@ def part_mask(plant_id: NDArray[np.uint32], part: NDArray[np.uint8], instance: N
 
     Ties go to the smaller number of `forestgen.core.parts.Part`.
     """
-    _checked_shape(plant_id)
-    if part.shape != plant_id.shape or instance.shape != plant_id.shape[:2]:
-        raise ValueError(f"shapes disagree: {plant_id.shape}, {part.shape}, {instance.shape}")
     winner = np.zeros(instance.shape, dtype=np.uint8)
     counter = np.min_scalar_type(plant_id.shape[2])
     for rows in _row_blocks(plant_id.shape):
@@ -84,12 +81,8 @@ def semantic_mask(
 ) -> NDArray[np.uint8]:
     """(H, W) class of each pixel, by the species of its instance and its part.
 
-    Parameters
-    ----------
-    instance, part : (H, W), from `instance_mask` and `part_mask`; an id that is not in `plant_id` raises `ValueError`.
-    plant_id : (N,) uint32, sorted: the population.
-    species : (N,) index of each plant's species in the recipe's order.
-    class_of : (species + 1, parts) from `forestgen.labels.classes.ClassMap`; its last row is for what is no plant.
+    `class_of` is that of a `ClassMap`, `species` (N,) the numbers of the plants of `plant_id`, sorted. An instance that
+    is not among them raises `ValueError`.
     """
     kind = np.full(instance.shape, len(class_of) - 1, dtype=np.intp)
     is_plant = instance != 0
@@ -106,13 +99,6 @@ def rows_of(ids: NDArray[np.uint32], plant_id: NDArray[np.uint32]) -> NDArray[np
         strangers = np.unique(ids[~known])[:5].tolist()
         raise ValueError(f"the image shows plants that have no row, such as {strangers}")
     return row
-
-
-def _checked_shape(plant_id: NDArray[np.uint32]) -> tuple[int, int, int]:
-    if plant_id.ndim != 3 or plant_id.shape[2] == 0 or plant_id.dtype != np.uint32:
-        raise ValueError(f"expected (H, W, S) uint32 with S > 0, got {plant_id.shape} {plant_id.dtype}")
-    height, width, samples = plant_id.shape
-    return height, width, samples
 
 
 def _row_blocks(shape: tuple[int, ...]) -> Iterator[slice]:
@@ -157,14 +143,7 @@ def pixel_labels(
     species: NDArray[np.integer],
     classes: ClassMap,
 ) -> PixelLabels:
-    """Label an image.
-
-    Parameters
-    ----------
-    samples, part : (H, W, S) plant and part that each sample of the identity pass hit.
-    plant_id : (N,) uint32, sorted: the population.
-    species : (N,) index of each plant's species in the recipe's order.
-    """
+    """Label an image of samples (H, W, S) of plants and parts; plants (N,), ids sorted, and their species' numbers."""
     ranks = coverage_ranks(samples)
     instance = ranks.plant_id[..., 0].copy()
     parts = part_mask(samples, part, instance)
@@ -208,15 +187,7 @@ def amodal_masks(amodal: Amodal, plant_id: NDArray[np.uint32], instance: NDArray
     area += _more_in_the_scene(*args[:3], amodal.plant_id, plant_id)
     first = np.concatenate([[0], np.cumsum(box[:, 2].astype(np.int64) * box[:, 3])]).astype(np.int64)
     inside, pixels = _fill(*args, box, first)
-    return AmodalMasks(
-        plant_id=amodal.plant_id,
-        box_px=box,
-        first=first,
-        inside=inside,
-        pixels=pixels,
-        area_px=area / amodal.samples,
-        full_box_px=amodal.full_box_px,
-    )
+    return AmodalMasks(amodal.plant_id, box, first, inside, pixels, area / amodal.samples, amodal.full_box_px)
 
 
 @compiled

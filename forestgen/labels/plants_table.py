@@ -78,7 +78,7 @@ def plant_views(
     amodal: AmodalMasks | None,
 ) -> PlantViews:
     """Measure each plant (N,), ids sorted, in one image; see the table above. `measures` are in the same order."""
-    count = len(plant_id)
+    count, stems = len(plant_id), pixels.instance[pixels.part == Part.TRUNK]
     visible = visible_plants(plant_id, frame.identity.plant_id, pixels.instance)
     points_m = np.stack([measures.stem_base_m, measures.tip_m, measures.crown_centre_m], axis=1)
     keypoint_px = project(frame.camera, points_m)
@@ -96,11 +96,9 @@ def plant_views(
         amodal_area_px=area,
         amodal_box_px=alone[:, 1:].astype(np.int32),
         full_box_px=full_box,
-        visible_fraction=np.minimum(
-            fraction, 1.0
-        ),  # a ray along an edge may meet a plant in the scene and miss it alone
+        visible_fraction=np.minimum(fraction, 1.0),  # a ray along an edge may miss a plant that stands alone
         truncation=truncation(full_box, frame.camera.size_px),
-        stem_pixels=_counts(plant_id, pixels.instance[pixels.part == Part.TRUNK]),
+        stem_pixels=np.bincount(rows_of(stems[stems != 0], plant_id), minlength=count).astype(np.int64),
         keypoint_px=keypoint_px,
         keypoint_state=_states(keypoint_px, plant_id, pixels.instance),
         distance_m=np.sqrt(np.einsum("nk,nk->n", away, away)),
@@ -140,22 +138,12 @@ def _states(
     return state
 
 
-def _counts(plant_id: NDArray[np.uint32], ids: NDArray[np.uint32]) -> NDArray[np.int64]:
-    """(N,) how often each plant is among `ids`; 0 there is no plant."""
-    row = rows_of(ids[ids != 0], plant_id)
-    return np.bincount(row, minlength=len(plant_id)).astype(np.int64)
-
-
 def visible_plants(
     plant_id: NDArray[np.uint32], samples: NDArray[np.uint32], instance: NDArray[np.uint32]
 ) -> VisiblePlants:
-    """Measure what is visible of each plant.
+    """What is visible of each plant (N,), ids sorted, of samples (H, W, S) and mask (H, W).
 
-    Parameters
-    ----------
-    plant_id : (N,) sorted: the population. An id in the image that is not among them raises `ValueError`.
-    samples : (H, W, S) what each sample of the identity pass hit.
-    instance : (H, W) from `forestgen.labels.masks.instance_mask`.
+    An id in the image that is not among the plants' raises `ValueError`.
     """
     pixels, box = _boxes(plant_id, instance)
     ids, count = np.unique(samples, return_counts=True)
@@ -164,13 +152,7 @@ def visible_plants(
     height, width = instance.shape
     far = box[:, :2] + box[:, 2:]
     touches = (box[:, 0] == 0) | (box[:, 1] == 0) | (far[:, 0] == width) | (far[:, 1] == height)
-    return VisiblePlants(
-        plant_id=plant_id,
-        visible_pixels=pixels,
-        visible_area_px=area,
-        box_px=box,
-        truncated=touches & (pixels > 0),
-    )
+    return VisiblePlants(plant_id, pixels, area, box, truncated=touches & (pixels > 0))
 
 
 def _boxes(plant_id: NDArray[np.uint32], instance: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.int32]]:

@@ -36,7 +36,7 @@ class ModuleWood:
     age_yr: Floats  # (N,) since the node's module began
     light: Floats  # (N,) light exposure of the node's module, 0 to 1
     main: Bools  # (N,) whether the segment goes on along its parent's axis
-    mark: NDArray[np.uint32]  # (N,) what the segment is called: see labels/channels/module.py
+    mark: NDArray[np.uint32]  # (N,) what the segment is called: see labels/channels/surface.py
     dead_yr: float | None = None  # since the plant died; None: it lives
 
     def __len__(self) -> int:

@@ -39,15 +39,15 @@ DEFAULT_CHANNELS = ("coverage", "surface", "albedo", "sun", "cloud", "motion", "
 LABEL_CHANNELS = Registry(
     "label channel",
     {
-        "coverage": ("forestgen.labels.channels.coverage:CHANNEL", "the ids that cover most of a pixel, their shares"),
+        "coverage": ("forestgen.labels.channels.coverage:COVERAGE", "the ids that cover most of a pixel, their shares"),
         "surface": ("forestgen.labels.channels.surface:SURFACE", "positions, normals, triangles at pixels' centres"),
         "albedo": ("forestgen.labels.channels.surface:ALBEDO", "reflectance and transmittance of surfaces"),
         "sun": ("forestgen.labels.channels.surface:SUN", "shadows: where the sun is visible"),
-        "cloud": ("forestgen.labels.channels.cloud:CHANNEL", "opacity of clouds"),
+        "cloud": ("forestgen.labels.channels.surface:CLOUD", "opacity of clouds"),
         "motion": ("forestgen.labels.channels.motion:CHANNEL", "pixels to the next frame of a sequence"),
         "boundaries": ("forestgen.labels.channels.boundaries:CHANNEL", "occlusion boundaries"),
-        "amodal": ("forestgen.labels.channels.amodal:CHANNEL", "masks of plants as if nothing stood before them"),
-        "module": ("forestgen.labels.channels.module:CHANNEL", "branch modules and their segments"),
+        "amodal": ("forestgen.labels.channels.coverage:AMODAL", "masks of plants as if nothing stood before them"),
+        "module": ("forestgen.labels.channels.surface:MODULE", "branch modules and their segments"),
     },
     contract="forestgen.labels.channels.channel:LabelChannel",
 )

@@ -54,7 +54,7 @@ class Amodal:
 
 @dataclass(frozen=True)
 class Branches:
-    """The branch module and its segment that the ray through each pixel's centre meets: labels/channels/module.py."""
+    """The branch module and its segment that the ray through each pixel's centre meets: labels/channels/surface.py."""
 
     module: NDArray[np.uint32]  # (H, W) number of the module + 1; 0 where no plant of branch modules is hit
     node: NDArray[np.uint32]  # (H, W) of the module's prototype that ends the segment; 0 is the plant's foot, or none
@@ -88,6 +88,6 @@ class Frame:
     surface: Surface
     amodal: Amodal | None = None  # of the plants that the identity pass saw
     cloud_opacity: NDArray[np.float32] | None = None  # (H, W) in [0, 1]: 1 - transmittance along the centre's ray
-    branches: Branches | None = None  # branch modules, see labels/channels/module.py
+    branches: Branches | None = None  # branch modules, see labels/channels/surface.py
     motion_px: NDArray[np.float32] | None = None  # (H, W, 2) right, down, to the sequence's next frame; NaN: unknown
     own: Mapping[str, NDArray[Any]] = field(default_factory=dict)  # (H, W) or (H, W, C) of other packages' channels

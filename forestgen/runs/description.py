@@ -15,9 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.manifest import package_versions
+from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import is_frame, load_json
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.dataset import SplitName
 from forestgen.runs.keys import versions_hash
 from forestgen.runs.record_index import FileSum, RecordIndex

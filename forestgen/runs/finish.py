@@ -17,14 +17,14 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.card import CARD_NAME, CardCounts, card_text
-from forestgen.dataset.checksums import SUMS_NAME, file_sum, write_sums
 from forestgen.dataset.files import disk_errors
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats.format import known_formats, load_formats
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
+from forestgen.dataset.manifest import SUMS_NAME, file_sum, write_sums
+from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.dataset.writer import write_map
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe

@@ -9,8 +9,8 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 
 from forestgen.core.errors import DatasetError, OutputError
+from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import SafePath, is_frame, is_inside, is_split, load_json
-from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.recipe.map_files import recipe_hash

@@ -26,8 +26,8 @@ from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.dataset.check import Finding
 from forestgen.dataset.files import output_error
 from forestgen.dataset.foreign import tool_of
+from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import SafePath, is_frame
-from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.assets import MAPS
 from forestgen.runs.contract import HIDDEN, RUN, StorageBackend
 from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS, splits_before, written_paths

@@ -15,7 +15,7 @@ from forestgen.core.arguments import number_of, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Progress
-from forestgen.dataset.file_set import FileSet, check_writable
+from forestgen.dataset.files import FileSet, check_writable
 from forestgen.dataset.tonemap import tone_map
 from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of, mesh_suffixes, model_files, png
 from forestgen.geometry.mesh import surface_area_m2

@@ -15,10 +15,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
-from forestgen.dataset.checksums import file_sum
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats.shards import json_text, whole_file
-from forestgen.dataset.manifest import MANIFEST_NAME
+from forestgen.dataset.manifest import MANIFEST_NAME, file_sum
 from forestgen.dataset.manifest import SCHEMA as MANIFEST_SCHEMA
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.writer import write_dataset

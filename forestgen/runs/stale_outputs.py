@@ -23,11 +23,10 @@ from typing import Any
 
 from forestgen.core.errors import ForestgenError, OutputError, RecipeError
 from forestgen.core.threads import cores
-from forestgen.dataset.check.finding import UnreadableError
-from forestgen.dataset.checksums import file_sum
+from forestgen.dataset.check.files import UnreadableError
+from forestgen.dataset.manifest import file_sum
+from forestgen.dataset.png import THUMBNAILS, write_thumbnail
 from forestgen.dataset.safe_path import RefusedFileError, SafePath
-from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
-from forestgen.dataset.thumbnails import write_thumbnail
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.runs.contract import JobRecord, StorageBackend

@@ -36,7 +36,7 @@ from forestgen.core.arguments import MOST_SEEDS, whole_of
 from forestgen.core.errors import ForestgenError, RecipeError
 from forestgen.core.figures import count, seconds
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.check import MOST_NAMED, CheckResult, Finding, check_dataset
+from forestgen.dataset.check import MOST_NAMED, Finding, check_dataset
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, check_folder, unreadable
 from forestgen.recipe.registries import DATASET_FORMATS
@@ -56,6 +56,17 @@ from forestgen.runs.verify_index import (
     recipe_findings,
     record_findings,
 )
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """How a check went."""
+
+    name: str
+    holds: str  # what is true if it passes, for people
+    images: int  # that it looked at; of others frames, files, rows
+    good: int
+    found: int  # findings, also those that are not named
 
 
 @dataclass(frozen=True, repr=False)
@@ -309,9 +320,7 @@ def _check_labels(verifier: _Verifier) -> None:
             verifier.run(name, holds, counts["frames"], [finding])
             continue
         try:
-            report = check_dataset(
-                root / split, jobs=verifier.workers, hashes=False, most=None, progress=verifier.progress
-            )
+            report = check_dataset(root / split, jobs=verifier.workers, progress=verifier.progress)
         except ForestgenError as error:
             finding = Finding(split, error.problem, error.expected or "", error.got or "")
             verifier.run(name, holds, counts["frames"], [finding])
@@ -320,5 +329,4 @@ def _check_labels(verifier: _Verifier) -> None:
             replace(one, file=f"{split}/{one.file}", problem=f"{one.problem} (check {one.check!r})")
             for one in report.findings
         )
-        more = sum(check_result.found for check_result in report.check_results) - len(report.findings)
-        verifier.run(name, holds, counts["frames"], found, math.inf, more)
+        verifier.run(name, holds, counts["frames"], found, math.inf, report.found - len(report.findings))

@@ -12,11 +12,9 @@ from pathlib import Path
 from forestgen.core.errors import DatasetError
 from forestgen.core.progress import Progress
 from forestgen.dataset.check import Finding
-from forestgen.dataset.check.files import read_json
-from forestgen.dataset.check.finding import UnreadableError
-from forestgen.dataset.checksums import SUMS_NAME, file_sum, read_sums
+from forestgen.dataset.check.files import UnreadableError, read_json
 from forestgen.dataset.foreign import tool_of
-from forestgen.dataset.manifest import MANIFEST_NAME
+from forestgen.dataset.manifest import MANIFEST_NAME, SUMS_NAME, file_sum, read_sums
 from forestgen.dataset.safe_path import SafePath
 from forestgen.runs.contract import RUN_DEPENDENT
 from forestgen.runs.record_index import FileSum, RecordIndex

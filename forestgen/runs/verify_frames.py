@@ -16,11 +16,19 @@ import numpy as np
 
 from forestgen.core.errors import DatasetError, ForestgenError
 from forestgen.core.progress import Progress, Timings
-from forestgen.dataset.check.files import read_json, read_picture, read_table, read_text
-from forestgen.dataset.check.finding import MISUNDERSTOOD, Finding, UnreadableError, misunderstood
+from forestgen.dataset.check.files import (
+    MISUNDERSTOOD,
+    Finding,
+    UnreadableError,
+    misunderstood,
+    read_json,
+    read_picture,
+    read_table,
+    read_text,
+)
 from forestgen.dataset.index import INDEX_NAME, read_index
+from forestgen.dataset.png import thumbnail_name, write_thumbnail
 from forestgen.dataset.safe_path import SafePath
-from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
 from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.description import this_version
 from forestgen.runs.records import in_order

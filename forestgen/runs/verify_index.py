@@ -12,13 +12,12 @@ from typing import Any
 from forestgen.core.errors import DatasetError, ForestgenError
 from forestgen.dataset.card import CARD_NAME
 from forestgen.dataset.check import Finding
-from forestgen.dataset.check.files import read_json, read_text
-from forestgen.dataset.check.finding import MISUNDERSTOOD, UnreadableError, misunderstood
+from forestgen.dataset.check.files import MISUNDERSTOOD, UnreadableError, misunderstood, read_json, read_text
 from forestgen.dataset.index import COLUMNS, INDEX_NAME, open_index, read_index
 from forestgen.dataset.manifest import MANIFEST_NAME
+from forestgen.dataset.png import thumbnail_name
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DRAW
-from forestgen.dataset.thumbnails import thumbnail_name
 from forestgen.recipe.dataset import split_of
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.map_files import recipe_hash

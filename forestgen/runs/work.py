@@ -23,11 +23,10 @@ from forestgen.core.errors import (
 from forestgen.core.processes import whole_bytes
 from forestgen.core.progress import Progress, Silent, Timings
 from forestgen.core.threads import cores, limit_cores
-from forestgen.dataset.checksums import file_sum
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
-from forestgen.dataset.manifest import peak_memory_bytes
+from forestgen.dataset.manifest import file_sum, peak_memory_bytes
+from forestgen.dataset.png import thumbnail_name, write_thumbnail
 from forestgen.dataset.settings import check_one_data_set
-from forestgen.dataset.thumbnails import thumbnail_name, write_thumbnail
 from forestgen.pipeline import assemble_image, write_image
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import DrawnRecipe

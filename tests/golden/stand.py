@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent, Timings
 from forestgen.dataset.exr import read_exr, write_exr
-from forestgen.dataset.png import write_rgb
+from forestgen.dataset.png import write_png
 from forestgen.dataset.settings import class_map
 from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame
@@ -148,7 +148,7 @@ def save_failure(shot: LabelledFrame, verdict: Verdict, folder: Path = FAILURES)
     pictures["z-blocks"] = grey(blocks[:height, :width])
     pictures["wrong-identity"] = grey((verdict.wrong_instance | verdict.wrong_part).astype(float))
     for name, picture in pictures.items():
-        write_rgb(folder / f"{name}.png", picture)
+        write_png(folder / f"{name}.png", picture)
     (folder / "verdict.txt").write_text(verdict.describe() + "\n", encoding="utf-8")
     return folder
 

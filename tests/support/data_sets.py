@@ -16,7 +16,6 @@ from PIL import Image
 
 from forestgen.dataset import png
 from forestgen.dataset.index import INDEX_NAME, write_index
-from forestgen.dataset.legend import write_legend
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.dataset import split_of
 
@@ -62,7 +61,7 @@ def write_data_set(
     folder.mkdir(parents=True, exist_ok=True)
     for split in {row["split"] for row in rows}:
         (folder / split).mkdir(exist_ok=True)
-        write_legend(folder / split, settings, png.class_palette(len(settings.class_names)))
+        png.write_legend(folder / split, settings)
     write_index(folder / INDEX_NAME, rows)
     (folder / "dataset.json").write_text(json.dumps(_card(images, rows, description)), encoding="utf-8")
     return rows
@@ -80,8 +79,8 @@ def _frame(
         target.mkdir(parents=True)
         colours = png.class_palette(len(settings.class_names)).astype(float)[semantic]
         picture = np.clip(0.7 * colours + rng.normal(20, 14, colours.shape), 0, 255).astype(np.uint8)
-        png.write_rgb(target / "preview.png", picture)
-        png.write_rgb(target / "overlay.png", png.overlay(picture, instance))
+        png.write_png(target / "preview.png", picture)
+        png.write_png(target / "overlay.png", png.overlay(picture, instance))
         png.write_semantic(target / "semantic.png", semantic, settings.class_names)
         png.write_instance(target / "instance.png", instance)
     return row

@@ -353,15 +353,4 @@ MUTATIONS: dict[str, tuple[str, str, Break, dict[str, object]]] = {
         {"spot": "birch", "plant_id": BIRCH},
     ),
     "BOP's mask missing": ("bop", f"{SCENE}/mask/000001_000000.png", gone(f"{SCENE}/mask/000001_000000.png"), {}),
-    # bytes
-    "a preview of another day": (
-        *("hashes", own("preview.png")),
-        picture(own("preview.png"), (1, 2, 3), "sky"),
-        {"image": FRAME},
-    ),
-    "a space in coco.json": (
-        *("shared hashes", "coco.json"),
-        lambda root: text("coco.json", (root / "coco.json").read_text() + " ")(root),
-        {},
-    ),
 }

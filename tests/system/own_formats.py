@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.dataset.check.check import DatasetCheck, FrameCheck, frame_check
-from forestgen.dataset.check.files import read_json
-from forestgen.dataset.check.finding import Finding
-from forestgen.dataset.check.frame_data import FrameData
-from forestgen.dataset.check.merged import Merged
+from forestgen.dataset.check.files import Finding, finding, read_json
+from forestgen.dataset.check.frame_data import FrameCheck, FrameData, frame_check
+from forestgen.dataset.check.merged import DatasetCheck, Merged
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import in_order, json_text, read_shard, whole_file, write_shard
 from forestgen.dataset.pack.pack import Contents, Pack, Shard
@@ -49,35 +47,35 @@ class Sizes(DatasetFormat):
         return {"sizes.txt": "".join(f"{split}/{WHOLE}\n" for split in splits).encode()}
 
     def frame_checks(self) -> tuple[FrameCheck, ...]:
-        return (FrameCheck("size", "it is the picture's", SHARD, lambda frame: frame.has(SHARD), _size), _whole_size)
+        return (FrameCheck("size", SHARD, lambda frame: frame.has(SHARD), _size), _whole_size)
 
     def frame_shares(self, merged: Merged) -> Mapping[str, Any]:
         sizes: dict[str, Any] = read_json(merged.root, WHOLE)
         return sizes
 
     def dataset_checks(self) -> tuple[DatasetCheck, ...]:
-        return (DatasetCheck("sizes", "each frame has one", WHOLE, lambda merged: merged.has(WHOLE), _sizes),)
+        return (DatasetCheck("sizes", WHOLE, lambda merged: merged.has(WHOLE), _sizes),)
 
     def card(self) -> str:
         return "`SPLIT/sizes.json` has the sizes of frames."
 
 
 def _size(frame: FrameData) -> Iterator[Finding]:
-    said = read_json(frame.task.root, frame.file(SHARD))["size_px"]
+    said = read_json(frame.root, frame.file(SHARD))["size_px"]
     if tuple(said) != frame.camera.size_px:
-        yield Finding(frame.file(SHARD), "another size", str(frame.camera.size_px), str(said))
+        yield finding("another size", frame.camera.size_px, said)
 
 
-@frame_check("whole size", "the merged file has it too", WHOLE, share="sizes", shared=True)
+@frame_check("whole size", WHOLE, share="sizes", shared=True)
 def _whole_size(frame: FrameData) -> Iterator[Finding]:
-    said = frame.task.shared["sizes"]
+    said = frame.shared["sizes"]
     if tuple(said) != frame.camera.size_px:
-        yield Finding(WHOLE, "another size", str(frame.camera.size_px), str(said), frame.name)
+        yield finding("another size", frame.camera.size_px, said)
 
 
 def _sizes(merged: Merged) -> Iterator[Finding]:
     if list(read_json(merged.root, WHOLE)) != list(merged.frames):
-        yield Finding(WHOLE, "other frames")
+        yield finding("other frames")
 
 
 class Triangles(LabelChannel):

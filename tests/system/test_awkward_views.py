@@ -50,6 +50,6 @@ def test_what_is_written_passes_the_checks(cameras, frames, tmp_path):
     (tmp_path / "recipe.yaml").write_text(STAND + cameras, encoding="utf-8")
     answer = run("render", tmp_path / "recipe.yaml", "-o", tmp_path / "out")
     assert answer.code == 0, answer.err
-    report = check_dataset(tmp_path / "out" / "train", jobs=1, most=50)
+    report = check_dataset(tmp_path / "out" / "train", jobs=1)
     assert report.findings == ()
-    assert report.checked == frames
+    assert report.frames == frames

@@ -19,7 +19,7 @@ from command_line import run
 from pretend_jobs import FAULTS, begun, make
 
 from forestgen.core.errors import DatasetError, OutputError
-from forestgen.dataset.png import write_grey
+from forestgen.dataset.png import write_png
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, JobRecord, Outcome, Work
 from forestgen.runs.records import record_bytes, record_path
@@ -179,7 +179,7 @@ def test_a_damaged_map_is_restored_from_the_recipe(tmp_path: Path) -> None:
     """Thousands of images may share it, and none is rendered again for it."""
     home = tmp_path / "recipe"
     home.mkdir()
-    write_grey(home / "hill.png", np.arange(30, dtype=np.uint8).reshape(5, 6))
+    write_png(home / "hill.png", np.arange(30, dtype=np.uint8).reshape(5, 6))
     loaded = recipe_of_pieces(home, ("terrain: flat", "terrain: {kind: map, map: hill.png, lowest_m: 0, highest_m: 1}"))
     content = (home / "hill.png").read_bytes()
     place, path = LocalStorage(tmp_path / "set"), "train/maps/0123456789abcdef.png"

@@ -221,11 +221,11 @@ def test_a_recipe_with_a_map_is_kept_with_it(tmp_path):
     """Moved elsewhere, the recipe of the data set draws what it drew."""
     import numpy as np
 
-    from forestgen.dataset.png import write_grey
+    from forestgen.dataset.png import write_png
 
     home = tmp_path / "recipe"
     home.mkdir()
-    write_grey(home / "hill.png", np.arange(30, dtype=np.uint8).reshape(5, 6))
+    write_png(home / "hill.png", np.arange(30, dtype=np.uint8).reshape(5, 6))
     loaded = recipe(home, ("terrain: flat", "terrain: {kind: map, map: hill.png, lowest_m: 0, highest_m: 1}"))
     finished(loaded, jobs_of(loaded, range(1)), tmp_path / "set", [])
     (home / "hill.png").unlink()

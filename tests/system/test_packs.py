@@ -24,7 +24,7 @@ from PIL import Image
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.core.progress import Silent
 from forestgen.dataset.exr import read_exr
-from forestgen.dataset.pack.pack import Packing, pack
+from forestgen.dataset.pack.pack import pack
 from support.data_sets import read_instance
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "train_segmentation.py"
@@ -43,7 +43,7 @@ def copy(data_set, tmp_path):
 
 
 def packed(root, target, form="webdataset", **options):
-    return pack(root, target, Packing(form, **options), progress=Silent())
+    return pack(root, target, form, **options, progress=Silent())
 
 
 def picture(content: bytes) -> np.ndarray:
@@ -58,7 +58,7 @@ def picture(content: bytes) -> np.ndarray:
 def test_webdataset_opens_its_shards(data_set, tmp_path):
     import webdataset
 
-    made = packed(data_set, tmp_path / "pack", shard_bytes=70_000)
+    made = packed(data_set, tmp_path / "pack", shard_size=70_000)
     classes = json.loads((data_set / "train" / "classes.json").read_text())["semantic"]
     for split in SPLITS:
         expected = frames(data_set, split)
@@ -97,7 +97,7 @@ def test_what_a_command_prints_opens_the_pack(data_set, tmp_path):
 
 def test_shards_hold_the_files_byte_for_byte_and_each_frame_once(data_set, tmp_path):
     channels = ("preview", "semantic", "instance", "depth", "overlay", "annotations", "plants", "exr")
-    made = packed(data_set, tmp_path / "pack", channels=channels, shard_bytes=200_000)
+    made = packed(data_set, tmp_path / "pack", channels=channels, shard_size=200_000)
     for split, shards in made.splits.items():
         seen = collections.Counter()
         for shard in shards:
@@ -138,7 +138,7 @@ def opened(data_set, tmp_path_factory):
     """What Hugging Face's library says of a pack."""
     folder = tmp_path_factory.mktemp("huggingface")
     channels = ("preview", "semantic", "instance", "depth", "annotations", "plants")
-    packed(data_set, folder / "pack", "huggingface", shard_bytes=70_000, channels=channels)
+    packed(data_set, folder / "pack", "huggingface", shard_size=70_000, channels=channels)
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(folder / "home"), "PYTHONWARNINGS": ""}
     command = [sys.executable, OPENER, folder / "pack", EXAMPLE]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300)
@@ -217,9 +217,7 @@ def test_row_groups_are_bounded(data_set, tmp_path):
 @pytest.mark.parametrize("form", ["webdataset", "huggingface"])
 def test_no_file_is_larger_than_asked_for(data_set, tmp_path, form):
     for size in (1, 60_000, 150_000, 400_000, 10_000_000):
-        made = packed(
-            data_set, tmp_path / str(size), form, shard_bytes=size, channels=("preview", "exr", "annotations")
-        )
+        made = packed(data_set, tmp_path / str(size), form, shard_size=size, channels=("preview", "exr", "annotations"))
         for split, shards in made.splits.items():
             assert sum(shard.frames for shard in shards) == len(SPLITS[split])
             for shard in shards:
@@ -255,7 +253,7 @@ def test_memory_does_not_grow_with_the_data_set(data_set, tmp_path, form, few, m
     for copies in (few, most):
         folder = many(tmp_path / f"{copies}", frame, copies)
         tracemalloc.start()
-        packed(folder, tmp_path / f"pack-{copies}", form, channels=("exr",), shard_bytes=4_000_000)
+        packed(folder, tmp_path / f"pack-{copies}", form, channels=("exr",), shard_size=4_000_000)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.2 * peaks[0]

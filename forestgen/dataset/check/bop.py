@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.dataset.check.check import dataset_check, frame_check
-from forestgen.dataset.check.files import read_json, read_picture
-from forestgen.dataset.check.finding import Finding, numbers
-from forestgen.dataset.check.frame_data import FrameData
-from forestgen.dataset.check.merged import Merged
+from forestgen.dataset.check.files import Finding, finding, read_json, read_picture
+from forestgen.dataset.check.frame_data import FrameData, frame_check
+from forestgen.dataset.check.merged import Merged, dataset_check
 from forestgen.dataset.safe_path import SafePath
 
 _FOLDER = "bop"
@@ -46,28 +44,27 @@ def frame_shares(merged: Merged) -> Mapping[str, Any]:
     return found
 
 
-@dataset_check("bop files", "each frame in a scene", _FOLDER, when=lambda merged: bool(_scenes(merged)))
+@dataset_check("bop files", _FOLDER, when=lambda merged: bool(_scenes(merged)))
 def structure(merged: Merged) -> Iterator[Finding]:
     """Each frame is one image of one scene."""
     shares = frame_shares(merged)
     for name in merged.frames:
         if name not in shares:
-            yield Finding(f"{_FOLDER}/train_pbr", "a frame is in no scene", expected="an image", got="none", image=name)
+            yield finding("a frame is in no scene", "an image", "none", file=f"{_FOLDER}/train_pbr", image=name)
 
 
-@frame_check("bop", "counts and masks are the plants'", _FOLDER, share=_FOLDER, shared=True)
+@frame_check("bop", _FOLDER, share=_FOLDER, shared=True)
 def plants(frame: FrameData) -> Iterator[Finding]:
     """The plants of the mask by rising id, with the counts of visible and amodal masks, and their pictures."""
-    share = frame.task.shared[_FOLDER]
+    share = frame.shared[_FOLDER]
     scene, image = PurePosixPath(share["scene"]), int(share["image"])
     yield from _camera(frame, share, str(scene / "scene_camera.json"))
     listed = [one["plant_id"] for one in share["gt"]]
     if listed != frame.extents.plant_id.tolist() or len(share["info"]) != len(listed):
-        file = str(scene / "scene_gt.json")
+        file, problem = str(scene / "scene_gt.json"), "plants are not those of the mask, by rising id"
         differing = sorted(set(listed) ^ set(frame.extents.plant_id.tolist()))
-        problem = "plants are not those of the mask, by rising id"
         for plant in differing or [None]:
-            yield Finding(file, problem, str(len(frame.extents.plant_id)), str(len(listed)), frame.name, plant)
+            yield finding(problem, len(frame.extents.plant_id), len(listed), plant, file=file)
         return
     for row, info in enumerate(share["info"]):
         yield from _info(frame, str(scene / "scene_gt_info.json"), row, info)
@@ -82,8 +79,9 @@ def _camera(frame: FrameData, share: dict[str, Any], file: str) -> Iterator[Find
         ("cam_R_w2c", camera.rotation.ravel()),
         ("cam_t_w2c", camera.camera_from_world[:3, 3] * 1000.0),
     ):
-        if not np.allclose(np.asarray(entry[key], dtype=np.float64), expected, rtol=1e-6, atol=1e-6):
-            yield Finding(file, f"{key} is not camera.json's", numbers(expected), numbers(entry[key]), frame.name)
+        got = np.asarray(entry[key], dtype=np.float64)
+        if not np.allclose(got, expected, rtol=1e-6, atol=1e-6):
+            yield finding(f"{key} is not camera.json's", expected, got, file=file)
 
 
 def _info(frame: FrameData, file: str, row: int, info: dict[str, Any]) -> Iterator[Finding]:
@@ -91,10 +89,6 @@ def _info(frame: FrameData, file: str, row: int, info: dict[str, Any]) -> Iterat
     table = frame.row_of.get(plant)
     if table is None:
         return
-
-    def differs(problem: str, expected: object, got: object) -> Finding:
-        return Finding(file, problem, str(expected), str(got), frame.name, plant)
-
     seen, alone = int(frame.extents.pixels[row]), int(frame.plants["amodal_pixels"][table])
     for key, expected in (
         ("px_count_visib", seen),
@@ -103,31 +97,31 @@ def _info(frame: FrameData, file: str, row: int, info: dict[str, Any]) -> Iterat
         ("bbox_obj", [int(frame.plants[f"amodal_box_{side}"][table]) for side in "xywh"]),
     ):
         if info[key] != expected:
-            yield differs(f"{key} is not the mask's", expected, info[key])
-    if not abs(info["visib_fract"] - seen / alone) <= _TOLERANCE:
-        yield differs("visib_fract is not px_count_visib / px_count_all", seen / alone, info["visib_fract"])
-    if not 0 <= info["px_count_valid"] <= info["px_count_all"]:
+            yield finding(f"{key} is not the mask's", expected, info[key], plant, file=file)
+    fraction, valid = info["visib_fract"], info["px_count_valid"]
+    if not abs(fraction - seen / alone) <= _TOLERANCE:
+        yield finding("visib_fract is not px_count_visib / px_count_all", seen / alone, fraction, plant, file=file)
+    if not 0 <= valid <= info["px_count_all"]:
         most = f"0 to {info['px_count_all']}"
-        yield differs("px_count_valid is more than px_count_all", most, info["px_count_valid"])
+        yield finding("px_count_valid is more than px_count_all", most, valid, plant, file=file)
 
 
 def _mask(frame: FrameData, file: str, folder: str, row: int) -> Iterator[Finding]:
     plant = int(frame.extents.plant_id[row])
-    mask = read_picture(frame.task.root, file)
+    mask = read_picture(frame.root, file)
     if mask.shape != frame.instance.shape or not np.isin(mask, (0, 255)).all():
-        yield Finding(file, "this is no mask of the image's size", "0 and 255", str(mask.shape), frame.name, plant)
+        yield finding("this is no mask of the image's size", "0 and 255", mask.shape, plant, file=file)
         return
     own = frame.instance == plant
     wrong = (mask != 0) != own if folder == "mask_visib" else own & (mask == 0)
     if wrong.any():
         line, column = np.argwhere(wrong)[0].tolist()
         problem = {"mask": "a visible pixel is outside the mask"}.get(folder, "the mask is not the instance mask")
-        yield Finding(file, problem, "", "", frame.name, plant, (column, line))
+        yield finding(problem, plant_id=plant, pixel=(column, line), file=file)
     if folder == "mask" and plant in frame.row_of:
         expected, got = int(frame.plants["amodal_pixels"][frame.row_of[plant]]), int(np.count_nonzero(mask))
         if expected != got:
-            problem = "the mask has another area than amodal_pixels"
-            yield Finding(file, problem, str(expected), str(got), frame.name, plant)
+            yield finding("the mask has another area than amodal_pixels", expected, got, plant, file=file)
 
 
 FRAME_CHECKS, DATASET_CHECKS = (plants,), (structure,)

@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.check import Wrong, frame_check
-from forestgen.dataset.check.files import read_exr
-from forestgen.dataset.check.finding import Finding, numbers
-from forestgen.dataset.check.frame_data import FrameData
+from forestgen.dataset.check.files import Finding, as_text, finding, read_exr
+from forestgen.dataset.check.frame_data import FrameData, Wrong, frame_check
 from forestgen.dataset.check.masks import coverage
 from forestgen.dataset.safe_path import load_json
 
@@ -28,23 +26,27 @@ _RANKS = 8
 _TOLERANCE = 1e-6
 
 
-@frame_check("cryptomatte", "names, plants, shares are frame.exr's", _FILE, files=(_FILE,))
+@frame_check("cryptomatte", _FILE, files=(_FILE,))
 def cryptomatte(frame: FrameData) -> Iterator[Finding | Wrong]:
     """Every name has the standard's id; plants and shares are those of frame.exr's ranks, or suit its mask."""
-    parts, header = read_exr(frame.task.root, frame.file(_FILE))
+    parts, header = read_exr(frame.root, frame.file(_FILE))
     channels = next(iter(parts.values()))
     manifests = _manifests(header)
     for layer, names in manifests.items():
         for name, code in names.items():
             expected = f"{standard_id(name):08x}"
             if int(code, 16) != int(expected, 16):
-                yield frame.finding(_FILE, f"{layer}: the id of {name} is not its hash", expected=expected, got=code)
+                yield finding(f"{layer}: the id of {name} is not its hash", expected, code)
     plant_of = {int(code, 16): int(name.rpartition("_")[2]) for name, code in manifests[_LAYER].items()}
     for plant in sorted(set(plant_of.values()) - set(frame.row_of)):
-        yield frame.finding(_FILE, "a named plant is not in plants.parquet", expected="a row of it", plant_id=plant)
-    ids, share = _ranks(channels)
+        yield finding("a named plant is not in plants.parquet", "a row of it", plant_id=plant)
+    levels = [(f"{_LAYER}{rank // 2:02d}", ("RG", "BA")[rank % 2]) for rank in range(_RANKS)]
+    ids = np.stack(
+        [np.ascontiguousarray(channels[f"{one}.{pair[0]}"]).view(np.uint32) for one, pair in levels], axis=-1
+    )
+    share = np.stack([channels[f"{one}.{pair[1]}"] for one, pair in levels], axis=-1)
     if share.shape[:2] != frame.instance.shape:
-        yield frame.finding(_FILE, "the picture has another size than frame.exr", got=str(share.shape[1::-1]))
+        yield finding("the picture has another size than frame.exr", got=share.shape[1::-1])
         return
     if not coverage.applies(frame):
         yield from _by_mask(frame, _plants(ids, plant_of), share)
@@ -66,7 +68,7 @@ def cryptomatte(frame: FrameData) -> Iterator[Finding | Wrong]:
         image[at] = wrong.any(axis=-1)
         if image.any():
             row = int(np.argmax(wrong.any(axis=-1)))  # the first: rows are in the order of pixels
-            yield Wrong(image, problem, numbers(wanted[row]), numbers(plants[row]))
+            yield Wrong(image, problem, as_text(wanted[row]), as_text(plants[row]))
 
 
 def _by_mask(frame: FrameData, plants: NDArray[np.int64], share: NDArray[np.float32]) -> Iterator[Wrong]:
@@ -108,14 +110,6 @@ def _manifests(header: dict[str, Any]) -> dict[str, dict[str, str]]:
         if key.startswith("cryptomatte/") and key.endswith("/name"):
             found[str(value)] = dict(load_json(header[key.removesuffix("name") + "manifest"]))
     return found
-
-
-def _ranks(channels: dict[str, NDArray[Any]]) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """(H, W, 8) bits of ids and coverages of the layer of plants."""
-    names = [(f"{_LAYER}{rank // 2:02d}", "RG" if rank % 2 == 0 else "BA") for rank in range(_RANKS)]
-    ids = [np.ascontiguousarray(channels[f"{level}.{pair[0]}"]).view(np.uint32) for level, pair in names]
-    share = [channels[f"{level}.{pair[1]}"] for level, pair in names]
-    return np.stack(ids, axis=-1), np.stack(share, axis=-1)
 
 
 def _without_background(

@@ -6,22 +6,20 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from forestgen.dataset.check.check import Wrong, frame_check
-from forestgen.dataset.check.files import read_json
-from forestgen.dataset.check.finding import Finding
-from forestgen.dataset.check.frame_data import FrameData
+from forestgen.dataset.check.files import Finding, finding, read_json
+from forestgen.dataset.check.frame_data import FrameData, Wrong, frame_check
 
 _PICTURE, _SCALE = "depth.png", "depth.json"
 _MOST, _BEYOND = 65_534, 65_535
 _HALF = 0.5 + 1e-6  # a step; float32 against decimal
 
 
-@frame_check("depth.png", "within half a step", _PICTURE, files=(_PICTURE,), exr=("depth Z",))
+@frame_check("depth.png", _PICTURE, files=(_PICTURE,), exr=("depth Z",))
 def depth_png(frame: FrameData) -> Iterator[Finding | Wrong]:
     """Steps times unit_m is the depth within half a step."""
-    unit_m = float(read_json(frame.task.root, frame.file(_SCALE))["unit_m"])
+    unit_m = float(read_json(frame.root, frame.file(_SCALE))["unit_m"])
     if not 0 < unit_m < np.inf:
-        yield frame.finding(_SCALE, "unit_m is no length", expected="metres, more than 0 and finite", got=str(unit_m))
+        yield finding("unit_m is no length", "metres, more than 0 and finite", unit_m, file=frame.file(_SCALE))
         return
     got = frame.picture(_PICTURE).astype(np.float64)
     depth_m = frame.exr["depth"]["Z"].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Read a file, or say in one sentence why it cannot be read. The libraries' readers, and none of the writers' code.
+"""Findings, and files read or refused in one sentence. The libraries' readers, and none of the writers' code.
 
 A recipe's YAML is long for its species, whose numbers do not matter here; reading all of it takes longer than all other
 checks of an image. So only some of its sections are read. Drawn recipes are written in block style: sections start at
@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.errors import DatasetError
-from forestgen.dataset.check.finding import Finding, UnreadableError
 from forestgen.dataset.exr_chunks import read_whole
 from forestgen.dataset.safe_path import SafePath, load_json, one_line, read_parquet
 from forestgen.recipe.sources import parse_yaml
@@ -25,10 +25,73 @@ from forestgen.recipe.sources import parse_yaml
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-_MOST_YAML, _MOST_LEVELS = 1_000_000, 20
 _SECTION = re.compile(r"(?m)^(?=[A-Za-z_]\w*:)")
 _WANTED = ("labels", "dataset", "wind", "render")
 _OTHERS = "others"  # in a class: all species that no class names
+MISUNDERSTOOD = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One place where a data set contradicts itself."""
+
+    file: str  # relative to the data set's folder; "" until the check says that it is its own
+    problem: str  # one sentence
+    expected: str = ""
+    got: str = ""
+    image: str = ""  # the frame's folder
+    plant_id: int | None = None
+    pixel: tuple[int, int] | None = None  # x, y from the upper left
+    check: str = ""  # name of the check that found it
+
+    @property
+    def where(self) -> str:
+        """File, image, plant and pixel, for people."""
+        places = [self.file]
+        if self.image and not self.file.startswith(f"{self.image}/"):
+            places.append(f"image {self.image}")
+        if self.plant_id is not None:
+            places.append(f"plant_id {self.plant_id}")
+        if self.pixel is not None:
+            places.append(f"pixel x {self.pixel[0]}, y {self.pixel[1]}")
+        return ", ".join(places)
+
+
+def finding(
+    problem: str,
+    expected: object = "",
+    got: object = "",
+    plant_id: int | None = None,
+    *,
+    pixel: tuple[int, int] | None = None,
+    file: str = "",
+    image: str = "",
+) -> Finding:
+    """A finding of any values, in the check's own file unless another one is named."""
+    return Finding(file, problem, as_text(expected), as_text(got), image, plant_id, pixel)
+
+
+def as_text(value: object) -> str:
+    """A value in plain figures; of an array, such as a box or a position, a few."""
+    if isinstance(value, np.ndarray):
+        return " ".join(map(as_text, value.ravel()[:8]))
+    if isinstance(value, float | np.floating):
+        return f"{float(value):.9g}"
+    return str(value.item() if isinstance(value, np.generic) else value)
+
+
+class UnreadableError(Exception):
+    """A file that cannot be read or understood."""
+
+    def __init__(self, finding: Finding) -> None:
+        self.finding = finding
+        super().__init__(finding.where)
+
+
+def misunderstood(file: str, error: Exception, image: str = "", plant_id: int | None = None) -> Finding:
+    """The finding of content that a check cannot understand; `error` is one of `MISUNDERSTOOD`."""
+    reason = f"{type(error).__name__}: {error}"
+    return Finding(file, "the content is not of this format", got=reason[:200], image=image, plant_id=plant_id)
 
 
 def read_bytes(root: Path, name: str) -> bytes:
@@ -46,22 +109,6 @@ def read_json(root: Path, name: str) -> Any:
         return load_json(read_text(root, name))
     except ValueError as error:
         raise UnreadableError(Finding(name, "this is no JSON", got=one_line(error))) from error
-
-
-def read_yaml(root: Path, name: str) -> Any:
-    """A small YAML file, such as YOLO's data.yaml."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    text = read_text(root, name)
-    if len(text) > _MOST_YAML:
-        raise UnreadableError(Finding(name, "the file is too large", f"{_MOST_YAML:,} characters", f"{len(text):,}"))
-    reader = YAML(typ="safe", pure=True)
-    reader.max_depth = _MOST_LEVELS
-    try:
-        return reader.load(text)
-    except (YAMLError, ValueError, RecursionError) as error:
-        raise UnreadableError(Finding(name, "this is no YAML", got=one_line(error))) from error
 
 
 def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:

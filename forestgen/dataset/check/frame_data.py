@@ -1,18 +1,34 @@
-"""One frame's files, read once. What cannot be read raises `UnreadableError`, which names the file and the reason."""
+"""A check of a frame, and one frame's files, each read once.
+
+What cannot be read raises `UnreadableError`, which names the file and the reason.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.files import categories, read_exr, read_json, read_picture, read_recipe, read_table
-from forestgen.dataset.check.finding import Finding, UnreadableError
+from forestgen.dataset.check.files import (
+    MISUNDERSTOOD,
+    Finding,
+    UnreadableError,
+    as_text,
+    categories,
+    finding,
+    misunderstood,
+    read_exr,
+    read_json,
+    read_picture,
+    read_recipe,
+    read_table,
+)
 from forestgen.dataset.safe_path import SafePath, load_json
 from forestgen.recipe.registries import DEFAULT_PROJECTION
 from forestgen.scene.projection import FileGeometry, Projection, load_projection, projection_of_model
@@ -24,43 +40,32 @@ _BOX = ("box_x", "box_y", "box_w", "box_h")
 _PLANT_COLUMNS = ("plant_id", "species", "visible_pixels", "visible_area_px", *_BOX, "truncated")
 
 
-@dataclass(frozen=True)
-class FrameTask:
-    """What a worker gets of a frame: plain values, so that it can cross to another process."""
+@dataclass
+class FrameData:
+    """A frame's files as arrays, each read when it is first asked for; before, it can cross to another process."""
 
     root: Path
     name: str  # of the frame's folder
-    listed: Mapping[str, Mapping[str, Any]]  # manifest's entries of this frame: path relative to the root -> entry
-    shared: Mapping[str, Any]  # format -> what its merged files hold of this frame
-    following: str | None = None  # folder of the sequence's next frame; None: there is none
-
-
-@dataclass
-class FrameData:
-    """A frame's files as arrays, each read when it is first asked for."""
-
-    task: FrameTask
-    following: FrameData | None = field(default=None, repr=False)
-
-    @property
-    def name(self) -> str:
-        return self.task.name
+    listed: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # manifest's entries: path from root -> entry
+    shared: Mapping[str, Any] = field(default_factory=dict)  # format -> what its merged files hold of this frame
+    next_name: str | None = None  # folder of the sequence's next frame; None: there is none
+    following: FrameData | None = field(default=None, repr=False)  # that frame
 
     def file(self, name: str) -> str:
         """A file of this frame, relative to the data set's folder."""
-        return f"{self.task.name}/{name}"
+        return f"{self.name}/{name}"
 
     def has(self, name: str) -> bool:
-        return SafePath(self.task.root, self.file(name)).is_file()
+        return SafePath(self.root, self.file(name)).is_file()
 
-    def finding(self, name: str, problem: str, **about: Any) -> Finding:
-        """A finding of a file of this frame."""
-        return Finding(self.file(name), problem, image=self.name, **about)
+    def refused(self, name: str, problem: str, expected: object = "", got: object = "") -> UnreadableError:
+        """The error of a file of this frame."""
+        return UnreadableError(finding(problem, expected, got, file=self.file(name), image=self.name))
 
     @cached_property
     def _exr_read(self) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]] | UnreadableError:
         try:
-            return read_exr(self.task.root, self.file(EXR))
+            return read_exr(self.root, self.file(EXR))
         except UnreadableError as error:
             return error  # kept, since most checks ask for this file
 
@@ -87,7 +92,7 @@ class FrameData:
     @cached_property
     def recipe(self) -> dict[str, Any]:
         """What the drawn recipe says of labels."""
-        return read_recipe(self.task.root, self.file(RECIPE))
+        return read_recipe(self.root, self.file(RECIPE))
 
     @cached_property
     def categories(self) -> dict[int, str]:
@@ -102,13 +107,13 @@ class FrameData:
         parts, _ = self._exr
         for channel in _IDENTITY_CHANNELS:
             if channel not in parts.get("identity", {}):
-                raise UnreadableError(self.finding(EXR, f"the part identity has no channel {channel}"))
+                raise self.refused(EXR, f"the part identity has no channel {channel}")
         shape = parts["identity"]["plant_id"].shape
         for part, channels in parts.items():
             for channel, values in channels.items():
                 if values.shape != shape:
                     problem = f"the channel {part}.{channel} has another size than identity.plant_id"
-                    raise UnreadableError(self.finding(EXR, problem, expected=_size(shape), got=_size(values.shape)))
+                    raise self.refused(EXR, problem, _size(shape), _size(values.shape))
         return parts
 
     def has_part(self, part: str, *channels: str) -> bool:
@@ -155,10 +160,10 @@ class FrameData:
     @cached_property
     def plants(self) -> dict[str, NDArray[Any]]:
         """Columns of plants.parquet; null is NaN."""
-        table = read_table(self.task.root, self.file(PLANTS))
+        table = read_table(self.root, self.file(PLANTS))
         for column in _PLANT_COLUMNS:
             if column not in table:
-                raise UnreadableError(self.finding(PLANTS, f"the column {column} is missing"))
+                raise self.refused(PLANTS, f"the column {column} is missing")
         return table
 
     @cached_property
@@ -171,14 +176,13 @@ class FrameData:
 
     @cached_property
     def camera(self) -> CameraFile:
-        return camera_of(read_json(self.task.root, self.file(CAMERA)), self.file(CAMERA))
+        return camera_of(read_json(self.root, self.file(CAMERA)), self.file(CAMERA))
 
     def picture(self, name: str) -> NDArray[np.uint8]:
         """(H, W) or (H, W, 3) of a PNG, of the frame's size."""
-        pixels = read_picture(self.task.root, self.file(name))
+        pixels = read_picture(self.root, self.file(name))
         if pixels.shape[:2] != self.instance.shape:
-            expected, got = _size(self.instance.shape), _size(pixels.shape)
-            raise UnreadableError(self.finding(name, "the picture has another size", expected=expected, got=got))
+            raise self.refused(name, "the picture has another size", _size(self.instance.shape), _size(pixels.shape))
         return pixels
 
 
@@ -271,3 +275,103 @@ def _matrix(values: Sequence[Any], shape: tuple[int, ...]) -> NDArray[np.float64
     if matrix.shape != shape or not np.isfinite(matrix).all():
         raise ValueError(f"expected {shape} finite numbers")
     return matrix
+
+
+class Wrong(NamedTuple):
+    """Pixels of a frame or rows of its plants.parquet that are wrong: the values are reported where `at` is true."""
+
+    at: Any  # bool: (H, W) pixels, or (N,) rows
+    problem: str  # one sentence
+    expected: NDArray[Any] | str = ""  # (H, W, ...) or (N, ...), or a text for all
+    got: NDArray[Any] | str = ""
+    file: str = ""  # of the frame's folder; "": the check's
+
+    def findings(self, frame: FrameData) -> Iterator[Finding]:
+        """One for each wrong row; of wrong pixels one for each plant of the mask, at the first of them."""
+        file = frame.file(self.file) if self.file else ""
+        if self.at.ndim == 1:
+            for row in np.flatnonzero(self.at).tolist():
+                plant = int(frame.plants["plant_id"][row])
+                expected, got = self._values(row)
+                yield finding(self.problem, expected, got, plant, file=file)
+            return
+        for x, y, count in first_of_each(self.at, frame.instance):
+            more = f" ({count:,} such pixels)" if count > 1 else ""
+            plant_id = int(frame.instance[y, x]) or None
+            expected, got = self._values((y, x))
+            yield finding(self.problem + more, expected, got, plant_id, pixel=(x, y), file=file)
+
+    def _values(self, place: Any) -> Iterator[str]:
+        """What was expected and found at an index of `at`."""
+        return (one if isinstance(one, str) else as_text(one[place]) for one in (self.expected, self.got))
+
+
+def first_of_each(wrong: NDArray[np.bool_], ids: NDArray[np.integer]) -> list[tuple[int, int, int]]:
+    """x, y of the first true pixel of each id, and how many it has; row by row."""
+    at = np.flatnonzero(wrong)
+    _, first, counts = np.unique(ids.ravel()[at], return_index=True, return_counts=True)
+    order = np.argsort(first)
+    y, x = np.divmod(at[first[order]], wrong.shape[1])
+    return list(zip(x.tolist(), y.tolist(), counts[order].tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class FrameCheck:
+    """An invariant of one image."""
+
+    name: str
+    file: str  # that it is about, inside the frame's folder or, if `shared`, in the data set's
+    applies: Callable[[FrameData], bool]  # whether the files that it reads are there
+    find: Callable[[FrameData], Iterator[Finding | Wrong]]
+    shared: bool = False
+
+    def findings(self, frame: FrameData) -> Iterator[Finding]:
+        """What is wrong with a frame."""
+        several = (one.findings(frame) if isinstance(one, Wrong) else [one] for one in self.find(frame))
+        file = self.file if self.shared else frame.file(self.file).rstrip("/")
+        return completed(chain.from_iterable(several), self.name, file, frame.name)
+
+
+def completed(found: Iterable[Finding], check: str, file: str, image: str = "") -> Iterator[Finding]:
+    """A check's findings, with its name and file; content that cannot be understood is the last one."""
+    try:
+        for one in found:
+            yield replace(one, check=check, file=one.file or file, image=one.image or image)
+    except UnreadableError as error:
+        yield replace(error.finding, check=check, image=error.finding.image or image)
+    except MISUNDERSTOOD as error:
+        yield replace(misunderstood(file, error, image), check=check)
+
+
+def frame_check(
+    name: str,
+    file: str,
+    *,
+    files: Sequence[str] = (),
+    exr: Sequence[str] = (),
+    columns: Sequence[str] = (),
+    share: str = "",
+    when: Callable[[FrameData], bool] | None = None,
+    shared: bool = False,
+) -> Callable[[Callable[[FrameData], Iterator[Finding | Wrong]]], FrameCheck]:
+    """Turn a function into a `FrameCheck` of frames that have all it needs.
+
+    Parameters
+    ----------
+    files : of the frame's folder.
+    exr : parts of frame.exr with their channels, such as "depth Z".
+    columns : of plants.parquet.
+    share : a format, whose merged files hold something of the frame.
+    when : a further condition.
+    """
+
+    def applies(frame: FrameData) -> bool:
+        return (
+            (not share or share in frame.shared)
+            and all(map(frame.has, files))
+            and all(frame.has_part(*one.split()) for one in exr)
+            and all(map(frame.known, columns))
+            and (when is None or when(frame))
+        )
+
+    return lambda find: FrameCheck(name, file, applies, find, shared)

@@ -11,15 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.dataset.check.check import Wrong, frame_check
-from forestgen.dataset.check.finding import Finding, UnreadableError, number, numbers
-from forestgen.dataset.check.frame_data import CAMERA, EXR, FrameData
+from forestgen.dataset.check.files import Finding, UnreadableError, finding
+from forestgen.dataset.check.frame_data import CAMERA, EXR, FrameData, Wrong, frame_check
 from forestgen.dataset.check.merged import UNKNOWN
 from forestgen.scene.projection import pixel_centres
 
@@ -36,7 +34,7 @@ _U, _V = "forward.u", "forward.v"
 _DEPTH = ("depth Z",)
 
 
-@frame_check("depth", "positive; distance no shorter", EXR, exr=_DEPTH)
+@frame_check("depth", EXR, exr=_DEPTH)
 def depth(frame: FrameData) -> Iterator[Wrong]:
     """Depths are positive, infinite in the sky; the distance along the ray is no shorter, or the same by its model."""
     z = frame.exr["depth"]["Z"].astype(np.float64)
@@ -50,7 +48,7 @@ def depth(frame: FrameData) -> Iterator[Wrong]:
             yield Wrong(z != distance, problem, distance, z)
 
 
-@frame_check("circle", "nothing outside of a fisheye's", EXR, files=(CAMERA,), exr=_DEPTH)
+@frame_check("circle", EXR, files=(CAMERA,), exr=_DEPTH)
 def circle(frame: FrameData) -> Iterator[Wrong]:
     """Outside of a fisheye's circle nothing is seen: no surface, and no plant in pixels that lie outside as a whole."""
     geometry = frame.camera.geometry
@@ -67,7 +65,7 @@ def circle(frame: FrameData) -> Iterator[Wrong]:
         yield Wrong(wholly & (light != 0).any(axis=-1), "light outside of the fisheye's circle", "0", light)
 
 
-@frame_check("sky", "no depth, position, normal, part", EXR, exr=_DEPTH)
+@frame_check("sky", EXR, exr=_DEPTH)
 def sky(frame: FrameData) -> Iterator[Wrong]:
     """Infinite depth, no position, no normal and no part go together."""
     is_sky = np.isinf(frame.exr["depth"]["Z"])
@@ -87,7 +85,7 @@ def sky(frame: FrameData) -> Iterator[Wrong]:
             yield Wrong(wrong, f"only the sky has no {part_name}", "0 for the sky", normal)
 
 
-@frame_check("position", "depth reprojects to the position", EXR, files=(CAMERA,), exr=("position X Y Z", *_DEPTH))
+@frame_check("position", EXR, files=(CAMERA,), exr=("position X Y Z", *_DEPTH))
 def position(frame: FrameData) -> Iterator[Wrong]:
     """Depth along the pixel's ray, by K and pose, ends at the stored position; so does the distance."""
     camera, solid = frame.camera, ~np.isinf(frame.exr["depth"]["Z"])
@@ -111,7 +109,7 @@ def position(frame: FrameData) -> Iterator[Wrong]:
         yield Wrong(wrong, "position.camera is not depth along the ray", expected, own)
 
 
-@frame_check("normals", "unit, towards the camera", EXR, exr=("normal X Y Z", *_DEPTH))
+@frame_check("normals", EXR, exr=("normal X Y Z", *_DEPTH))
 def normals(frame: FrameData) -> Iterator[Wrong]:
     """Normals are unit vectors, towards the camera, and the same in the camera's axes."""
     solid = ~np.isinf(frame.exr["depth"]["Z"])
@@ -133,7 +131,7 @@ def normals(frame: FrameData) -> Iterator[Wrong]:
         yield Wrong(solid & ~(towards <= _UNIT), "the normal faces away from the camera", "towards it", geometric)
 
 
-@frame_check("centre", "the centre ray's plant is in the table", EXR, exr=("identity centre.plant_id centre.part",))
+@frame_check("centre", EXR, exr=("identity centre.plant_id centre.part",))
 def centre(frame: FrameData) -> Iterator[Wrong]:
     """The centre ray's plant is in plants.parquet, with its own exemplar and a plant's part."""
     channels = frame.exr["identity"]
@@ -152,37 +150,30 @@ def centre(frame: FrameData) -> Iterator[Wrong]:
         yield Wrong(wrong, "centre.exemplar is not plants.parquet's + 1", listed, exemplar)
 
 
-@frame_check("camera", "one camera in all files", CAMERA)
+@frame_check("camera", CAMERA)
 def camera(frame: FrameData) -> Iterator[Finding]:
     """camera.json is a camera of the image's size: a rotation, its own position, the header's matrices and model."""
     model = frame.camera
     if model.size_px != frame.size_px:
-        yield frame.finding(CAMERA, "size_px is not the image's", expected=str(frame.size_px), got=str(model.size_px))
+        yield finding("size_px is not the image's", frame.size_px, model.size_px)
     rotation = model.rotation
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(rotation) < 0:
-        yield frame.finding(CAMERA, "camera_from_world is no rotation", expected="orthonormal, right-handed")
+        yield finding("camera_from_world is no rotation", "orthonormal, right-handed")
     at = -rotation.T @ model.camera_from_world[:3, 3]
     if np.abs(at - model.position_m).max() > 1e-6 * max(1.0, float(np.abs(at).max())):
-        problem = "position_m is not that of camera_from_world"
-        yield frame.finding(CAMERA, problem, expected=numbers(at), got=numbers(model.position_m))
+        yield finding("position_m is not that of camera_from_world", at, model.position_m)
     focal, focal_of_angle = model.geometry.focal_px[0], model.geometry.focal_of_angle
     if focal_of_angle is not None and not abs(focal_of_angle - focal) <= 1e-6 * focal_of_angle:
-        problem = "the focal length of K is not that of hfov_deg"
-        yield frame.finding(CAMERA, problem, expected=number(focal_of_angle), got=number(focal))
+        yield finding("the focal length of K is not that of hfov_deg", focal_of_angle, focal)
     header = frame.exr_camera
     for key in ("model", "K", "hfov_deg", "width_m", "lens", "camera_from_world", "position_m", "size_px"):
-        if header is not None and key in header and not _equal(model.values.get(key), header[key]):
-            got = str(model.values.get(key))
-            yield frame.finding(CAMERA, f"{key} differs from frame.exr's header", expected=str(header[key]), got=got)
-
-
-def _equal(one: Any, other: Any) -> bool:
-    return bool(one == other) if isinstance(other, str | dict) else bool(np.array_equal(one, other))
+        if header is not None and key in header and model.values.get(key) != header[key]:
+            yield finding(f"{key} differs from frame.exr's header", header[key], model.values.get(key))
 
 
 @frame_check(
-    "motion", "vectors land on the same plant", EXR, files=(CAMERA,), exr=(f"motion {_U} {_V}", *_DEPTH),
-    when=lambda frame: frame.task.following != UNKNOWN,
+    "motion", EXR, files=(CAMERA,), exr=(f"motion {_U} {_V}", *_DEPTH),
+    when=lambda frame: frame.next_name != UNKNOWN,
 )  # fmt: skip
 def motion(frame: FrameData) -> Iterator[Wrong]:
     """Vectors land where their surface is in the next frame; there are none in a sequence's last frame."""
@@ -198,8 +189,13 @@ def motion(frame: FrameData) -> Iterator[Wrong]:
         return  # the next frame's own checks say so
     way, depth, slant = _by_cameras(frame, camera.position_m, following)
     behind = depth <= 0
-    moves = _in_wind(frame)
-    sure = (np.abs(depth) > _GRAZING * slant) & ~moves & ~_at_circle(frame, following, way)
+    moves = np.zeros(frame.instance.shape, dtype=bool)  # what may move by itself
+    if float(frame.recipe["wind"].get("speed_m_per_s", 0.0)) != 0.0 and frame.has_part("identity", "centre.plant_id"):
+        moves = frame.exr["identity"]["centre.plant_id"] != 0
+    sure = (np.abs(depth) > _GRAZING * slant) & ~moves
+    beyond_px = following.camera.geometry.beyond_rim_px(pixel_centres(frame.size_px) + way)
+    if beyond_px is not None:  # where rounding decides on which side of a fisheye's circle a point lands
+        sure &= ~(np.abs(beyond_px) < _MOTION_PX)
     yield Wrong(sure & (behind != unknown), "NaN is for points behind the next camera", "NaN there alone", vector)
     still = ~unknown & ~behind & sure
     off = np.sqrt(((vector - way) ** 2).sum(axis=-1))
@@ -212,14 +208,6 @@ def motion(frame: FrameData) -> Iterator[Wrong]:
         here, there = frame.exr["depth"]["Z"].astype(np.float64), np.where(depth > 0, depth, np.inf)
         smaller = frame.camera.pixels_a_metre(here) > _SMALLER * following.camera.pixels_a_metre(there)
         yield from _landings(frame, following, vector, moves & ~unknown & ~smaller, depth)
-
-
-def _in_wind(frame: FrameData) -> NDArray[np.bool_]:
-    """(H, W) whether the centre's surface may move by itself."""
-    is_calm = float(frame.recipe["wind"].get("speed_m_per_s", 0.0)) == 0.0
-    if is_calm or not frame.has_part("identity", "centre.plant_id"):
-        return np.zeros(frame.instance.shape, dtype=bool)
-    return np.asarray(frame.exr["identity"]["centre.plant_id"] != 0)
 
 
 def _by_cameras(
@@ -241,14 +229,6 @@ def _by_cameras(
         around = following.camera.size_px[0]
         way[..., 0] = (way[..., 0] + around / 2) % around - around / 2
     return way, depth, np.sqrt((seen**2).sum(axis=-1))
-
-
-def _at_circle(frame: FrameData, following: FrameData, way: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(H, W) whether a point lands so near to a fisheye's circle that rounding decides on which side."""
-    beyond_px = following.camera.geometry.beyond_rim_px(pixel_centres(frame.size_px) + way)
-    if beyond_px is None:
-        return np.zeros(frame.instance.shape, dtype=bool)
-    return np.asarray(np.abs(beyond_px) < _MOTION_PX)
 
 
 def _landings(

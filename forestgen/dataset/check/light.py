@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.spectrum import LUMINANCE
-from forestgen.dataset.check.check import Wrong, frame_check
-from forestgen.dataset.check.files import read_json, read_palette, read_picture
-from forestgen.dataset.check.finding import Finding, UnreadableError, number
-from forestgen.dataset.check.frame_data import EXR, FrameData
+from forestgen.dataset.check.files import Finding, as_text, finding, read_json, read_palette, read_picture
+from forestgen.dataset.check.frame_data import EXR, FrameData, Wrong, frame_check
 from forestgen.dataset.safe_path import load_json
 from forestgen.recipe.registries import PROJECTIONS
 from forestgen.scene.projection import load_projection
@@ -26,7 +24,7 @@ _LUMINANCE, _RADIANCE_PER_NM = "cd/m2", "W m-2 sr-1 nm-1"
 _SD_OF_A_PIXEL, _SD_OF_A_MEAN = 12.0, 7.0  # what chance does not bring about
 
 
-@frame_check("radiance", "finite, not negative", EXR, when=lambda frame: any(part in frame.exr for part in _RADIANCE))
+@frame_check("radiance", EXR, when=lambda frame: any(part in frame.exr for part in _RADIANCE))
 def radiance(frame: FrameData) -> Iterator[Wrong]:
     """Radiance and its variance are finite and not negative.
 
@@ -52,7 +50,7 @@ def radiance(frame: FrameData) -> Iterator[Wrong]:
 
 
 @frame_check(
-    "light", "sun, albedo, clouds within bounds", EXR,
+    "light", EXR,
     when=lambda frame: "depth" in frame.exr and any(part in frame.exr for part in (*_MARKS, "albedo", "cloud")),
 )  # fmt: skip
 def surfaces(frame: FrameData) -> Iterator[Wrong]:
@@ -71,78 +69,71 @@ def surfaces(frame: FrameData) -> Iterator[Wrong]:
         yield Wrong(~((values >= 0) & (values <= 1)), f"cloud.{name} lies outside 0 to 1", "0 to 1", values)
 
 
-@frame_check("light units", "units, white, bands, bias are stated", EXR, when=lambda frame: "radiance" in frame.exr)
+@frame_check("light units", EXR, when=lambda frame: "radiance" in frame.exr)
 def header(frame: FrameData) -> Iterator[Finding]:
     """Radiance has a unit, colour a white, bands their figures; the biased part is named."""
-
-    def differs(problem: str, expected: object, got: object, file: str = EXR) -> Finding:
-        return frame.finding(file, problem, expected=str(expected), got=str(got))
-
     about, parts = frame.exr_header, frame.exr
     channels = list(parts.get("radiance", {}))
-    bands = _bands(about.get("forestgen/bands"))
+    bands = _bands(frame)
     if bands is None:
         if sorted(channels) != ["B", "G", "R"]:
-            yield differs("channels without bands are no colour", "R G B", " ".join(channels))
+            yield finding("channels without bands are no colour", "R G B", " ".join(channels))
         white = about.get("whiteLuminance")
-        if white is None or white != 1.0:
-            yield differs("whiteLuminance is not that of cd/m2", 1, "none" if white is None else number(white))
-    elif sorted(str(band.get("channel")) for band in bands) != sorted(channels):
-        got = " ".join(str(band.get("channel")) for band in bands)
-        yield differs("forestgen/bands is not of radiance's channels", " ".join(channels), got)
+        if white != 1.0:
+            yield finding("whiteLuminance is not that of cd/m2", 1, "none" if white is None else white)
+    elif sorted(bands) != sorted(channels):
+        yield finding("forestgen/bands is not of radiance's channels", " ".join(channels), " ".join(bands))
     chromaticities = np.ravel(about.get("chromaticities", ()))
     if chromaticities.shape != (8,) or not np.allclose(chromaticities, _REC709, atol=1e-6):
-        got = " ".join(map(number, chromaticities)) or "none"
-        yield differs("chromaticities are not Rec. 709's", " ".join(map(str, _REC709)), got)
+        yield finding("chromaticities are not Rec. 709's", np.array(_REC709), as_text(chromaticities) or "none")
     unit = _LUMINANCE if bands is None else _RADIANCE_PER_NM
     for part in (one for one in _RADIANCE if one in parts):
         got = str(about.get(f"forestgen/units.{part}", "none"))
         expected = f"({unit})^2" if part == "radiance.variance" else unit
         if not got.startswith(expected):
-            yield differs(f"forestgen/units.{part} is not its unit", expected, got)
+            yield finding(f"forestgen/units.{part} is not its unit", expected, got)
         if list(parts[part]) != channels:
-            yield differs(f"{part} has other channels than radiance", " ".join(channels), " ".join(parts[part]))
+            yield finding(f"{part} has other channels than radiance", " ".join(channels), " ".join(parts[part]))
     if frame.has(_PREVIEW):
-        view = read_palette(frame.task.root, frame.file(_PREVIEW))[1].get("view", "none")
+        view = read_palette(frame.root, frame.file(_PREVIEW))[1].get("view", "none")
         if view != about.get("forestgen/view"):
-            yield differs("the view is not frame.exr's", about.get("forestgen/view"), view, _PREVIEW)
+            yield finding("the view is not frame.exr's", about.get("forestgen/view"), view, file=frame.file(_PREVIEW))
     biased = "radiance.denoised" if "radiance.denoised" in parts else None
     if about.get("forestgen/biased") != biased:
-        yield differs("forestgen/biased does not name the denoised part", biased, about.get("forestgen/biased"))
+        yield finding("forestgen/biased does not name the denoised part", biased, about.get("forestgen/biased"))
 
 
-def _bands(text: object) -> list[Mapping[str, Any]] | None:
-    """Rows of the attribute; None where there is none."""
+def _bands(frame: FrameData) -> list[str] | None:
+    """Channels that the attribute forestgen/bands names; None where there is none."""
+    text = frame.exr_header.get("forestgen/bands")
     if text is None:
         return None
     try:
-        rows = load_json(str(text))
+        return [str(row.get("channel")) for row in load_json(str(text)) if isinstance(row, dict)]
     except ValueError as error:
-        raise UnreadableError(Finding(EXR, "forestgen/bands is no JSON", got=str(error))) from error
-    return [row for row in rows if isinstance(row, dict)]
+        raise frame.refused(EXR, "forestgen/bands is no JSON", got=error) from error
 
 
 @frame_check(
-    "raw", "numbers are the radiance's and noise", _RAW,
-    when=lambda frame: frame.has(_RAW) or frame.file(_RAW) in frame.task.listed,
+    "raw", _RAW,
+    when=lambda frame: frame.has(_RAW) or frame.file(_RAW) in frame.listed,
 )  # fmt: skip
 def raw(frame: FrameData) -> Iterator[Finding | Wrong]:
     """Digital numbers lie within their range, and within their noise of the radiance."""
-    facts = read_json(frame.task.root, frame.file(_RAW))
+    facts = read_json(frame.root, frame.file(_RAW))
     black, white, bits, gain = (facts[name] for name in ("black_level", "white_level", "bits", "electrons_per_dn"))
     if not (0 <= black < white < 2**bits <= 2**16 and gain > 0):
         got = f"black {black}, white {white}, {bits} bits, {gain} electrons"
-        yield frame.finding(_RAW, "levels contradict each other", expected="0 <= black < white < 2^bits", got=got)
+        yield finding("levels contradict each other", "0 <= black < white < 2^bits", got)
         return
     if facts["of"] not in frame.exr:
-        yield frame.finding(_RAW, "the raw image is of a part that frame.exr lacks", got=str(facts["of"]))
+        yield finding("the raw image is of a part that frame.exr lacks", got=facts["of"])
         return
     light = frame.exr[facts["of"]]
     for key, name in facts["files"].items():
-        numbers = read_picture(frame.task.root, frame.file(name))
+        numbers = read_picture(frame.root, frame.file(name))
         if numbers.ndim != 2 or numbers.shape != frame.instance.shape:
-            got = " x ".join(map(str, numbers.shape[::-1]))
-            yield frame.finding(name, "the raw image has another size", expected=str(frame.size_px), got=got)
+            yield finding("the raw image has another size", frame.size_px, numbers.shape[::-1], file=frame.file(name))
             continue
         yield Wrong(numbers.astype(np.int64) > white, "brighter than white_level", str(white), numbers, name)
         yield from _noise(frame, name, numbers.astype(np.float64), _expected(frame, facts, light, key), facts)
@@ -161,8 +152,8 @@ def _noise(
     inside = expected + _SD_OF_A_MEAN * np.sqrt(variance) < white  # nothing is cut off
     off = float((numbers - expected)[inside].sum())
     if abs(off) > _SD_OF_A_MEAN * float(np.sqrt(variance[inside].sum())) + 1e-3 * inside.sum():
-        got = f"{number(off / inside.sum())} digital numbers off"
-        yield frame.finding(name, "the raw image's mean is not the radiance's", got=got)
+        got = f"{as_text(off / inside.sum())} digital numbers off"
+        yield finding("the raw image's mean is not the radiance's", got=got, file=frame.file(name))
 
 
 def _expected(

@@ -12,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.dataset.check.check import Wrong, frame_check
-from forestgen.dataset.check.files import read_bit_depth
-from forestgen.dataset.check.finding import Finding
-from forestgen.dataset.check.frame_data import EXR, INSTANCE, PLANTS, SEMANTIC, FrameData
+from forestgen.dataset.check.files import Finding, finding, read_bit_depth
+from forestgen.dataset.check.frame_data import EXR, INSTANCE, PLANTS, SEMANTIC, FrameData, Wrong, frame_check
 
 _PLANT_PARTS = (Part.TRUNK, Part.BRANCH, Part.LEAF, Part.FLOWER, Part.FRUIT, Part.DEAD_WOOD, Part.STRUCTURE)
 _NAMES = {part.name.lower(): int(part) for part in Part}
@@ -27,43 +25,39 @@ _MOST_NODES = 32  # of a branch module's prototype; nodes are below
 _MOST_NUMBERS = 2**32 // _MOST_NODES  # a triangle's mark holds both in 32 bits
 
 
-@frame_check("ids", "plants of the image are in the table", PLANTS)
+@frame_check("ids", PLANTS)
 def ids(frame: FrameData) -> Iterator[Finding | Wrong]:
     """plants.parquet holds each plant once, ids rising, and all that the image shows."""
     known = frame.plants["plant_id"]
     if known.dtype != np.uint32:
-        yield frame.finding(PLANTS, "plant_id has another type", expected="uint32, no null", got=str(known.dtype))
+        yield finding("plant_id has another type", "uint32, no null", known.dtype)
         return
     steps = np.diff(known.astype(np.int64), prepend=-1)
     yield Wrong(steps <= 0, "ids do not rise from row to row, or one comes twice")
     if len(known) and known[0] == 0:
-        yield frame.finding(PLANTS, "0 is no plant", expected="ids from 1", got="0")
+        yield finding("0 is no plant", "ids from 1", 0)
     strange = ~np.isin(frame.instance, known) & (frame.instance != 0)
     yield Wrong(strange, "a plant of the image is not in the table", "a row of it", "none")
     names = frame.plants["species"].tolist()
     for name in sorted(set(names) - set(frame.recipe["species"]), key=str):
         plant, expected = int(known[names.index(name)]), ", ".join(frame.recipe["species"])
-        problem = "the species is not the recipe's"
-        yield frame.finding(PLANTS, problem, expected=expected, got=str(name), plant_id=plant)
+        yield finding("the species is not the recipe's", expected, name, plant)
 
 
-def _holds_png(frame: FrameData) -> bool:
-    """instance.png is left out where an id does not fit its 24 bits."""
-    return int(frame.instance.max(initial=0)) <= _LARGEST_PNG_ID
-
-
-@frame_check("instance", "instance.png is frame.exr's mask", INSTANCE, files=(INSTANCE,), when=_holds_png)
+@frame_check("instance", INSTANCE, files=(INSTANCE,))
 def instance_png(frame: FrameData) -> Iterator[Finding | Wrong]:
-    """instance.png holds frame.exr's identity.plant_id: id = R + 256 G + 65536 B."""
+    """instance.png holds frame.exr's identity.plant_id, id = R + 256 G + 65536 B, if all ids fit 24 bits."""
+    if int(frame.instance.max(initial=0)) > _LARGEST_PNG_ID:
+        return
     rgb = frame.picture(INSTANCE).astype(np.uint32)
     if rgb.ndim != 3:
-        yield frame.finding(INSTANCE, "the picture has no three colours", expected="8-bit RGB", got="one channel")
+        yield finding("the picture has no three colours", "8-bit RGB", "one channel")
         return
     coded = rgb[..., 0] + 256 * rgb[..., 1] + 65536 * rgb[..., 2]
     yield Wrong(coded != frame.instance, "the id differs from frame.exr's", frame.instance, coded)
 
 
-@frame_check("part", "parts suit their plants", EXR)
+@frame_check("part", EXR)
 def parts(frame: FrameData) -> Iterator[Wrong]:
     """A plant's pixel has a plant's part; no plant's has another part or is the sky."""
     part, is_plant = frame.part, frame.instance != 0
@@ -74,19 +68,18 @@ def parts(frame: FrameData) -> Iterator[Wrong]:
     yield Wrong(~is_plant & own, "a pixel of no plant has a plant's part", "sky, ground or what lies on it", part)
 
 
-@frame_check("semantic", "classes follow from species and part", SEMANTIC)
+@frame_check("semantic", SEMANTIC)
 def semantic(frame: FrameData) -> Iterator[Finding | Wrong]:
     """semantic.png, of 8 bits a pixel, is frame.exr's identity.semantic, and both follow from species and part."""
     if frame.has(SEMANTIC):
         shown = frame.picture(SEMANTIC)
         if shown.ndim != 2:
-            yield frame.finding(SEMANTIC, "the picture is no palette's", expected="8-bit indices", got="colours")
+            yield finding("the picture is no palette's", "8-bit indices", "colours")
             return
-        bits = read_bit_depth(frame.task.root, frame.file(SEMANTIC))
+        bits = read_bit_depth(frame.root, frame.file(SEMANTIC))
         if bits != _SEMANTIC_BITS:
-            yield frame.finding(SEMANTIC, "bits of a pixel", expected=str(_SEMANTIC_BITS), got=str(bits))
-        problem = "the class differs from frame.exr's semantic"
-        yield Wrong(shown != frame.semantic, problem, frame.semantic, shown)
+            yield finding("bits of a pixel", _SEMANTIC_BITS, bits)
+        yield Wrong(shown != frame.semantic, "the class differs from frame.exr's semantic", frame.semantic, shown)
     expected = _classes(frame)
     problem = "the class does not follow from the plant's species and the part"
     yield Wrong(expected != frame.semantic, problem, expected, frame.semantic, EXR)
@@ -112,7 +105,7 @@ def _classes(frame: FrameData) -> NDArray[np.int64]:
     return found
 
 
-@frame_check("coverage", "shares fall and sum to 1", EXR, exr=("coverage rank0.id rank0.coverage",))
+@frame_check("coverage", EXR, exr=("coverage rank0.id rank0.coverage",))
 def coverage(frame: FrameData) -> Iterator[Wrong]:
     """Each share lies in (0, 1], they fall, sum to 1 (up to 1 where ranks ran out), and rank 0 is the instance."""
     ids, share = frame.ranks
@@ -138,7 +131,7 @@ def coverage(frame: FrameData) -> Iterator[Wrong]:
     yield Wrong(repeated, "an id has two ranks", "each id once", ids)
 
 
-@frame_check("modules", "plants have branch modules, or none", EXR, exr=("module number node own",))
+@frame_check("modules", EXR, exr=("module number node own",))
 def branches(frame: FrameData) -> Iterator[Wrong]:
     """Numbers within their ranges; a plant's pixels have a module all or none, and no ground, sky or house has one."""
     module = frame.exr["module"]

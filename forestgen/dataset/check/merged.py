@@ -1,9 +1,13 @@
-"""A data set's folder as its checks read it: the frames, the manifest, and the files over all frames."""
+"""A data set's folder as checks read it, and checks of the files over all frames: what is listed, and what is named.
+
+Names of classes and parts are in three places, which must agree.
+"""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -11,14 +15,36 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import RecipeError
-from forestgen.dataset.check.files import categories, read_json, read_recipe
-from forestgen.dataset.check.finding import Finding, UnreadableError
-from forestgen.dataset.check.frame_data import CAMERA
-from forestgen.dataset.safe_path import check_folder, is_frame
+from forestgen.core.parts import Part
+from forestgen.dataset.check.files import (
+    Finding,
+    UnreadableError,
+    categories,
+    class_names,
+    finding,
+    read_json,
+    read_palette,
+    read_recipe,
+)
+from forestgen.dataset.check.frame_data import (
+    CAMERA,
+    EXR,
+    INSTANCE,
+    PLANTS,
+    RECIPE,
+    SEMANTIC,
+    FrameData,
+    completed,
+    frame_check,
+)
+from forestgen.dataset.safe_path import SafePath, is_frame, load_json
 
-MANIFEST = "manifest.json"
+MANIFEST, _LEGEND = "manifest.json", "classes.json"
 UNKNOWN = "?"  # a following frame that is not known
 _SCHEMA = "forestgen-manifest/"
+_ALWAYS = (EXR, SEMANTIC, PLANTS, CAMERA, RECIPE, "preview.png", "overlay.png")
+_PICTURES = (INSTANCE, SEMANTIC, "preview.png", "overlay.png")
+_CLASSES, _PARTS = "forestgen/classes", "forestgen/parts"
 
 
 @dataclass(frozen=True)
@@ -88,40 +114,42 @@ class Merged:
         return self._lists[file]
 
 
+@dataclass(frozen=True)
+class DatasetCheck:
+    """An invariant of the files over all images."""
+
+    name: str
+    file: str  # that it is about
+    applies: Callable[[Merged], bool]
+    find: Callable[[Merged], Iterator[Finding]]
+
+    def findings(self, merged: Merged) -> Iterator[Finding]:
+        """What is wrong with a data set."""
+        return completed(self.find(merged), self.name, self.file)
+
+
+def dataset_check(
+    name: str, file: str, when: Callable[[Merged], bool] | None = None
+) -> Callable[[Callable[[Merged], Iterator[Finding]]], DatasetCheck]:
+    """Turn a function into a `DatasetCheck` of data sets that have `file`, or for which `when` is true."""
+    return lambda find: DatasetCheck(name, file, when or (lambda merged: merged.has(file)), find)
+
+
 def folder_of(path: Any) -> str:
     """The frame's folder of a file's path."""
     return str(path).partition("/")[0]
 
 
 def open_dataset(root: Path) -> Merged:
-    """The folder of a data set; any other folder raises `RecipeError` with what it seems to be."""
-    check_folder(root, "the folder of a split")
+    """A split's folder; one that cannot be read, or holds no frames, raises `RecipeError`."""
     merged = Merged(root)
     try:
-        frames = merged.frames
-        inside = sorted(path.name for path in root.iterdir() if (path / MANIFEST).is_file())
+        if merged.frames:
+            return merged
     except OSError as error:
         raise RecipeError(f"the folder cannot be read: {error.strerror}", where=str(root)) from error
-    if frames:
-        return merged
-    raise RecipeError(
-        "the folder holds no images of forestgen",
-        where=str(root),
-        expected="folders such as 000000-camera0, as in the folder of a split",
-        got=_what_is_there(merged, inside),
-        hint=f"{root / inside[0]}" if inside else None,
-    )
-
-
-def _what_is_there(merged: Merged, inside: list[str]) -> str:
-    if (merged.root / "frame.exr").is_file():
-        return "the folder of one frame: give the folder above it"
-    if merged.listed:
-        return "a forestgen output without images"
-    if inside:
-        return f"a folder of outputs, such as {inside[0]}"
-    count = sum(1 for _ in merged.root.iterdir())
-    return "nothing" if count == 0 else f"{count} other files or folders"
+    expected = "folders such as 000000-camera0"
+    raise RecipeError("the folder holds no images of forestgen", where=str(root), expected=expected)
 
 
 def following_frames(root: Path, frames: Sequence[str]) -> dict[str, str]:
@@ -144,12 +172,99 @@ def following_frames(root: Path, frames: Sequence[str]) -> dict[str, str]:
             unsure.add(image)
     following = {frame: UNKNOWN for frame in frames if frame.partition("-")[0] in unsure}
     for way in members.values():
-        pairs = pairwise(name for _, name in sorted(way))
-        following |= {one: UNKNOWN if _is_gap(one, other) else other for one, other in pairs}
+        for one, other in pairwise(name for _, name in sorted(way)):
+            numbers = [name.rpartition("-")[2] for name in (one, other)]  # of names such as NAME-0000, NAME-0001, ...
+            is_gap = all(map(str.isdecimal, numbers)) and int(numbers[1]) != int(numbers[0]) + 1
+            following[one] = UNKNOWN if is_gap else other
     return following
 
 
-def _is_gap(one: str, other: str) -> bool:
-    """Whether numbers are left out between two frames' names, NAME-0000, NAME-0001, ..."""
-    numbers = [name.rpartition("-")[2] for name in (one, other)]
-    return all(map(str.isdecimal, numbers)) and int(numbers[1]) != int(numbers[0]) + 1
+@frame_check("files", "")
+def files(frame: FrameData) -> Iterator[Finding]:
+    """All files of the frame are there and can be read."""
+    for name in frame.listed:
+        if not SafePath(frame.root, name).is_file():
+            yield finding("the file is missing", "a file, as manifest.json lists it", file=name)
+    for name in _ALWAYS:
+        if frame.file(name) not in frame.listed and not frame.has(name):
+            yield finding("the file is missing", "a file in each frame's folder", file=frame.file(name))
+    # Each of these reads a file and refuses one that is cut short, of another kind or of another size.
+    for attribute in ("exr", "plants", "camera", "recipe"):
+        yield from _refused(lambda name: getattr(frame, name), attribute)
+    yield from _refused(_check_ids_fit, frame)
+    for name in _PICTURES:
+        if frame.has(name):
+            yield from _refused(frame.picture, name)
+
+
+def _check_ids_fit(frame: FrameData) -> None:
+    """instance.png may be missing only where an id does not fit its 24 bits."""
+    listed = frame.file(INSTANCE) in frame.listed
+    if not frame.has(INSTANCE) and not listed and int(frame.instance.max(initial=0)) < 1 << 24:
+        raise frame.refused(INSTANCE, "there is no instance.png", "one: all ids fit it")
+
+
+def _refused(read: Callable[[Any], object], what: Any) -> Iterator[Finding]:
+    try:
+        read(what)
+    except UnreadableError as error:
+        if error.finding.problem != "the file is missing":  # which is reported already
+            yield error.finding
+
+
+@dataset_check("manifest", MANIFEST, when=lambda _: True)
+def listing(merged: Merged) -> Iterator[Finding]:
+    """The manifest can be read, lists all frames, and the files beside the frames' folders are there."""
+    listed = merged.manifest["files"]
+    folders = {name.partition("/")[0] for name in listed if "/" in name}
+    for name in merged.frames:
+        if name not in folders:
+            yield finding("a frame's folder is not in the manifest", "a folder of the same run", name, image=name)
+    for name in sorted(listed):
+        if name.partition("/")[0] not in merged.frames and not SafePath(merged.root, name).is_file():
+            yield finding("the file is missing", "a file, as manifest.json lists it", file=name)
+
+
+@dataset_check("classes.json", _LEGEND)
+def legend(merged: Merged) -> Iterator[Finding]:
+    """Names follow from the recipe; colours are the first image's."""
+    content = read_json(merged.root, _LEGEND)
+    names = class_names(merged.recipe)
+    try:
+        colours, _ = read_palette(merged.root, f"{merged.frames[0]}/{SEMANTIC}")
+        triples = _numbered([colours[3 * i : 3 * i + 3] for i in range(len(names))])
+    except UnreadableError:  # which the frame's own check says
+        triples = content["semantic_colours"]
+    for key, expected in (
+        ("semantic", _numbered(names)),
+        ("semantic_colours", triples),
+        ("part", _part_names()),
+        ("categories", _numbered(merged.category_names, 1)),
+    ):
+        if content[key] != expected:
+            yield finding(f"{key}: not the recipe's, or not semantic.png's", _text(expected), _text(content[key]))
+
+
+@frame_check("names", SEMANTIC, when=lambda frame: _CLASSES in frame.exr_header)
+def names(frame: FrameData) -> Iterator[Finding]:
+    """The names inside the files are the recipe's classes, and the parts."""
+    header, classes = frame.exr_header, _numbered(class_names(frame.recipe))
+    texts = [(EXR, _CLASSES, header[_CLASSES], classes), (EXR, _PARTS, header.get(_PARTS), _part_names())]
+    if frame.has(SEMANTIC):
+        text = read_palette(frame.root, frame.file(SEMANTIC))[1].get("classes")
+        texts.append((SEMANTIC, "the text classes", text, classes))
+    for file, key, text, expected in texts:
+        if text is None or load_json(text) != expected:
+            yield finding(f"{key}: not the names of the numbers", _text(expected), text, file=frame.file(file))
+
+
+def _part_names() -> dict[str, Any]:
+    return _numbered([part.name.lower() for part in Part])
+
+
+def _numbered(values: Sequence[Any], first: int = 0) -> dict[str, Any]:
+    return {str(number): value for number, value in enumerate(values, first)}
+
+
+def _text(content: Any) -> str:
+    return json.dumps(content)[:300]

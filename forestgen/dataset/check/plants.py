@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.dataset.check.check import Wrong, frame_check
-from forestgen.dataset.check.finding import Finding, number, numbers
-from forestgen.dataset.check.frame_data import CAMERA, PLANTS, FrameData
+from forestgen.dataset.check.files import Finding, finding
+from forestgen.dataset.check.frame_data import CAMERA, PLANTS, FrameData, Wrong, frame_check
 
 _SIZES = ("height_m", "radius_m", "age_yr", "distance_m", "leaf_area_m2", "crown_width_m")
 _AREA_TOLERANCE = 1e-3  # relative; shares are stored as float32
@@ -25,7 +24,7 @@ KEYPOINT_COLUMNS = tuple(f"{name}_{end}" for name in KEYPOINTS for end in ("x_px
 _STATES = np.array(["0: outside the image", "1: hidden", "2: visible"])
 
 
-@frame_check("plants", "pixels and boxes are the mask's", PLANTS)
+@frame_check("plants", PLANTS)
 def visible(frame: FrameData) -> Iterator[Wrong]:
     """visible_pixels, box and truncated are those of the mask."""
     extents, plants = frame.extents, frame.plants
@@ -43,7 +42,7 @@ def visible(frame: FrameData) -> Iterator[Wrong]:
     yield Wrong(truncated.astype(bool) != touches, _differs("truncated"), touches, truncated)
 
 
-@frame_check("areas", "visible areas are sums of coverage", PLANTS, exr=("coverage rank0.id rank0.coverage",))
+@frame_check("areas", PLANTS, exr=("coverage rank0.id rank0.coverage",))
 def areas(frame: FrameData) -> Iterator[Wrong]:
     """visible_area_px is the sum of coverages; where 8 ranks did not hold all ids it may be more."""
     ids, share = frame.ranks
@@ -58,7 +57,7 @@ def areas(frame: FrameData) -> Iterator[Wrong]:
     yield Wrong(~((area >= least - slack) & (area <= least + slack + rest)), _differs("visible_area_px"), least, area)
 
 
-@frame_check("stems", "stem pixels are the mask's", PLANTS, columns=("stem_pixels",))
+@frame_check("stems", PLANTS, columns=("stem_pixels",))
 def stems(frame: FrameData) -> Iterator[Wrong]:
     """stem_pixels counts the plant's pixels whose part is the trunk."""
     known = frame.plants["plant_id"]
@@ -69,7 +68,7 @@ def stems(frame: FrameData) -> Iterator[Wrong]:
     yield Wrong(~(stored == count), _differs("stem_pixels"), count, stored)
 
 
-@frame_check("measures", "sizes and places are numbers", PLANTS)
+@frame_check("measures", PLANTS)
 def measures(frame: FrameData) -> Iterator[Wrong]:
     """Measures that every plant has are finite numbers, sizes not negative."""
     for column in filter(frame.known, ("x_m", "y_m", "z_m", *_SIZES)):
@@ -78,7 +77,7 @@ def measures(frame: FrameData) -> Iterator[Wrong]:
         yield Wrong(~(np.isfinite(values) & (values >= least)), f"{column} is no measure", "a number", values)
 
 
-@frame_check("keypoints", "on the plant, hidden or outside", PLANTS, columns=KEYPOINT_COLUMNS)
+@frame_check("keypoints", PLANTS, columns=KEYPOINT_COLUMNS)
 def keypoints(frame: FrameData) -> Iterator[Finding]:
     """State is 0 outside the image; inside, 2 where the mask's pixel is the plant's, and 1 elsewhere."""
     plants = frame.plants
@@ -87,14 +86,9 @@ def keypoints(frame: FrameData) -> Iterator[Finding]:
         expected = keypoint_states(x, y, plants["plant_id"], frame.instance)
         got = plants[f"{name}_state"]
         for row in np.flatnonzero(~(got == expected)):
-            yield frame.finding(
-                PLANTS,
-                f"{name}_state does not follow from the mask",
-                expected=str(_STATES[expected[row]]),
-                got=number(got[row]),
-                plant_id=int(plants["plant_id"][row]),
-                pixel=(int(x[row]), int(y[row])) if expected[row] else None,
-            )
+            problem, plant = f"{name}_state does not follow from the mask", int(plants["plant_id"][row])
+            pixel = (int(x[row]), int(y[row])) if expected[row] else None
+            yield finding(problem, _STATES[expected[row]], got[row], plant, pixel=pixel)
 
 
 def keypoint_states(
@@ -110,7 +104,7 @@ def keypoint_states(
 
 
 @frame_check(
-    "stem places", "stem bases are projected places", PLANTS,
+    "stem places", PLANTS,
     files=(CAMERA,), columns=("x_m", "y_m", "z_m", "stem_base_x_px", "stem_base_y_px"),
 )  # fmt: skip
 def places(frame: FrameData) -> Iterator[Finding]:
@@ -131,13 +125,12 @@ def places(frame: FrameData) -> Iterator[Finding]:
     wrong |= there & sure & ~(off <= _POINT_PX + _RELATIVE * np.abs(expected)).all(axis=1)
     problem = "stem_base_x_px, stem_base_y_px are not the plant's place as the camera sees it"
     for row in np.flatnonzero(wrong):
-        place = numbers(expected[row]) if depth[row] > 0 else "null: not in view"
-        plant_id = int(frame.plants["plant_id"][row])
-        yield frame.finding(PLANTS, problem, expected=place, got=numbers(got[row]), plant_id=plant_id)
+        place = expected[row] if depth[row] > 0 else "null: not in view"
+        yield finding(problem, place, got[row], int(frame.plants["plant_id"][row]))
 
 
 @frame_check(
-    "amodal", "the visible lies within the amodal", PLANTS,
+    "amodal", PLANTS,
     columns=("amodal_pixels", "amodal_area_px", "visible_fraction", *_BOX),
     when=lambda frame: not np.isnan(_columns(frame, "amodal_area_px")).all(),
 )  # fmt: skip

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.check import frame_check
-from forestgen.dataset.check.files import read_bytes, unreadable
-from forestgen.dataset.check.finding import Finding, UnreadableError, numbers
-from forestgen.dataset.check.frame_data import FrameData
+from forestgen.dataset.check.files import Finding, finding, read_bytes, unreadable
+from forestgen.dataset.check.frame_data import FrameData, frame_check
 
 _PLY, _LAZ = "points.ply", "points.laz"
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "ushort": "<u2", "uint": "<u4"}
@@ -21,7 +19,7 @@ _LAZ_M = 1e-3
 _END = b"end_header\n"
 
 
-@frame_check("points.ply", "points are the pixels'", _PLY, files=(_PLY,))
+@frame_check("points.ply", _PLY, files=(_PLY,))
 def ply(frame: FrameData) -> Iterator[Finding]:
     """Each point is its pixel's: position, plant and part of the centre's ray."""
     found = read_ply(frame)
@@ -29,41 +27,41 @@ def ply(frame: FrameData) -> Iterator[Finding]:
     plant = found["plant_id"]
     strange = (plant != 0) & ~np.isin(plant, known)
     if strange.any():
-        yield from _first(frame, found, strange, "the plant is not in plants.parquet", "a row of it", "none")
+        yield from _first(found, strange, "the plant is not in plants.parquet", "a row of it", "none")
         return
     row, column = found["row"].astype(np.int64), found["column"].astype(np.int64)
     width, height = frame.size_px
     if len(found) and (row.max() >= height or column.max() >= width):
         at = int(np.argmax((row >= height) | (column >= width)))
         got = f"row {row[at]}, column {column[at]}"
-        yield frame.finding(_PLY, f"point {at} is outside the image", expected=f"{width} x {height}", got=got)
+        yield finding(f"point {at} is outside the image", f"{width} x {height}", got)
         return
     yield from _count(frame, row, column)
     for name, channel in (("plant_id", "centre.plant_id"), ("part", "centre.part")):
         if frame.has_part("identity", channel):
             truth = frame.exr["identity"][channel][row, column]
             problem = f"{name} is not frame.exr's {channel}"
-            yield from _first(frame, found, truth != found[name], problem, truth, found[name])
+            yield from _first(found, truth != found[name], problem, truth, found[name])
     place = np.stack([found[axis] for axis in "xyz"], axis=-1)
     if frame.has_part("position", *"XYZ"):
         truth = frame.vectors("position")[row, column]
         scale = np.maximum(np.abs(truth).max(axis=-1), 1.0)
         wrong = ~(np.abs(place - truth).max(axis=-1) <= _RELATIVE * scale) if len(found) else np.zeros(0, dtype=bool)
-        yield from _first(frame, found, wrong, "the point is not at frame.exr's position", truth, place)
+        yield from _first(found, wrong, "the point is not at frame.exr's position", truth, place)
     names = np.array(["", *frame.recipe["species"]], dtype=object)
     own = np.full(len(found), "", dtype=object)
     own[plant != 0] = frame.plants["species"][np.searchsorted(known, plant[plant != 0])]
     got = names[np.minimum(found["species"], len(names) - 1)]
     wrong = (got != own) | (found["species"] >= len(names))
-    yield from _first(frame, found, wrong, "the species is not the plant's", own, got)
+    yield from _first(found, wrong, "the species is not the plant's", own, got)
 
 
-@frame_check("points.laz", "points are points.ply's", _LAZ, files=(_LAZ, _PLY))
+@frame_check("points.laz", _LAZ, files=(_LAZ, _PLY))
 def laz(frame: FrameData) -> Iterator[Finding]:
     """points.laz holds the points of points.ply, in their order."""
     import laspy
 
-    content = read_bytes(frame.task.root, frame.file(_LAZ))
+    content = read_bytes(frame.root, frame.file(_LAZ))
     try:
         with laspy.open(io.BytesIO(content)) as reader:
             if reader.header.point_count > frame.instance.size:  # before memory is taken for them
@@ -74,19 +72,18 @@ def laz(frame: FrameData) -> Iterator[Finding]:
         raise unreadable(frame.file(_LAZ), error) from error
     found = read_ply(frame)
     if len(plant) != len(found):
-        problem = "there are not as many points as in points.ply"
-        yield frame.finding(_LAZ, problem, expected=str(len(found)), got=str(len(plant)))
+        yield finding("there are not as many points as in points.ply", len(found), len(plant))
         return
     truth = found["plant_id"]
-    yield from _first(frame, found, truth != plant, "plant_id is not points.ply's", truth, plant, _LAZ)
+    yield from _first(found, truth != plant, "plant_id is not points.ply's", truth, plant)
     there = np.stack([found[axis] for axis in "xyz"], axis=-1)
     wrong = ~(np.abs(there - place).max(axis=-1, initial=0.0) <= _LAZ_M)
-    yield from _first(frame, found, wrong, "the point is not points.ply's", there, place, _LAZ)
+    yield from _first(found, wrong, "the point is not points.ply's", there, place)
 
 
 def read_ply(frame: FrameData) -> NDArray[Any]:
     """(P,) records of a binary PLY."""
-    content = read_bytes(frame.task.root, frame.file(_PLY))
+    content = read_bytes(frame.root, frame.file(_PLY))
     end = content.find(_END)
     lines = content[: max(end, 0)].decode("ascii", errors="replace").splitlines()
     try:
@@ -100,8 +97,7 @@ def read_ply(frame: FrameData) -> NDArray[Any]:
             raise ValueError(f"{len(body)} bytes of points where {count * kind.itemsize} belong: cut short?")
         return np.frombuffer(body, dtype=kind, count=count)
     except (ValueError, KeyError, IndexError, StopIteration) as error:
-        finding = frame.finding(_PLY, "the file cannot be read", expected="binary PLY", got=str(error))
-        raise UnreadableError(finding) from error
+        raise frame.refused(_PLY, "the file cannot be read", "binary PLY", error) from error
 
 
 def _count(frame: FrameData, row: NDArray[np.int64], column: NDArray[np.int64]) -> Iterator[Finding]:
@@ -116,25 +112,17 @@ def _count(frame: FrameData, row: NDArray[np.int64], column: NDArray[np.int64]) 
     np.add.at(got, (row, column), 1)
     if (got != expected).any():
         y, x = np.argwhere(got != expected)[0].tolist()
-        about = {"expected": str(expected[y, x]), "got": str(got[y, x]), "pixel": (x, y)}
-        yield frame.finding(_PLY, "the pixel has not its point", **about)
+        yield finding("the pixel has not its point", expected[y, x], got[y, x], pixel=(x, y))
 
 
-def _first(
-    frame: FrameData, found: NDArray[Any], wrong: Any, problem: str, truth: Any, got: Any, file: str = _PLY
-) -> Iterator[Finding]:
+def _first(found: NDArray[Any], wrong: Any, problem: str, truth: Any, got: Any) -> Iterator[Finding]:
     """Of each plant's wrong points the first one, with its values or the text of all."""
     wrong_rows = np.flatnonzero(wrong)
     _, first = np.unique(found["plant_id"][wrong_rows], return_index=True)
     for at in sorted(wrong_rows[first].tolist()):
-        yield frame.finding(
-            file,
-            f"point {at}: {problem}",
-            expected=truth if isinstance(truth, str) else numbers(truth[at]),
-            got=got if isinstance(got, str) else numbers(got[at]),
-            plant_id=int(found["plant_id"][at]) or None,
-            pixel=(int(found["column"][at]), int(found["row"][at])),
-        )
+        expected, stored = (one if isinstance(one, str) else one[at] for one in (truth, got))
+        plant, pixel = int(found["plant_id"][at]) or None, (int(found["column"][at]), int(found["row"][at]))
+        yield finding(f"point {at}: {problem}", expected, stored, plant, pixel=pixel)
 
 
 FRAME_CHECKS = (ply, laz)

@@ -6,110 +6,71 @@ between its corners, as OpenCV's fillPoly does.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.check.check import dataset_check, frame_check
-from forestgen.dataset.check.files import categories, read_text, read_yaml
-from forestgen.dataset.check.finding import Finding, numbers
-from forestgen.dataset.check.frame_data import FrameData
-from forestgen.dataset.check.merged import Merged
+from forestgen.dataset.check.files import Finding, categories, finding, read_text
+from forestgen.dataset.check.frame_data import FrameData, frame_check
+from forestgen.dataset.check.merged import Merged, dataset_check
 from forestgen.dataset.safe_path import SafePath
 
 _TASKS = ("boxes", "segmentation")
 _TOLERANCE = 1e-6
 _FLOOR_TOLERANCE = 1e-3  # of a pixel
-_LineCheck = Callable[[FrameData, str, int, NDArray[np.float64]], Iterator[Finding]]
+_LineCheck = Callable[[FrameData, int, NDArray[np.float64]], Iterator[Finding]]
 
 
-@dataset_check(
-    "yolo files", "images, labels, names of classes", "yolo",
-    when=lambda merged: any(merged.has(f"yolo/{task}/data.yaml") for task in _TASKS),
-)  # fmt: skip
+@dataset_check("yolo files", "yolo", lambda merged: any(merged.has(f"yolo/{task}/data.yaml") for task in _TASKS))
 def structure(merged: Merged) -> Iterator[Finding]:
     """Each frame has an image and a file of labels in both layouts; data.yaml names the categories."""
+    names = (json.dumps(name, ensure_ascii=False) for name in merged.category_names)
+    expected = "names:\n" + "".join(f"  {number}: {name}\n" for number, name in enumerate(names))
     for task in _TASKS:
         for name in merged.frames:
             for kind, end in (("images", "png"), ("labels", "txt")):
                 file = f"yolo/{task}/{kind}/{name}.{end}"
                 if not SafePath(merged.root, file).is_file():
-                    yield Finding(file, "the file is missing", expected="one for each frame", image=name)
-        file, expected = f"yolo/{task}/data.yaml", merged.category_names
-        numbered = read_yaml(merged.root, file)["names"]
-        names = [str(numbered[key]) for key in sorted(numbered)]
-        if names != expected:
-            yield Finding(file, "names are not the recipe's categories", ", ".join(expected), ", ".join(names))
+                    yield finding("the file is missing", "one for each frame", file=file, image=name)
+        text = read_text(merged.root, f"yolo/{task}/data.yaml")
+        if expected not in text:
+            yield finding("names are not the recipe's categories", expected, text, file=f"yolo/{task}/data.yaml")
 
 
-@frame_check("yolo boxes", "boxes are the masks'", "yolo", when=lambda frame: _has_lines(frame, "boxes"), shared=True)
+@frame_check("yolo boxes", "yolo", when=lambda frame: _has_lines(frame, "boxes"), shared=True)
 def boxes(frame: FrameData) -> Iterator[Finding]:
     """A line a plant of the mask, by rising id: class, centre and size of its box as shares of the image."""
-    yield from _lines(frame, "boxes", _box_line)
+    return _lines(frame, "boxes", _box_line)
 
 
-def _box_line(frame: FrameData, file: str, row: int, values: NDArray[np.float64]) -> Iterator[Finding]:
+def _box_line(frame: FrameData, row: int, values: NDArray[np.float64]) -> Iterator[Finding]:
     width, height = frame.size_px
     x, y, w, h = frame.extents.box_px[row].tolist()
     expected = np.array([(x + w / 2) / width, (y + h / 2) / height, w / width, h / height])
     if len(values) != 5 or not (np.abs(values[1:] - expected) <= _TOLERANCE).all():
-        yield _finding(frame, file, row, "the box is not the mask's", numbers(expected), numbers(values[1:]))
+        yield finding("the box is not the mask's", expected, values[1:])
 
 
-@frame_check(
-    "yolo outlines", "rings fill to the masks", "yolo",
-    when=lambda frame: _has_lines(frame, "segmentation"), shared=True,
-)  # fmt: skip
+@frame_check("yolo outlines", "yolo", when=lambda frame: _has_lines(frame, "segmentation"), shared=True)
 def outlines(frame: FrameData) -> Iterator[Finding]:
     """Each ring lies in its box and fills to whole pieces of its plant's mask, and to bridges between them."""
-    yield from _lines(frame, "segmentation", _outline_line)
+    return _lines(frame, "segmentation", _outline_line)
 
 
-def _outline_line(frame: FrameData, file: str, row: int, values: NDArray[np.float64]) -> Iterator[Finding]:
+def _outline_line(frame: FrameData, row: int, values: NDArray[np.float64]) -> Iterator[Finding]:
+    """A ring of pixels lies in its box, fills the mask and bridges, and misses no part of a piece."""
     if len(values) < 7 or len(values) % 2 == 0:
-        yield _finding(frame, file, row, "the line is no ring", "class and 3 or more points", f"{len(values)} numbers")
+        yield finding("the line is no ring", "class and 3 or more points", f"{len(values)} numbers")
         return
     size = np.array(frame.size_px, dtype=np.float64)
     ring = np.floor(values[1:].reshape(-1, 2) * size + _FLOOR_TOLERANCE).astype(np.int64)
-    yield from _ring(frame, file, row, ring)
-
-
-def _has_lines(frame: FrameData, task: str) -> bool:
-    return SafePath(frame.task.root, _file(frame, task)).is_file()
-
-
-def _lines(frame: FrameData, task: str, check_line: _LineCheck) -> Iterator[Finding]:
-    """Check each line of a file of labels: numbers, the class of its plant, and what `check_line` finds."""
-    file, plants = _file(frame, task), frame.extents.plant_id
-    names, _ = categories(frame.recipe)
-    lines = read_text(frame.task.root, file).splitlines()
-    for row, line in enumerate(lines):
-        try:
-            values = np.array(line.split(), dtype=np.float64)
-            if not len(values) or not np.isfinite(values).all():
-                raise ValueError
-        except ValueError:
-            yield _finding(frame, file, row, f"line {row + 1} is not numbers alone", "", line[:60])
-            continue
-        if row >= len(plants):
-            break
-        own = frame.categories.get(int(plants[row]))
-        if own not in names or values[0] != names.index(own):
-            yield _finding(frame, file, row, "the class is not that of the plant's species", str(own), str(values[0]))
-        yield from check_line(frame, file, row, values)
-    if len(lines) != len(plants):
-        problem = "there is not a line for each plant of the mask"
-        yield Finding(file, problem, str(len(plants)), str(len(lines)), frame.name)
-
-
-def _ring(frame: FrameData, file: str, row: int, ring: NDArray[np.int64]) -> Iterator[Finding]:
-    """A ring (N, 2) of pixels lies in its box, fills the mask and bridges, and misses no part of a piece."""
     box = frame.extents.box_px[row]
     low, high = ring.min(axis=0), ring.max(axis=0)
     if (low < box[:2]).any() or (high >= box[:2] + box[2:]).any():
-        got = numbers([*low, *(high - low + 1)])
-        yield _finding(frame, file, row, "the outline leaves the mask's box", numbers(box), got)
+        yield finding("the outline leaves the mask's box", box, np.array([*low, *(high - low + 1)]))
         return
     x, y, w, h = box.tolist()
     truth = frame.instance[y : y + h, x : x + w] == frame.extents.plant_id[row]
@@ -117,9 +78,45 @@ def _ring(frame: FrameData, file: str, row: int, ring: NDArray[np.int64]) -> Ite
     for wrong, expected, got in ((missing, "inside", "outside"), (added, "outside", "inside")):
         if wrong.any():
             line, column = np.argwhere(wrong)[0].tolist()
-            plant, pixel = int(frame.extents.plant_id[row]), (x + column, y + line)
-            yield Finding(file, "the outline does not fill to the mask", expected, got, frame.name, plant, pixel)
+            yield finding("the outline does not fill to the mask", expected, got, pixel=(x + column, y + line))
             return
+
+
+def _has_lines(frame: FrameData, task: str) -> bool:
+    return SafePath(frame.root, _file(frame, task)).is_file()
+
+
+def _file(frame: FrameData, task: str) -> str:
+    return f"yolo/{task}/labels/{frame.name}.txt"
+
+
+def _lines(frame: FrameData, task: str, check_line: _LineCheck) -> Iterator[Finding]:
+    """Check a file of labels, line by line."""
+    file, plants = _file(frame, task), frame.extents.plant_id.tolist()
+    lines = read_text(frame.root, file).splitlines()
+    for row, line in enumerate(lines):
+        for one in _line(frame, row, line, check_line):
+            yield replace(one, file=file, plant_id=plants[row] if row < len(plants) else None)
+    if len(lines) != len(plants):
+        yield finding("there is not a line for each plant of the mask", len(plants), len(lines), file=file)
+
+
+def _line(frame: FrameData, row: int, line: str, check_line: _LineCheck) -> Iterator[Finding]:
+    """A line is numbers, has the class of its plant, and what `check_line` asks for."""
+    try:
+        values = np.array(line.split(), dtype=np.float64)
+        if not len(values) or not np.isfinite(values).all():
+            raise ValueError
+    except ValueError:
+        yield finding(f"line {row + 1} is not numbers alone", got=line[:60])
+        return
+    if row >= len(frame.extents.plant_id):
+        return
+    names, _ = categories(frame.recipe)
+    own = frame.categories.get(int(frame.extents.plant_id[row]))
+    if own not in names or values[0] != names.index(own):
+        yield finding("the class is not that of the plant's species", own, values[0])
+    yield from check_line(frame, row, values)
 
 
 def _differences(ring: NDArray[np.int64], truth: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -180,15 +177,6 @@ def fill(ring: NDArray[np.float64], size_px: tuple[int, int]) -> NDArray[np.bool
     cell = row[kept] * (width + 1) + np.clip(column[kept], 0, width)
     turns = np.bincount(cell, minlength=height * (width + 1)).reshape(height, width + 1)
     return np.asarray(np.cumsum(turns[:, :width], axis=1) % 2 == 1)
-
-
-def _file(frame: FrameData, task: str) -> str:
-    return f"yolo/{task}/labels/{frame.name}.txt"
-
-
-def _finding(frame: FrameData, file: str, row: int, problem: str, expected: str, got: str) -> Finding:
-    plant = int(frame.extents.plant_id[row]) if row < len(frame.extents.plant_id) else None
-    return Finding(file, problem, expected, got, frame.name, plant)
 
 
 FRAME_CHECKS, DATASET_CHECKS = (boxes, outlines), (structure,)

@@ -41,21 +41,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import OutputError
 from forestgen.dataset.camera import camera_from_world
 from forestgen.dataset.files import make_folder
 from forestgen.dataset.formats.depth_png import BEYOND, encode_depth
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import in_order, json_text, place, read_shard, whole_file, write_shard
-from forestgen.dataset.png import write_grey
+from forestgen.dataset.png import write_png
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
-from forestgen.labels.masks import AmodalMasks, rows_of
+from forestgen.labels.masks import rows_of
 from forestgen.scene.projection import Projection, projection_of
 
 FOLDER_NAME, SPLIT_NAME, SHARD_NAME = "bop", "train_pbr", "shard.json"
 SCENE_FILES = ("scene_camera", "scene_gt", "scene_gt_info")
-NEEDS_AMODAL = "BOP's visible fractions need amodal masks"
 MASK_FOLDERS = ("mask", "mask_visib")
 _FAST = 1  # of zlib: two pictures a plant, of almost nothing but zeros
 
@@ -69,31 +67,33 @@ class Bop(DatasetFormat):
     name = "bop"
     check_module = "forestgen.dataset.check.bop"
     bytes_per_pixel, bytes_per_plant = 7, 6000
-    label_channels: Mapping[str, str] = {"amodal": NEEDS_AMODAL}
+    label_channels: Mapping[str, str] = {"amodal": "BOP's visible fractions need amodal masks"}
 
     def holds(self, projection: Projection) -> bool:
         return projection.is_pinhole
 
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
-        """Write the frame's poses and pictures into its folder; without amodal masks it raises `OutputError`."""
+        """Write the frame's poses and pictures into its folder; a failure raises `OutputError`."""
         amodal, home, visible = labelled.amodal, folder / FOLDER_NAME, labelled.views.visible
-        if amodal is None:
-            hint = "add amodal to labels.channels, or leave bop out of dataset.formats"
-            raise OutputError(NEEDS_AMODAL, where=str(home), hint=hint)
+        assert amodal is not None  # the recipe asks for it: see `label_channels`
         for name in MASK_FOLDERS:
             make_folder(home / name)
         steps = encode_depth(labelled.frame.surface.depth_m, settings.depth_unit_m)
         steps[steps == BEYOND] = 0
-        write_grey(home / "depth.png", steps)
+        write_png(home / "depth.png", steps)
 
         rows = np.flatnonzero(visible.has_box)
         plants = labelled.population.plant_id[rows]
         info = []
         for number, (row, own) in enumerate(zip(rows, rows_of(plants, amodal.plant_id), strict=True)):
-            whole = _whole_mask(amodal, int(own), steps.shape)
+            whole = np.zeros(steps.shape, dtype=np.bool_)
+            left, top, width, height = amodal.box_px[own]
+            whole[top : top + height, left : left + width] = amodal.mask_of(int(own))
             seen = labelled.pixels.instance == labelled.population.plant_id[row]
             for name, mask in zip(MASK_FOLDERS, (whole, seen), strict=True):
-                write_grey(home / name / f"{number:06d}.png", mask.astype(np.uint8) * np.uint8(255), _FAST)
+                write_png(
+                    home / name / f"{number:06d}.png", mask.astype(np.uint8) * np.uint8(255), compress_level=_FAST
+                )
             info.append(
                 {
                     "bbox_obj": amodal.box_px[own].tolist(),
@@ -155,21 +155,16 @@ def _poses(labelled: LabelledFrame, rows: NDArray[np.intp]) -> list[dict[str, An
     transform = measures.world_from_exemplar[rows]
     linear = pose[:3, :3] @ transform[:, :, :3]
     origin = transform[:, :, 3] @ pose[:3, :3].T + pose[:3, 3]
+    exemplar, plant = measures.exemplar[rows].tolist(), labelled.population.plant_id[rows].tolist()
     return [
         {
-            "cam_A_m2c": matrix.ravel().tolist(),
-            "cam_R_m2c": nearest_rotation(matrix).ravel().tolist(),
-            "cam_t_m2c": place_mm.tolist(),
-            "obj_id": exemplar + 1,
-            "plant_id": plant,
+            "cam_A_m2c": linear[k].ravel().tolist(),
+            "cam_R_m2c": nearest_rotation(linear[k]).ravel().tolist(),
+            "cam_t_m2c": (origin[k] * 1000.0).tolist(),
+            "obj_id": exemplar[k] + 1,
+            "plant_id": plant[k],
         }
-        for matrix, place_mm, exemplar, plant in zip(
-            linear,
-            origin * 1000.0,
-            measures.exemplar[rows].tolist(),
-            labelled.population.plant_id[rows].tolist(),
-            strict=True,
-        )
+        for k in range(len(rows))
     ]
 
 
@@ -178,11 +173,3 @@ def nearest_rotation(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     left, _, right = np.linalg.svd(matrix)
     left[:, 2] *= np.sign(np.linalg.det(left @ right))
     return np.asarray(left @ right)
-
-
-def _whole_mask(amodal: AmodalMasks, row: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """(H, W) amodal mask of a row."""
-    mask = np.zeros(shape, dtype=np.bool_)
-    left, top, width, height = amodal.box_px[row]
-    mask[top : top + height, left : left + width] = amodal.mask_of(row)
-    return mask

@@ -90,11 +90,16 @@ class Coco(DatasetFormat):
         """Write coco.json over all frames; see `DatasetFormat.merge`."""
         shards = ((folder, read_frame(root / folder / SHARD_NAME, _SHARD, settings)) for folder in in_order(folders))
         numbers = itertools.count(1)
+        keypoints = {"keypoints": list(KEYPOINTS), "skeleton": [list(pair) for pair in SKELETON]}
+        categories = [
+            {"id": i, "name": name, "supercategory": "plant", **keypoints}
+            for i, name in enumerate(settings.category_names, start=1)
+        ]
         write_merged(
             root / FILE_NAME,
             shards,
             lambda _, shard: [{**one, "id": next(numbers)} for one in shard["annotations"]],
-            _categories(settings.category_names),
+            categories,
             settings,
         )
 
@@ -115,12 +120,9 @@ def write_merged(
     categories: list[dict[str, Any]],
     settings: DatasetSettings,
 ) -> None:
-    """Write a COCO file over all frames. No date in it: equal data sets have equal files.
+    """Write a COCO file over all frames, `shards` being each one's folder and share in the order of the images.
 
-    Parameters
-    ----------
-    shards : each frame's folder and share, in the order of the images.
-    annotations_of : the annotations of such a frame, without their `image_id`.
+    `annotations_of` such a frame have no `image_id` yet. No date in the file: equal data sets have equal files.
     """
     images: list[dict[str, Any]] = []
     licences = [{"id": 1, "name": settings.licence_name, "url": settings.licence_url}] if settings.licence_name else []
@@ -215,11 +217,6 @@ def _finite(values: NDArray[np.float64]) -> list[float | None]:
 
 def _records(fields: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     return [dict(zip(fields, values, strict=True)) for values in zip(*fields.values(), strict=True)]
-
-
-def _categories(names: Sequence[str]) -> list[dict[str, Any]]:
-    keypoints = {"keypoints": list(KEYPOINTS), "skeleton": [list(pair) for pair in SKELETON]}
-    return [{"id": i, "name": name, "supercategory": "plant", **keypoints} for i, name in enumerate(names, start=1)]
 
 
 def encode_masks(instance: NDArray[np.uint32]) -> dict[int, dict[str, Any]]:

@@ -147,11 +147,9 @@ def _named(layer: str, names: Sequence[str]) -> tuple[Sequence[str], NDArray[np.
     same = np.flatnonzero(ids[order[1:]] == ids[order[:-1]])
     if len(same):
         first, second = names[order[same[0]]], names[order[same[0] + 1]]
-        raise OutputError(
-            f"Cryptomatte cannot tell {first!r} from {second!r}: their hashes are the same",
-            where=layer,
-            hint="rename one of them, or leave cryptomatte out of dataset.formats",
-        )
+        problem = f"Cryptomatte cannot tell {first!r} from {second!r}: their hashes are the same"
+        hint = "rename one of them, or leave cryptomatte out of dataset.formats"
+        raise OutputError(problem, where=layer, hint=hint)
     return names, ids
 
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.formats.shards import in_order, read_shard, write_shard
-from forestgen.dataset.png import write_grey
+from forestgen.dataset.png import write_png
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 
@@ -39,7 +39,7 @@ class DepthPng(DatasetFormat):
     def write_frame(self, folder: Path, labelled: LabelledFrame, settings: DatasetSettings) -> None:
         """Write the frame's depth and its scale into its folder; a failure raises `OutputError`."""
         unit_m = settings.depth_unit_m
-        write_grey(folder / PICTURE_NAME, encode_depth(labelled.frame.surface.depth_m, unit_m))
+        write_png(folder / PICTURE_NAME, encode_depth(labelled.frame.surface.depth_m, unit_m))
         scale = {"beyond": BEYOND, "farthest_m": MOST_STEPS * unit_m, "no_depth": NO_DEPTH, "unit_m": unit_m}
         write_shard(folder / SCALE_NAME, scale)
 

@@ -19,8 +19,8 @@ from forestgen.render.frame import Identity
 from forestgen.scene.projection import Projection, load_projection
 
 if TYPE_CHECKING:
-    from forestgen.dataset.check.check import DatasetCheck, FrameCheck
-    from forestgen.dataset.check.merged import Merged
+    from forestgen.dataset.check.frame_data import FrameCheck
+    from forestgen.dataset.check.merged import DatasetCheck, Merged
 
 
 class DatasetFormat:
@@ -106,7 +106,7 @@ class DatasetFormat:
         return cast("tuple[DatasetCheck, ...]", getattr(self._checks(), "DATASET_CHECKS", ()))
 
     def frame_shares(self, merged: Merged) -> Mapping[str, Any]:
-        """Frame -> what a split's merged files hold of it, as plain values: `FrameData.task.shared` of its checks."""
+        """Frame -> what a split's merged files hold of it, as plain values: `FrameData.shared` of its checks."""
         frame_shares = getattr(self._checks(), "frame_shares", None)
         return {} if frame_shares is None else cast("Mapping[str, Any]", frame_shares(merged))
 

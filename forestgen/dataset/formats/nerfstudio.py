@@ -77,18 +77,12 @@ class Nerfstudio(DatasetFormat):
 FORMAT = Nerfstudio()
 
 
-def _exchange(path: Path, model: str) -> Exchange:
-    """What nerfstudio calls a model of camera.json."""
+def _transforms(root: Path, model: str, folders: Sequence[str], settings: DatasetSettings) -> dict[str, Any]:
     projection = projection_of_model(model)
     if projection is None or projection.exchange is None:
-        hint = "leave nerfstudio out of dataset.formats"
+        path, hint = root / folders[0] / CAMERA_NAME, "leave nerfstudio out of dataset.formats"
         raise OutputError(f"nerfstudio has no {model} cameras", where=str(path), hint=hint)
-    return projection.exchange
-
-
-def _transforms(root: Path, model: str, folders: Sequence[str], settings: DatasetSettings) -> dict[str, Any]:
-    exchange = _exchange(root / folders[0] / CAMERA_NAME, model)
-    frames = []
+    exchange, frames = projection.exchange, []
     for folder in folders:
         try:
             frames.append(_frame(root, folder, exchange, settings))

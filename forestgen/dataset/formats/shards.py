@@ -48,7 +48,10 @@ def read_shard(path: Path, types: Mapping[str, type]) -> dict[str, Any]:
     except ValueError as error:
         raise damaged(path, str(error)) from error
     for key, kind in types.items():
-        if not isinstance(content, dict) or not _is_a(content.get(key), kind):
+        value: Any = content.get(key) if isinstance(content, dict) else None
+        items = [get_origin(item) or item for item in get_args(kind)]
+        is_one = isinstance(value, get_origin(kind) or kind)
+        if not is_one or not all(isinstance(one, item) for item in items for one in value):
             texts = {"expected": f"{key}: {kind}", "got": json_text(content)[:80], "hint": _REMEDY}
             raise OutputError("a frame's labels are not of this format", where=str(path), **texts)
     return dict(content)
@@ -67,13 +70,6 @@ def read_bytes(path: Path) -> bytes:
 def damaged(path: Path, got: str | None = None) -> OutputError:
     """The error of a share that is there and is no whole one."""
     return OutputError("a frame's labels are cut short or damaged", where=str(path), got=got, hint=_REMEDY)
-
-
-def _is_a(value: Any, kind: type) -> bool:
-    if not get_args(kind):
-        return isinstance(value, kind)
-    item = get_origin(get_args(kind)[0]) or get_args(kind)[0]
-    return isinstance(value, list) and all(isinstance(one, item) for one in value)
 
 
 def in_order(folders: Iterable[Path | str]) -> list[str]:
@@ -105,7 +101,6 @@ def whole_file(path: Path) -> Iterator[IO[str]]:
     """A text file to write, which takes its name when all is written; after a failure nothing is left of it."""
     partial = path.with_name(path.name + ".partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with partial.open("w", encoding="utf-8", newline="\n") as stream:
             yield stream
         partial.replace(path)

@@ -16,7 +16,7 @@ any label besides class and outline.
 as those of OpenCV's findContours do, around pieces and holes, and crosses gaps by bridges (`contours.py`). Its mask is
 that of OpenCV's fillPoly, which Ultralytics and supervision use: pixels whose centre lies inside by the even-odd rule,
 and pixels on the ring's lines. That is the instance mask, but for pixels under bridges, and for pieces that are left
-out because their bridges would add more pixels than they have (`bridges.py`). A plant in one piece, holes included, is
+out because their bridges would add more pixels than they have. A plant in one piece, holes included, is
 exact. A ring's own box is a pixel smaller than the mask's, and lacks what is left out: take the boxes of
 ``yolo/boxes``. For masks as they are, read coco.json.
 

@@ -6,19 +6,22 @@ as JSON in a Parquet file's metadata, so that a column of pictures opens as pict
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from io import BufferedWriter
 from pathlib import Path
 from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.formats.shards import json_text
 from forestgen.dataset.pack.pack import Contents, Pack, Shard
 from forestgen.dataset.pack.source import Channel, Sample, Source
 from forestgen.dataset.safe_path import load_json
+from forestgen.recipe.sources import yaml_text
 
 _FOLDER = "data"
 _GROUP_BYTES, _GROUP_ROWS = 32 << 20, 100
@@ -50,10 +53,17 @@ class HuggingFace(Pack):
         columns = _columns_of(contents.source, contents.channels)
         (folder / _FOLDER).mkdir(exist_ok=True)
         schema = _schema(columns)
+        # Of pictures no reader wants the smallest and the largest, which else go into the footer.
+        measured = [one.name for one in schema if not (pa.types.is_nested(one.type) or pa.types.is_binary(one.type))]
         counts: list[int] = []
         held = next(samples, None)
         while held is not None:
-            with _File(folder / _FOLDER / f"{split}-{len(counts):05d}.part", schema, columns) as file:
+            path = folder / _FOLDER / f"{split}-{len(counts):05d}.part"
+            with (
+                path.open("wb") as stream,
+                pq.ParquetWriter(stream, schema, use_dictionary=False, write_statistics=measured) as writer,
+            ):
+                file = _File(stream, writer, schema, columns)
                 while held is not None:
                     texts_bytes = len(json_text([held.camera, held.row])) + len(columns) * _VALUE_BYTES
                     size_bytes = sum(map(len, held.contents.values())) + texts_bytes
@@ -61,6 +71,7 @@ class HuggingFace(Pack):
                         break
                     file.add(held, size_bytes)
                     held = next(samples, None)
+                file.flush()
             counts.append(file.frames)
         shards = []
         for number, frames in enumerate(counts):
@@ -77,7 +88,7 @@ class HuggingFace(Pack):
     ) -> str:
         """What the library reads: where the splits lie, and the types of the columns."""
         columns = _columns_of(contents.source, contents.channels)
-        features = [{"name": column.name, **_yaml_type(column.feature)} for column in columns]
+        features = [{"name": column.name, **column.feature.yaml} for column in columns]
         files = [{"split": name, "path": f"{_FOLDER}/{name}-*.parquet"} for name in splits]
         sizes = {name: sum(one.size_bytes for one in shards) for name, shards in splits.items()}
         content = {
@@ -93,45 +104,24 @@ class HuggingFace(Pack):
                 "dataset_size": sum(sizes.values()),
             },
         }
-        return f"---\n{_yaml(content)}---\n\n"
+        return f"---\n{yaml_text(content)}---\n\n"
 
 
 PACK = HuggingFace()
 
 
-def _yaml(content: Any) -> str:
-    from ruamel.yaml import YAML
-
-    yaml = YAML(typ="safe", pure=True)
-    yaml.default_flow_style = False
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-    yaml.width = 4096
-    stream = io.StringIO()
-    yaml.dump(content, stream)
-    return stream.getvalue()
-
-
 def _schema(columns: Sequence[Column]) -> Any:
-    import pyarrow as pa
-
-    features = {column.name: column.feature for column in columns}
+    features = {column.name: column.feature.json for column in columns}
     text = json.dumps({"info": {"features": features}})
-    fields = [(column.name, _arrow_type(column.feature)) for column in columns]
+    fields = [(column.name, column.feature.arrow) for column in columns]
     return pa.schema(fields, metadata={"huggingface": text})
 
 
 class _File:
     """One Parquet file that is being written; rows wait until a group is full."""
 
-    def __init__(self, path: Path, schema: Any, columns: Sequence[Column]) -> None:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
-        self._columns, self._schema = columns, schema
-        self._stream = path.open("wb")
-        # Of pictures no reader wants the smallest and the largest, which else go into the footer.
-        measured = [one.name for one in schema if not (pa.types.is_nested(one.type) or pa.types.is_binary(one.type))]
-        self._writer = pq.ParquetWriter(self._stream, schema, use_dictionary=False, write_statistics=measured)
+    def __init__(self, stream: BufferedWriter, writer: Any, schema: Any, columns: Sequence[Column]) -> None:
+        self._stream, self._writer, self._schema, self._columns = stream, writer, schema, columns
         self._group: list[list[Any]] = []  # rows
         self._group_bytes = self._groups = self.frames = 0
         self._footer_bytes = 3 * len(schema.serialize()) + 4096
@@ -147,29 +137,17 @@ class _File:
         self._group_bytes += sample_bytes
         self.frames += 1
         if self._group_bytes >= _GROUP_BYTES or len(self._group) >= _GROUP_ROWS:
-            self._flush()
+            self.flush()
 
-    def _flush(self) -> None:
-        import pyarrow as pa
-
+    def flush(self) -> None:
+        """Write the rows that wait."""
+        if not self._group:
+            return
         cells = zip(*self._group, strict=True)
         arrays = [_array(column, values) for column, values in zip(self._columns, cells, strict=True)]
         self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
         self._group, self._group_bytes = [], 0
         self._groups += 1
-
-    def __enter__(self) -> _File:
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        try:
-            if kind is None and self._group:
-                self._flush()
-        finally:
-            try:
-                self._writer.close()
-            finally:
-                self._stream.close()
 
 
 def _cell(column: Column, sample: Sample) -> Any:
@@ -183,10 +161,8 @@ def _cell(column: Column, sample: Sample) -> Any:
 
 def _array(column: Column, values: Sequence[Any]) -> Any:
     """Values of a group's rows in the column's type."""
-    import pyarrow as pa
-
     try:
-        return pa.array(values, _arrow_type(column.feature))
+        return pa.array(values, column.feature.arrow)
     except (TypeError, ValueError, OverflowError, pa.ArrowException) as error:
         got = " ".join(str(error).split())[:200]
         raise DatasetError("frames have values of a wrong type", where=f"column {column.name}", got=got) from error
@@ -202,11 +178,20 @@ def _leaves(schema: Any) -> int:
 
 
 @dataclass(frozen=True)
+class Feature:
+    """A type, as the library has it in JSON, in Arrow, and in the `dataset_info` of a README."""
+
+    json: Any
+    arrow: Any
+    yaml: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class Column:
     """A column of the data set."""
 
     name: str
-    feature: Any  # as the library writes it to JSON
+    feature: Feature
     cell: Callable[[Sample], Any]  # plain value of a frame
 
 
@@ -221,57 +206,29 @@ def _columns_of(source: Source, channels: Sequence[Channel]) -> list[Column]:
     return columns + _of_index(source)
 
 
-def _value(dtype: str) -> dict[str, Any]:
-    return {"dtype": dtype, "_type": "Value"}
+def _value(dtype: str) -> Feature:
+    return Feature({"dtype": dtype, "_type": "Value"}, pa.type_for_alias(dtype), {"dtype": dtype})
 
 
-def _sequence(feature: Any) -> dict[str, Any]:
+def _sequence(item: Feature) -> Feature:
     """A list; by the older of its two names, which every version of the library knows."""
-    return {"feature": feature, "_type": "Sequence"}
+    inner = item.yaml["dtype"] if list(item.yaml) == ["dtype"] else item.yaml
+    return Feature({"feature": item.json, "_type": "Sequence"}, pa.list_(item.arrow), {"list": inner})
 
 
-def _kind(feature: Any) -> str | None:
-    """The name of a feature's type; None: a struct."""
-    return feature.get("_type") if isinstance(feature.get("_type"), str) else None
-
-
-def _arrow_type(feature: Any) -> Any:
-    """Type in which a feature is stored."""
-    import pyarrow as pa
-
-    kind = _kind(feature)
-    if kind is None:
-        return pa.struct([(name, _arrow_type(one)) for name, one in feature.items()])
-    if kind == "Image":
-        return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-    if kind == "Sequence":
-        return pa.list_(_arrow_type(feature["feature"]))
-    if kind == "ClassLabel":
-        return pa.int64()
-    return pa.type_for_alias(feature["dtype"])
-
-
-def _yaml_type(feature: Any) -> dict[str, Any]:
-    """The feature as a README's `dataset_info` has it."""
-    kind = _kind(feature)
-    if kind is None:
-        return {"struct": [{"name": name, **_yaml_type(one)} for name, one in feature.items()]}
-    if kind == "Image":
-        return {"dtype": "image"}
-    if kind == "Sequence":
-        inner = _yaml_type(feature["feature"])
-        return {"list": inner["dtype"] if list(inner) == ["dtype"] else inner}
-    if kind == "ClassLabel":
-        return {"dtype": {"class_label": {"names": {str(i): name for i, name in enumerate(feature["names"])}}}}
-    return {"dtype": feature["dtype"]}
+def _struct(fields: Mapping[str, Feature]) -> Feature:
+    kind = pa.struct([(name, one.arrow) for name, one in fields.items()])
+    yaml = {"struct": [{"name": name, **one.yaml} for name, one in fields.items()]}
+    return Feature({name: one.json for name, one in fields.items()}, kind, yaml)
 
 
 def _of_channel(channel: Channel, categories: Sequence[str]) -> Column:
     name = channel.name
     if channel.kind == "picture":
+        stored = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
         return Column(
             channel.column,
-            {"_type": "Image"},
+            Feature({"_type": "Image"}, stored, {"dtype": "image"}),
             lambda sample: {"bytes": sample.contents[name], "path": f"{sample.name}.{channel.extension}"},
         )
     if channel.kind == "objects":
@@ -279,13 +236,17 @@ def _of_channel(channel: Channel, categories: Sequence[str]) -> Column:
     return Column(channel.column, _value("binary"), lambda sample: sample.contents[name])
 
 
-def _objects_feature(categories: Sequence[str]) -> dict[str, Any]:
-    return {
-        "bbox": _sequence(_sequence(_value("float32"))),
-        "category": _sequence({"names": list(categories), "_type": "ClassLabel"}),
-        **{name: _sequence(_value(dtype)) for name, dtype in _OBJECT_FIELDS.items()},
-        "amodal_rle": _sequence(_value("string")),
-    }
+def _objects_feature(categories: Sequence[str]) -> Feature:
+    numbered = {"dtype": {"class_label": {"names": {str(i): name for i, name in enumerate(categories)}}}}
+    category = Feature({"names": list(categories), "_type": "ClassLabel"}, pa.int64(), numbered)
+    return _struct(
+        {
+            "bbox": _sequence(_sequence(_value("float32"))),
+            "category": _sequence(category),
+            **{name: _sequence(_value(dtype)) for name, dtype in _OBJECT_FIELDS.items()},
+            "amodal_rle": _sequence(_value("string")),
+        }
+    )
 
 
 def _objects(content: bytes) -> dict[str, list[Any]]:
@@ -300,8 +261,6 @@ def _objects(content: bytes) -> dict[str, list[Any]]:
 
 
 def _of_index(source: Source) -> list[Column]:
-    import pyarrow as pa
-
     columns = []
     for field in source.index.schema:
         if field.name in _LEFT_OUT:
@@ -310,18 +269,12 @@ def _of_index(source: Source) -> list[Column]:
             columns += _of_map(field.name, source.index[field.name])
         elif (feature := _plain(field.type)) is not None:
             name = _RENAMED.get(field.name, field.name)
-            columns.append(Column(name, feature, partial(_cell_of_row, field.name)))
+            columns.append(Column(name, feature, lambda sample, key=field.name: sample.row[key]))  # type: ignore[misc]
     return columns
 
 
-def _cell_of_row(key: str, sample: Sample) -> Any:
-    return sample.row[key]
-
-
-def _plain(kind: Any) -> dict[str, Any] | None:
+def _plain(kind: Any) -> Feature | None:
     """Feature of a column of numbers, texts, or lists of them."""
-    import pyarrow as pa
-
     if pa.types.is_list(kind):
         inner = _plain(kind.value_type)
         return None if inner is None else _sequence(inner)
@@ -341,4 +294,4 @@ def _of_map(name: str, column: Any) -> list[Column]:
         counts = sample.row[name]
         return {key: None if counts is None else counts.get(key, 0) for key in keys}
 
-    return [Column(name, {key: _value("int64") for key in keys}, cell)]
+    return [Column(name, _struct({key: _value("int64") for key in keys}), cell)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ from forestgen.core.progress import Progress
 from forestgen.dataset.card import markdown_template
 from forestgen.dataset.files import write_bytes, write_json
 from forestgen.dataset.folder import OutputFolder
-from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
 from forestgen.dataset.pack.source import (
     Channel,
     Sample,
@@ -27,6 +27,7 @@ from forestgen.dataset.pack.source import (
     read_json,
     read_samples,
 )
+from forestgen.dataset.png import LEGEND_NAME
 from forestgen.dataset.safe_path import SafePath
 from forestgen.recipe.registries import PACKS
 from forestgen.recipe.sources import parse_yaml
@@ -80,33 +81,6 @@ class Pack:
 
 
 @dataclass(frozen=True)
-class Packing:
-    """What to pack, and how."""
-
-    format: str  # name of a pack in the registry
-    shard_bytes: int = 500_000_000
-    channels: tuple[str, ...] | None = None  # None: the usual ones that the data set has
-    splits: tuple[str, ...] = ()  # those to pack; none: all
-    seed: int | None = 0  # of the order of the frames; None: by name
-
-
-def packing_of(
-    form: str, shard_size: int | str, channels: Sequence[str] | None, splits: Sequence[str], seed: int | None
-) -> Packing:
-    """What to pack, from plain values; `shard_size` is bytes, or a text such as 500MB.
-
-    Raises
-    ------
-    RecipeError : no such format, size or seed.
-    """
-    if seed is not None:
-        whole_of(seed, "seed", 0, MOST_SEEDS)
-    PACKS.check(form, parameter="format")
-    names = None if channels is None else tuple(channels)
-    return Packing(form, parse_bytes(shard_size, "shard_size"), names, tuple(splits), seed)
-
-
-@dataclass(frozen=True)
 class Packed:
     """What was packed."""
 
@@ -116,38 +90,56 @@ class Packed:
     code: tuple[str, str]  # two lines of Python that open it
 
 
-def pack(root: Path, target: Path, packing: Packing, *, overwrite: bool = False, progress: Progress) -> Packed:
+def pack(
+    root: Path, target: Path, name: str, *, shard_size: int | str = 500_000_000, channels: Sequence[str] | None = None,
+    splits: Sequence[str] = (), seed: int | None = 0, overwrite: bool = False, progress: Progress,
+) -> Packed:  # fmt: skip
     """Write a data set as a training program's own loader reads it.
 
     The folder `target` appears when everything in it is complete, or not at all, and has the same bytes whenever the
     same data set is packed in the same way. One frame is in memory at a time; of Parquet a group of rows.
 
+    Parameters
+    ----------
+    name : of a pack in the registry.
+    shard_size : bytes, or a text such as 500MB.
+    channels : None: the usual ones that the data set has.
+    splits : those to pack; none: all.
+    seed : of the order of the frames; None: by name.
+
     Raises
     ------
     DatasetError : a file of the data set is missing or damaged.
-    RecipeError : the data set has no such channel or split.
+    RecipeError : there is no such format, size or seed, or the data set has no such channel or split.
     OutputError : the pack cannot be written.
     """
-    form: Pack = PACKS.load(packing.format)
-    source = open_source(root, packing.splits)
+    if seed is not None:
+        whole_of(seed, "seed", 0, MOST_SEEDS)
+    PACKS.check(name, parameter="format")
+    form: Pack = PACKS.load(name)
+    shard_bytes = parse_bytes(shard_size, "shard_size")
+    source = open_source(root, splits)
     _check_apart(root, target)
     folders = source.folders
-    channels = choose_channels(folders, packing.channels)
-    names, contents = _split_names(source, form), Contents(source, channels, packing.shard_bytes)
-    needed = len(folders) * (form.frame_bytes + len(channels) * form.channel_bytes)
+    chosen = choose_channels(folders, channels)
+    contents = Contents(source, chosen, shard_bytes)
+    names = {split.name: form.split_name(split.name) for split in source.splits}
+    if len(set(names.values())) < len(names):
+        problem, hint = "two splits would have the same name, for hyphens become underscores", "pack them one by one"
+        raise RecipeError(problem, parameter="splits", got=", ".join(names), hint=hint)
+    needed = len(folders) * (form.frame_bytes + len(chosen) * form.channel_bytes)
     with progress.stage("looking", len(folders)) as advance:
         for frame in folders:
-            needed += measure_frame(frame, channels)
+            needed += measure_frame(frame, chosen, source.pixels(frame))
             advance(1)
     with OutputFolder(target, overwrite=overwrite, required_bytes=needed, is_ours=is_pack) as folder:
         shards: dict[str, list[Shard]] = {}
         with progress.stage("packing", len(folders)) as advance:
             for split in source.splits:
-                samples = read_samples(source, split, in_order(split, packing.seed), channels, advance)
+                samples = read_samples(source, split, in_order(split, seed), chosen, advance)
                 shards[names[split.name]] = form.write_split(folder, names[split.name], samples, contents)
-        _write_rest(folder, form, contents, packing, shards)
-    names_packed = tuple(channel.name for channel in channels)
-    return Packed(target, shards, names_packed, _opening_code(form, target, shards))
+        _write_rest(folder, form, contents, shards, {"format": name, "order_seed": seed})
+    return Packed(target, shards, tuple(one.name for one in chosen), _opening_code(form, target, shards))
 
 
 def is_pack(folder: Path) -> bool:
@@ -165,44 +157,27 @@ def _opening_code(form: Pack, target: Path | str, shards: Mapping[str, Sequence[
 
 
 def _check_apart(root: Path, target: Path) -> None:
-    try:
-        inside = target.resolve().is_relative_to(root.resolve())
-    except (OSError, RuntimeError):
-        return  # OutputFolder reports what is wrong with the path
-    if inside:
-        problem = "the pack would lie inside the data set"
-        raise OutputError(problem, where=str(target), hint=f"choose a folder beside {root}")
-
-
-def _split_names(source: Source, form: Pack) -> dict[str, str]:
-    """Split -> its name in the pack."""
-    names = {split.name: form.split_name(split.name) for split in source.splits}
-    if len(set(names.values())) < len(names):
-        raise RecipeError(
-            "two splits would have the same name, for hyphens become underscores",
-            parameter="splits",
-            got=", ".join(names),
-            hint="pack them one by one",
-        )
-    return names
+    with suppress(OSError, RuntimeError):  # OutputFolder reports what is wrong with the path
+        if target.resolve().is_relative_to(root.resolve()):
+            problem = "the pack would lie inside the data set"
+            raise OutputError(problem, where=str(target), hint=f"choose a folder beside {root}")
 
 
 def _write_rest(
-    folder: Path, form: Pack, contents: Contents, packing: Packing, shards: Mapping[str, Sequence[Shard]]
+    folder: Path, form: Pack, contents: Contents, shards: Mapping[str, Sequence[Shard]], asked: Mapping[str, Any]
 ) -> None:
     """classes.json, README.md, pack.json."""
     source, names = contents.source, [channel.name for channel in contents.channels]
-    write_bytes(folder / CLASSES_FILE, read_file(source.splits[0].folder / CLASSES_FILE))
+    write_bytes(folder / LEGEND_NAME, read_file(source.splits[0].folder / LEGEND_NAME))
     of_card, chapter = _card_of(source.root)
     code = _opening_code(form, "PATH", shards)
     text = readme_body(form.title, code, shards, source.classes, names) + chapter
     write_bytes(folder / "README.md", (form.front_matter(contents, shards, of_card) + text).encode())
     content = {
         "schema": _SCHEMA,
-        "format": packing.format,
+        **asked,
         "channels": names,
-        "order_seed": packing.seed,
-        "shard_bytes": packing.shard_bytes,
+        "shard_bytes": contents.shard_bytes,
         "splits": {name: [asdict(one) for one in listed] for name, listed in shards.items()},
     }
     write_json(folder / _PACK_FILE, content)

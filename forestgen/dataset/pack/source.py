@@ -9,7 +9,7 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -19,10 +19,10 @@ from forestgen.dataset.exr_chunks import read_whole
 from forestgen.dataset.formats.depth_png import SCALE_NAME
 from forestgen.dataset.formats.shards import json_text
 from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
-from forestgen.dataset.legend import FILE_NAME as CLASSES_FILE
-from forestgen.dataset.legend import read_legend
+from forestgen.dataset.png import LEGEND_NAME, read_legend
 from forestgen.dataset.safe_path import SafePath, load_json, unreadable
 
+T = TypeVar("T")
 _LAST_FILE = "dataset.json"  # that a run writes
 _EXR_FILE, _CAMERA_FILE = "frame.exr", "camera.json"
 _REMEDY = "forestgen verify finds what is damaged, the command that made the data set makes it again with `resume=True`"
@@ -96,6 +96,11 @@ class Source:
         """Of all frames."""
         return [split.folder / frame for split in self.splits for frame in split.frames]
 
+    def pixels(self, folder: SafePath) -> int:
+        """How many a frame has."""
+        row = self.row_numbers[folder.name.rpartition("/")[2]]
+        return int(self.index["width_px"][row].as_py() * self.index["height_px"][row].as_py())
+
 
 @dataclass(frozen=True)
 class Sample:
@@ -137,20 +142,13 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     if not found:
         raise DatasetError("the data set has no frame", where=str(root))
     numbers = {frame: number for number, (_, frame) in enumerate(names)}
-    return Source(root, found, _common_classes(found), index, numbers)
-
-
-def _common_classes(splits: Sequence[Split]) -> dict[str, Any]:
-    classes = read_legend(splits[0].folder)
-    for split in splits[1:]:
-        if read_json(split.folder / CLASSES_FILE) != classes:
-            raise DatasetError(
-                "splits differ in the numbers of their classes",
-                where=str(split.folder / CLASSES_FILE),
-                expected=f"the same as in {splits[0].name}",
-                hint="pack them one by one, with `splits`",
-            )
-    return classes
+    classes = read_legend(found[0].folder)
+    for other in found[1:]:
+        path = other.folder / LEGEND_NAME
+        if read_json(path) != classes:
+            texts = {"expected": f"the same as in {found[0].name}", "hint": "pack them one by one, with `splits`"}
+            raise DatasetError("splits differ in the numbers of their classes", where=str(path), **texts)
+    return Source(root, found, classes, index, numbers)
 
 
 def choose_channels(folders: Sequence[SafePath], wanted: Sequence[str] | None) -> tuple[Channel, ...]:
@@ -193,19 +191,10 @@ def _has(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]
     return there and (not channel.part or all(one in exr.get(channel.part, {}) for one in channel.layers))
 
 
-def measure_frame(folder: SafePath, channels: Sequence[Channel]) -> int:
+def measure_frame(folder: SafePath, channels: Sequence[Channel], pixels: int) -> int:
     """Bytes that a frame's channels take; a file that is missing raises `DatasetError`."""
-    total = 0
-    for channel in channels:
-        size_bytes = _size(folder / channel.file)
-        if channel.part:
-            size_px = read_json(folder / _CAMERA_FILE).get("size_px")
-            if not isinstance(size_px, list) or len(size_px) != 2 or not all(type(side) is int for side in size_px):
-                where = str(folder / _CAMERA_FILE)
-                raise DatasetError("the camera has no size", where=where, expected="size_px: [W, H]")
-            size_bytes = 128 + 4 * int(size_px[0]) * int(size_px[1]) * len(channel.layers)  # a header, and floats
-        total += size_bytes
-    return total
+    sizes = [(_size(folder / one.file), one) for one in channels]
+    return sum(128 + 4 * pixels * len(one.layers) if one.part else size_bytes for size_bytes, one in sizes)
 
 
 def in_order(split: Split, seed: int | None) -> Sequence[str]:
@@ -241,21 +230,18 @@ def read_samples(
 
 def _depth_unit_m(folder: SafePath) -> float:
     unit_m = read_json(folder / SCALE_NAME).get("unit_m")
-    if isinstance(unit_m, bool) or not isinstance(unit_m, int | float):
+    if not isinstance(unit_m, float):
         where = str(folder / SCALE_NAME)
         raise DatasetError("a file is not what its name says", where=where, expected="unit_m: metres")
-    return float(unit_m)
+    return unit_m
 
 
 def _npy(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]]) -> bytes:
     """(H, W) or (H, W, C) float32 of frame.exr."""
     part = exr.get(channel.part, {})
     if not all(layer in part for layer in channel.layers):
-        raise DatasetError(
-            f"a frame lacks the channel {channel.name}",
-            where=str(folder / channel.file),
-            hint="frames differ in what they hold: leave the channel out",
-        )
+        hint = "frames differ in what they hold: leave the channel out"
+        raise DatasetError(f"a frame lacks the channel {channel.name}", where=str(folder / channel.file), hint=hint)
     layers = [part[layer] for layer in channel.layers]
     buffer = io.BytesIO()
     np.save(buffer, layers[0] if len(layers) == 1 else np.stack(layers, axis=-1))
@@ -280,8 +266,16 @@ def _read_exr(path: SafePath) -> dict[str, dict[str, Any]]:
 
 def read_file(path: SafePath) -> bytes:
     """A file's bytes; failures are `DatasetError`."""
+    return _sound(path, path.read)
+
+
+def _size(path: SafePath) -> int:
+    return _sound(path, path.size_bytes)
+
+
+def _sound(path: SafePath, read: Callable[[], T]) -> T:
     try:
-        return path.read()
+        return read()
     except OSError as error:
         raise unreadable(path, error, _REMEDY) from error
 
@@ -295,13 +289,6 @@ def read_json(path: SafePath) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise DatasetError("a file is not what its name says", where=str(path), expected="a JSON object")
     return content
-
-
-def _size(path: SafePath) -> int:
-    try:
-        return path.size_bytes()
-    except OSError as error:
-        raise unreadable(path, error, _REMEDY) from error
 
 
 def _damaged(path: SafePath) -> DatasetError:

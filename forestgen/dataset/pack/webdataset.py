@@ -49,27 +49,23 @@ class WebDataset(Pack):
                     frames += 1
                     held = next(samples, None)
             shards.append(Shard(name, frames, (folder / name).stat().st_size))
-        _write_list(folder, split, shards)
+        listed = [{"url": one.name, "nsamples": one.frames, "filesize": one.size_bytes} for one in shards]
+        index = {"__kind__": "wids-shard-index-v1", "wids_version": 1, "name": split, "shardlist": listed}
+        write_json(folder / f"{split}.json", index)
         return shards
 
     def opening_code(self, target: str, split: str, shards: Sequence[Shard]) -> tuple[str, str]:
         decoder = 'handle_extension("png", lambda png: numpy.asarray(PIL.Image.open(io.BytesIO(png))))'
-        names = f"{target}/{_brace_notation(shards)}"
+        name, last = shards[0].name, shards[-1].name
+        if name != last:  # all in one name: train-{000000..000012}.tar
+            name = re.sub(r"(\d{6})(?=\.tar$)", lambda digits: f"{{{digits[1]}..{last[-10:-4]}}}", name)
         return (
             "import io, numpy, PIL.Image, webdataset",
-            f'{split} = webdataset.WebDataset("{names}", shardshuffle=False).decode(webdataset.{decoder})',
+            f'{split} = webdataset.WebDataset("{target}/{name}", shardshuffle=False).decode(webdataset.{decoder})',
         )
 
 
 PACK = WebDataset()
-
-
-def _brace_notation(shards: Sequence[Shard]) -> str:
-    """All shards in one name: train-{000000..000012}.tar."""
-    first, last = shards[0].name, shards[-1].name
-    if first == last:
-        return first
-    return re.sub(r"(\d{6})(?=\.tar$)", lambda digits: f"{{{digits[1]}..{last[-10:-4]}}}", first)
 
 
 def _members(
@@ -97,9 +93,3 @@ def _file_bytes(offset: int, members: Sequence[tuple[tarfile.TarInfo, bytes]]) -
     for member, content in members:
         offset += len(member.tobuf(tarfile.PAX_FORMAT)) + -(-len(content) // _BLOCK) * _BLOCK
     return -(-(offset + _END) // tarfile.RECORDSIZE) * tarfile.RECORDSIZE
-
-
-def _write_list(folder: Path, split: str, shards: Sequence[Shard]) -> None:
-    listed = [{"url": one.name, "nsamples": one.frames, "filesize": one.size_bytes} for one in shards]
-    content = {"__kind__": "wids-shard-index-v1", "wids_version": 1, "name": split, "shardlist": listed}
-    write_json(folder / f"{split}.json", content)

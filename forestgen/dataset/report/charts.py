@@ -1,4 +1,7 @@
-"""Charts as geometry: numbers that the page's templates draw as SVG, in the viewBox of `WIDTH` x `HEIGHT` units."""
+"""Charts as geometry, and what else the page is made of: sections of facts, figures and tables.
+
+Charts are numbers that the templates draw as SVG, in the viewBox of `WIDTH` x `HEIGHT` units.
+"""
 
 from __future__ import annotations
 
@@ -241,13 +244,7 @@ class Ranges:
 
 
 def ranges(values: Mapping[str, NDArray[np.float64]], title: str, x_title: str, unit: str) -> Ranges | None:
-    """Quantiles of several quantities, a row each; None if nothing is known of any.
-
-    Parameters
-    ----------
-    values : name -> (N,) positive numbers; NaN and what is not positive count as unknown.
-    unit : of the numbers beside the rows.
-    """
+    """Quantiles of positive numbers (N,), a row a name; NaN and others are unknown. None if nothing is known of any."""
     known = {name: column[np.isfinite(column) & (column > 0)] for name, column in values.items()}
     found = {name: np.quantile(column, _QUANTILES) for name, column in known.items() if len(column)}
     if not found:
@@ -284,22 +281,14 @@ class Polar:
 
 
 def sun_plot(azimuth_deg: NDArray[np.float64], elevation_deg: NDArray[np.float64]) -> Polar | None:
-    """Suns above the horizon, counted by cell; None if no sun is known.
-
-    Parameters
-    ----------
-    azimuth_deg : (N,) clockwise from north; NaN where a frame has no sun.
-    elevation_deg : (N,) above the horizon.
-    """
+    """Suns (N,) above the horizon, counted by cell; NaN where a frame has none. None if no sun is known."""
     known = np.isfinite(azimuth_deg) & np.isfinite(elevation_deg)
     if not known.any():
         return None
     azimuth, elevation = azimuth_deg[known] % 360.0, elevation_deg[known]
     up = elevation >= 0
-    column = (azimuth[up] // _AZIMUTH_STEP_DEG).astype(int) % (360 // _AZIMUTH_STEP_DEG)
-    row = np.minimum(elevation[up] // _ELEVATION_STEP_DEG, 90 // _ELEVATION_STEP_DEG - 1).astype(int)
-    counts = np.zeros((90 // _ELEVATION_STEP_DEG, 360 // _AZIMUTH_STEP_DEG), dtype=np.int64)
-    np.add.at(counts, (row, column), 1)
+    edges = np.arange(0, 91, _ELEVATION_STEP_DEG), np.arange(0, 361, _AZIMUTH_STEP_DEG)
+    counts = np.histogram2d(elevation[up], azimuth[up], edges)[0].astype(np.int64)
     wedges = tuple(_wedge(i, j, counts) for i, j in np.argwhere(counts))
     dots = tuple(map(_spot, azimuth[up], elevation[up])) if up.sum() <= _MOST_DOTS else ()
     rings = tuple((_radius(degrees), f"{degrees}°") for degrees in (0, 30, 60))
@@ -332,3 +321,83 @@ def _wedge(row: int, column: int, counts: NDArray[np.int64]) -> Wedge:
     count = int(counts[row, column])
     title = f"azimuth {left}° to {right}°, elevation {low}° to {high}°: {count:,}"
     return Wedge(path, round(count / int(counts.max()), 3), title)
+
+
+@dataclass(frozen=True)
+class Fact:
+    """A number with its name."""
+
+    value: str
+    name: str
+
+
+@dataclass(frozen=True)
+class ShareList:
+    """Shares of a whole as a list of bars."""
+
+    title: str
+    rows: tuple[Share, ...]
+    note: str = ""
+
+
+class Cell(NamedTuple):
+    """A table's cell: text, and a bar of `share` of the column's width if that is given."""
+
+    text: str
+    share: float | None = None
+    warn: bool = False
+    soft: str = ""  # more text, smaller
+
+
+class Row(NamedTuple):
+    """A table's row."""
+
+    name: str
+    cells: Sequence[Cell]
+    colour: str = ""  # of its name's swatch and its bars; "" for none
+
+
+class Table(NamedTuple):
+    """A table whose rows have names."""
+
+    title: str
+    heads: tuple[str, ...]  # of the name, then of each cell
+    rows: Sequence[Row]
+    note: str = ""
+    words: bool = False  # whether cells are sentences rather than numbers
+
+
+Figure = Chart | ShareList | Polar | Ranges
+Part = Figure | Fact
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page under one heading."""
+
+    id: str  # in links
+    title: str
+    absent: str  # what to say where there is nothing to show
+    lead: str = ""
+    parts: Sequence[Part | None] = ()
+    tables: Sequence[Table] = ()
+    notes: Sequence[str] = ()  # warnings
+
+    @property
+    def facts(self) -> list[Fact]:
+        return [one for one in self.parts if isinstance(one, Fact)]
+
+    @property
+    def figures(self) -> list[Figure]:
+        return [one for one in self.parts if one is not None and not isinstance(one, Fact)]
+
+    @property
+    def empty(self) -> bool:
+        return not (self.facts or self.figures or self.tables)
+
+
+def listed(words: Sequence[str], most: int = 8) -> str:
+    """Words as a list in a sentence, the last ones counted rather than named if they are many."""
+    if len(words) > most:
+        return f"{', '.join(words[: most - 1])} and {len(words) - most + 1:,} more"
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

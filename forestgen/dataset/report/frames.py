@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.index import open_table
-from forestgen.dataset.report.charts import Chart, histogram, shares, short
-from forestgen.dataset.report.layout import Fact, ShareList
+from forestgen.dataset.report.charts import Chart, Fact, ShareList, histogram, shares, short
 
 _NEEDED = ("frame", "split", "image")
 _NUMERIC = (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean)
@@ -163,7 +162,8 @@ def correlations(frames: Frames, drawn: Sequence[str]) -> list[Correlation]:
 
 def standard_ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Ranks, ties sharing their mean, of mean 0 and length 1, so that a product of two is their correlation."""
-    _, place, ties = np.unique(values, return_inverse=True, return_counts=True)
-    ranks = (np.cumsum(ties) - (ties - 1) / 2)[place]
+    from scipy.stats import rankdata
+
+    ranks = rankdata(values)
     ranks = ranks - ranks.mean()
     return np.asarray(ranks / np.linalg.norm(ranks), dtype=np.float64)

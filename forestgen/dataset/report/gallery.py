@@ -6,17 +6,18 @@ import base64
 import io
 import math
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
+from forestgen.dataset.png import thumbnail_name
 from forestgen.dataset.report.charts import percent
 from forestgen.dataset.report.frames import Frames
 from forestgen.dataset.safe_path import SafePath
-from forestgen.dataset.thumbnails import thumbnail_name
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -58,18 +59,18 @@ def choose(frames: Frames, splits: Sequence[str], most: int = MOST_FRAMES) -> li
     by_split: dict[str, dict[str, list[int]]] = {}  # split -> stratum -> rows
     for row, (split, stratum) in enumerate(zip(frames.split, strata, strict=True)):
         by_split.setdefault(split, {}).setdefault(repr(stratum), []).append(row)
-    queues = {split: _stratified(rows) for split, rows in by_split.items()}
-    order = [split for split in splits if split in queues]
-    turns = max((len(rows) for rows in queues.values()), default=0)
-    dealt = [queues[split][turn] for turn in range(min(turns, most)) for split in order if turn < len(queues[split])]
-    return dealt[:most]
+    queues = [
+        _in_turns(_spread(by_split[split][name]) for name in _spread(sorted(by_split[split])))
+        for split in splits
+        if split in by_split
+    ]
+    return _in_turns(queues)[:most]
 
 
-def _stratified(strata: dict[str, list[int]]) -> list[int]:
-    """Rows of a split: the strata's first ones, their second ones, ...; a stratum's rows spread over its length."""
-    spread = [_spread(strata[name]) for name in _spread(sorted(strata))]
-    turns = min(max(map(len, spread)), MOST_FRAMES)
-    return [rows[turn] for turn in range(turns) for rows in spread if turn < len(rows)]
+def _in_turns(queues: Iterable[list[int]]) -> list[int]:
+    """The queues' first ones, their second ones, and so on."""
+    turns = zip_longest(*queues)
+    return [row for turn in turns for row in turn if row is not None]
 
 
 def _spread(things: Sequence[T]) -> list[T]:
@@ -92,7 +93,10 @@ def gallery(folder: Path, frames: Frames, splits: Sequence[str]) -> list[Gallery
         (name, path, season, clouds, camera), split = columns[row], frames.split[row]
         caption = _caption(season, clouds, camera, float(sun[row]), float(plants[row]))
         pictures = _pictures(folder, path or f"{split}/{name}", name, quota)
-        items.append(GalleryItem(name, split, caption, _content(pixels[row]), pictures))
+        counts = pixels[row] or {}
+        largest = sorted(counts.items(), key=lambda one: (-one[1], one[0]))[:_MOST_CLASSES]
+        content = ", ".join(f"{one} {percent(count / sum(counts.values()))}" for one, count in largest if count)
+        items.append(GalleryItem(name, split, caption, content, pictures))
     return items
 
 
@@ -105,12 +109,6 @@ def _caption(season: str, clouds: str, camera: str, sun_elevation_deg: float, pl
         ("1 plant" if plants == 1 else f"{plants:,.0f} plants") if np.isfinite(plants) else "",
     ]
     return ", ".join(filter(None, words))
-
-
-def _content(pixels: dict[str, int] | None) -> str:
-    total = sum((pixels or {}).values())
-    largest = sorted((pixels or {}).items(), key=lambda one: (-one[1], one[0]))[:_MOST_CLASSES]
-    return ", ".join(f"{name} {percent(count / total)}" for name, count in largest if count)
 
 
 def _pictures(root: Path, folder: str, frame: str, quota: int) -> tuple[Picture, ...]:

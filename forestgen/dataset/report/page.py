@@ -4,11 +4,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import os
-import secrets
-from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -16,10 +11,11 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from forestgen.dataset.files import output_error
-from forestgen.dataset.report import charts, label_sections, run_sections, scene_sections
-from forestgen.dataset.report.gallery import SHOWN_AT_ONCE, GalleryItem, gallery
-from forestgen.dataset.report.layout import Fact, Section, listed
+from forestgen.core.figures import show_bytes
+from forestgen.dataset.formats.shards import whole_file
+from forestgen.dataset.report import charts, content_sections, run_sections
+from forestgen.dataset.report.charts import Fact, listed
+from forestgen.dataset.report.gallery import SHOWN_AT_ONCE, gallery
 from forestgen.dataset.report.source import Source, open_source
 from forestgen.dataset.settings import DatasetSettings
 
@@ -27,27 +23,13 @@ REPORT_NAME = "report.html"
 _TEMPLATES = Path(__file__).with_name("templates")
 _UNNAMED = DatasetSettings.description  # of recipes that say nothing
 _SECTIONS = (
-    label_sections.class_section, label_sections.instance_section, label_sections.species_section,
-    label_sections.depth_section, scene_sections.sun_section, scene_sections.weather_section,
-    scene_sections.camera_section, scene_sections.draw_section, run_sections.failure_section,
+    content_sections.class_section, content_sections.instance_section, content_sections.species_section,
+    content_sections.depth_section, content_sections.sun_section, content_sections.weather_section,
+    content_sections.camera_section, content_sections.draw_section, run_sections.failure_section,
     run_sections.timing_section, run_sections.provenance_section,
 )  # fmt: skip
 _PLOT = {name: getattr(charts, name.upper()) for name in ("width", "height", "left", "right", "top", "bottom")}
 _POLAR = {name: getattr(charts, f"SUN_{name.upper()}") for name in ("size", "centre", "radius")}
-
-
-@dataclass(frozen=True)
-class Page:
-    """All that the template shows."""
-
-    title: str
-    lead: str
-    facts: Sequence[Fact]
-    notes: Sequence[str]  # warnings of the whole
-    gallery: Sequence[GalleryItem]
-    legend: Sequence[tuple[str, str]]  # class and colour of the masks
-    sections: Sequence[Section]
-    shown_at_once: int = SHOWN_AT_ONCE
 
 
 def write_report(folder: Path, target: Path) -> None:
@@ -60,46 +42,30 @@ def write_report(folder: Path, target: Path) -> None:
     DatasetError : the folder is no data set of ours, or its index is damaged.
     OutputError : the page cannot be written.
     """
-    content = render_page(page_of(open_source(folder))).encode("utf-8", "replace")
-    staged = target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(4)}")
-    try:
-        staged.write_bytes(content)
-        staged.replace(target)
-    except OSError as error:
-        raise output_error(error, target) from error
-    finally:
-        with suppress(OSError):
-            staged.unlink()
+    content = _rendered(open_source(folder)).encode("utf-8", "replace").decode()
+    with whole_file(target) as stream:
+        stream.write(content)
 
 
-def page_of(source: Source) -> Page:
-    """Gather what is known of a data set."""
+def _rendered(source: Source) -> str:
+    """The page as HTML. Every text is escaped by the template's engine; style and script are ours alone."""
     description = source.metadata.description
     name = description if description not in ("", _UNNAMED) else source.folder.resolve().name
-    return Page(
-        title=name[:200],
-        lead=_lead(source),
-        facts=_headline(source),
-        notes=_notes(source),
-        gallery=gallery(source.folder, source.frames, source.splits),
-        legend=[(one, source.legend.colour(one)) for one in source.legend.classes],
-        sections=[section(source) for section in _SECTIONS],
-    )
-
-
-def render_page(page: Page) -> str:
-    """The page as HTML. Every text is escaped by the template's engine; style and script are ours alone."""
+    words = [f"{split} {source.frames.split.count(split):,}" for split in source.splits]
+    page = {
+        "title": name[:200],
+        "lead": f"Frames by split: {listed(words, 20)}." if len(source.frames) else "No frames yet.",
+        "facts": _headline(source),
+        "notes": _notes(source),
+        "gallery": gallery(source.folder, source.frames, source.splits),
+        "shown_at_once": SHOWN_AT_ONCE,
+        "legend": [(one, source.legend.colour(one)) for one in source.legend.classes],
+        "sections": [section(source) for section in _SECTIONS],
+    }
     style, script = ((_TEMPLATES / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     inline = {"style": Markup(style), "script": Markup(script)}
     hashes = {"style_hash": _hash(style), "script_hash": _hash(script)}
     return _template().render(page=page, plot=_PLOT, polar=_POLAR, **inline, **hashes)
-
-
-def _lead(source: Source) -> str:
-    if not len(source.frames):
-        return "No frames yet."
-    words = [f"{split} {source.frames.split.count(split):,}" for split in source.splits]
-    return f"Frames by split: {listed(words, 20)}."
 
 
 def _headline(source: Source) -> list[Fact]:
@@ -107,23 +73,16 @@ def _headline(source: Source) -> list[Fact]:
     species = {name for one in frames.counts("species_instances") for name in one or ()}
     plants = frames.numbers("plants_in_view")
     pixels = frames.numbers("width_px") * frames.numbers("height_px")
-    facts = [
-        _counted(frames.images, "image"),
-        _counted(len(frames), "frame"),
-        _counted(len(source.splits), "split"),
-    ]
+    counts = {"image": frames.images, "frame": len(frames), "split": len(source.splits)}
+    facts = [Fact(f"{number:,}", one if number == 1 else f"{one}s") for one, number in counts.items()]
     if np.isfinite(plants).any() or not len(frames):
         facts.append(Fact(f"{len(species):,}", "species in view"))
         facts.append(Fact(f"{int(np.nansum(plants)):,}", "plants labelled"))
     if np.isfinite(pixels).any():
         facts.append(Fact(charts.short(np.nansum(pixels)), "pixels labelled"))
     if source.metadata.bytes:
-        facts.append(Fact(run_sections.size_text(source.metadata.bytes), "on disk"))
+        facts.append(Fact(show_bytes(source.metadata.bytes), "on disk"))
     return facts
-
-
-def _counted(number: int, one: str) -> Fact:
-    return Fact(f"{number:,}", one if number == 1 else f"{one}s")
 
 
 def _notes(source: Source) -> list[str]:

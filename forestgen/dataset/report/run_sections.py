@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.dataset.report.charts import Chart, bars, histogram, nice_step, shares
-from forestgen.dataset.report.layout import Cell, Fact, Row, Section, ShareList, Table
-from forestgen.dataset.report.run_log import Failure, RunLog
-from forestgen.dataset.report.source import RecipeMetadata, Source
+from forestgen.core.figures import show_bytes
+from forestgen.dataset.report.charts import (
+    Cell,
+    Chart,
+    Fact,
+    Row,
+    Section,
+    ShareList,
+    Table,
+    bars,
+    histogram,
+    nice_step,
+    shares,
+)
+from forestgen.dataset.report.source import Failure, RecipeMetadata, RunLog, Source
 
 _MOST_STAGES, _MOST_WINDOWS = 16, 48
 _MOST_IMAGES = 12  # named beside a message
@@ -114,12 +125,17 @@ def _pace(run: RunLog) -> Chart | None:
 def provenance_section(source: Source) -> Section:
     """What the data set was made from, and with."""
     metadata = source.metadata
+
+    def text_of(recipe: RecipeMetadata) -> str:
+        parts = [("recipe hash", recipe.hash), ("seed", recipe.root_seed), ("images asked for", f"{recipe.images:,}")]
+        return ", ".join(f"{name} {value}" for name, value in parts if value)
+
     values = [
         ("description", metadata.description),
         ("contributor", metadata.contributor),
         ("licence", metadata.licence or "none stated"),
-        ("size on disk", size_text(metadata.bytes) if metadata.bytes else ""),
-        *((one.file or "recipe", _recipe_text(one)) for one in metadata.recipes),
+        ("size on disk", show_bytes(metadata.bytes) if metadata.bytes else ""),
+        *((one.file or "recipe", text_of(one)) for one in metadata.recipes),
         *(("made with", versions) for versions in metadata.made_with),
         ("missing images", gaps_text(metadata.missing, 100) or "none"),
     ]
@@ -128,23 +144,10 @@ def provenance_section(source: Source) -> Section:
     return Section("provenance", "Provenance", "", tables=[table])
 
 
-def _recipe_text(recipe: RecipeMetadata) -> str:
-    parts = [("recipe hash", recipe.hash), ("seed", recipe.root_seed), ("images asked for", f"{recipe.images:,}")]
-    return ", ".join(f"{name} {value}" for name, value in parts if value)
-
-
 def gaps_text(gaps: list[tuple[int, int]], most: int = 12) -> str:
     """Gaps for people: 3, 17 to 19, ..."""
     named = [str(first) if first == last else f"{first} to {last}" for first, last in gaps[:most]]
     return ", ".join([*named, *(["..."] if len(gaps) > most else [])])
-
-
-def size_text(size_bytes: int) -> str:
-    """Bytes for people: 1.4 GB."""
-    for scale, unit in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
-        if size_bytes >= scale:
-            return f"{size_bytes / scale:.3g} {unit}"
-    return f"{size_bytes} bytes"
 
 
 def duration(seconds: float) -> str:

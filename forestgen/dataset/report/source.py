@@ -1,20 +1,164 @@
-"""All that a report is made from: the data set's own files, and how its runs went. Strange values are left out."""
+"""All that a report is made from: the data set's own files, and how its runs went.
+
+Strange values are left out. Of run/log.jsonl a line is read at a time; lines that are damaged are counted.
+"""
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
-from forestgen.core.errors import RecipeError
+from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.index import INDEX_NAME
-from forestgen.dataset.legend import FILE_NAME as LEGEND_NAME
-from forestgen.dataset.png import class_palette
+from forestgen.dataset.png import LEGEND_NAME, class_palette, read_legend
 from forestgen.dataset.report.frames import Frames, no_frames, read_frames
-from forestgen.dataset.report.run_log import RunLog, read_run
-from forestgen.dataset.safe_path import SafePath, check_folder
+from forestgen.dataset.safe_path import SafePath, check_folder, load_json
+
+_LOG = "run/log.jsonl"
+_LONGEST_LINE = 1_000_000  # bytes
+MOST_MESSAGES = 40  # different ones that are kept
+_MOST_CHARACTERS = 600  # of a message
+_MOST_ATTEMPTS = 10_000  # of which the images are remembered
+
+
+@dataclass
+class Failure:
+    """Attempts that ended with one message."""
+
+    kind: str
+    message: str
+    attempts: int = 0
+    images: dict[int, int] = field(default_factory=dict)  # image -> its last attempt that ended so
+
+
+@dataclass
+class RunLog:
+    """What the logs of all runs on a data set say together."""
+
+    lines: int = 0  # of the log that could be read
+    runs: int = 0
+    failures: list[Failure] = field(default_factory=list)
+    failed_attempts: int = 0
+    unlisted_attempts: int = 0  # with messages beyond `MOST_MESSAGES`
+    workers_lost: int = 0
+    damaged_lines: int = 0
+    running_s: float = 0.0  # from the start of each run to its last line
+    finished_s: list[float] = field(default_factory=list)  # running time at the end of each job, in order
+    job_s: list[float] = field(default_factory=list)  # what each job took
+    stage_s: dict[str, float] = field(default_factory=dict)  # over all jobs
+    peak_memory_bytes: list[float] = field(default_factory=list)  # of each job's worker
+    workers: set[str] = field(default_factory=set)
+    done: set[int] = field(default_factory=set)  # images
+
+    @property
+    def images_per_hour(self) -> float | None:
+        """Over all runs; None if the log does not say."""
+        return 3600.0 * len(self.finished_s) / self.running_s if self.running_s > 0 and self.finished_s else None
+
+    @property
+    def given_up(self) -> list[int]:
+        """Images with failed attempts and none that succeeded."""
+        return sorted({image for one in self.failures for image in one.images} - self.done)
+
+
+def read_run(folder: Path) -> RunLog | None:
+    """All that is known of the runs on a data set; None where it has no log."""
+    path = SafePath(folder, _LOG)
+    if not path.is_file():
+        return None
+    log = RunLog()
+    jobs: dict[int, Mapping[str, Any]] = {}  # image -> the event of its finished job
+    failures: dict[tuple[str, str], Failure] = {}
+    before_s, start_s = 0.0, None  # running time of the earlier runs; start of this one, of the clock
+    for event in _events(path):
+        if event is None:
+            log.damaged_lines += 1
+            continue
+        log.lines += 1
+        at_s, kind, image = _seconds_of(event.get("time")), event["event"], _whole(event.get("image"))
+        if kind == "start":
+            before_s, start_s = log.running_s, at_s
+            log.runs += 1
+        if at_s is not None:
+            start_s = at_s if start_s is None else start_s
+            log.running_s = max(log.running_s, before_s + at_s - start_s)
+        if kind == "job_done" and image is None:
+            log.damaged_lines += 1
+        elif kind == "job_done" and image is not None:
+            log.finished_s.append(log.running_s)
+            jobs[image] = event
+        elif kind == "worker_lost":
+            log.workers_lost += 1
+        elif kind == "job_failed":
+            _add_failure(log, failures, event, image)
+    log.failures = sorted(failures.values(), key=lambda one: (-one.attempts, one.kind, one.message))
+    for image in sorted(jobs):
+        _add_job(log, jobs[image])
+    log.done.update(jobs)
+    return log
+
+
+def _events(path: SafePath) -> Iterator[dict[str, Any] | None]:
+    """Lines of the log; None for one that is damaged."""
+    with path.open() as stream:
+        for line in filter(bytes.strip, iter(lambda: stream.readline(_LONGEST_LINE), b"")):
+            try:
+                event = load_json(line)
+            except ValueError:
+                event = None
+            yield event if isinstance(event, dict) and isinstance(event.get("event"), str) else None
+
+
+def _add_failure(
+    log: RunLog, failures: dict[tuple[str, str], Failure], event: Mapping[str, Any], image: int | None
+) -> None:
+    log.failed_attempts += 1
+    key = str(event.get("kind", "?"))[:40], str(event.get("message", ""))[:_MOST_CHARACTERS]
+    if key not in failures and len(failures) >= MOST_MESSAGES:
+        log.unlisted_attempts += 1
+        return
+    failure = failures.setdefault(key, Failure(*key))
+    failure.attempts += 1
+    if image is not None and (image in failure.images or log.failed_attempts <= _MOST_ATTEMPTS):
+        failure.images[image] = _whole(event.get("attempt")) or 1
+
+
+def _add_job(log: RunLog, job: Mapping[str, Any]) -> None:
+    seconds, memory = _number(job.get("seconds")), _number(job.get("peak_memory_bytes"))
+    if seconds is not None:
+        log.job_s.append(seconds)
+    if memory:
+        log.peak_memory_bytes.append(memory)
+    if job.get("worker"):
+        log.workers.add(str(job["worker"]))
+    for stage, took in _of(job, "timings_s", dict).items():
+        if (took_s := _number(took)) is not None:
+            log.stage_s[stage] = log.stage_s.get(stage, 0.0) + took_s
+
+
+def _number(value: Any) -> float | None:
+    """A finite number of at least 0, or None."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
+        return None
+    return float(value)
+
+
+def _whole(value: Any) -> int | None:
+    return None if _number(value) is None else int(value)
+
+
+def _seconds_of(text: Any) -> float | None:
+    """An ISO 8601 time as seconds of the clock."""
+    try:
+        return datetime.fromisoformat(str(text)).timestamp()
+    except (ValueError, OverflowError, OSError):
+        return None
+
 
 _CARD_NAME, _RUN_NAME = "dataset.json", "run"
 _RECIPE_TEXTS = ("file", "hash", "root_seed")
@@ -82,13 +226,7 @@ class Source:
 
 
 def open_source(folder: Path) -> Source:
-    """Read a data set, finished or not.
-
-    Raises
-    ------
-    RecipeError : there is no such folder, or it holds no data set.
-    DatasetError : its index is damaged.
-    """
+    """Read a data set, finished or not; a folder of none raises `RecipeError`, a damaged index `DatasetError`."""
     check_folder(folder, "a folder that forestgen render, batch or merge wrote")
     notes: list[str] = []
     card = _read_json(SafePath(folder, _CARD_NAME), notes)
@@ -107,29 +245,26 @@ def open_source(folder: Path) -> Source:
 
 def _read_legend(folder: Path, splits: tuple[str, ...], notes: list[str]) -> Legend:
     """classes.json of the first split that has one: all splits have the same."""
-    path = next((path for split in splits if (path := SafePath(folder, split) / LEGEND_NAME).is_file()), None)
-    content = {} if path is None else _read_json(path, notes)
-    names = _in_order(content.get("semantic"))
+    split = next((one for name in splits if ((one := SafePath(folder, name)) / LEGEND_NAME).is_file()), None)
+    if split is None:
+        return Legend()
+    try:
+        content = read_legend(split)
+    except DatasetError:
+        notes.append(f"{LEGEND_NAME} cannot be read.")
+        return Legend()
+    names = [content["semantic"][str(number)] for number in range(len(content["semantic"]))]
     colours = dict(zip(names, class_palette(len(names)).tolist(), strict=True))
-    for key, rgb in _mapping(content.get("semantic_colours")).items():
-        if _is_number(key) and int(key) < len(names) and _is_colour(rgb):
-            colours[names[int(key)]] = rgb
+    for number, name in enumerate(names):
+        rgb = _of(_of(content, "semantic_colours", dict), str(number), list)
+        if len(rgb) == 3 and all(isinstance(one, int) and 0 <= one < 256 for one in rgb):
+            colours[name] = rgb
     hexadecimal = {name: "#{:02x}{:02x}{:02x}".format(*rgb) for name, rgb in colours.items()}
-    return Legend(names, hexadecimal, _in_order(content.get("categories")))
-
-
-def _in_order(numbered: Any) -> tuple[str, ...]:
-    if not isinstance(numbered, dict) or not all(map(_is_number, numbered)):
-        return ()
-    return tuple(str(numbered[key]) for key in sorted(numbered, key=int))
-
-
-def _is_number(key: str) -> bool:
-    return key.isdecimal() and len(key) < 10
-
-
-def _is_colour(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 3 and all(isinstance(v, int) and 0 <= v < 256 for v in value)
+    return Legend(
+        tuple(names),
+        hexadecimal,
+        tuple(content["categories"][str(number + 1)] for number in range(len(content["categories"]))),
+    )
 
 
 def _read_json(path: SafePath, notes: list[str]) -> dict[str, Any]:
@@ -146,41 +281,34 @@ def _read_json(path: SafePath, notes: list[str]) -> dict[str, Any]:
 
 
 def _metadata(card: Mapping[str, Any]) -> Metadata:
-    licence = _mapping(card.get("licence"))
+    licence = _of(card, "licence", dict)
     return Metadata(
         description=str(card.get("description") or ""),
         contributor=str(card.get("contributor") or ""),
         licence=" ".join(str(licence[key]) for key in ("name", "url") if licence.get(key)),
-        splits=tuple(str(name) for name in _mapping(card.get("splits"))),
-        recipes=tuple(_recipe(_mapping(one)) for one in _items(card.get("recipes"))),
-        made_with=tuple(_machine(_mapping(one)) for one in _items(card.get("made_with"))),
-        bytes=sum(_whole(_mapping(one).get("bytes")) for one in _mapping(card.get("files")).values()),
+        splits=tuple(str(name) for name in _of(card, "splits", dict)),
+        recipes=tuple(map(_recipe, _of(card, "recipes", list))),
+        made_with=tuple(map(_machine, _of(card, "made_with", list))),
+        bytes=sum(max(0, _of(one, "bytes", int)) for one in _of(card, "files", dict).values()),
     )
 
 
-def _recipe(card: Mapping[str, Any]) -> RecipeMetadata:
-    file, recipe_hash, root_seed = ("" if card.get(key) is None else str(card[key]) for key in _RECIPE_TEXTS)
-    gaps = [one for one in _items(card.get("missing")) if isinstance(one, list) and len(one) == 2]
-    missing = tuple((_whole(first), _whole(last)) for first, last in gaps)
-    images, draws = _whole(card.get("images")), _mapping(card.get("draws"))
-    return RecipeMetadata(file, recipe_hash, root_seed, images, missing, draws)
+def _recipe(card: Any) -> RecipeMetadata:
+    file, recipe_hash, root_seed = (str(_of(card, key, str | int)) for key in _RECIPE_TEXTS)
+    gaps = [one for one in _of(card, "missing", list) if isinstance(one, list) and len(one) == 2]
+    missing = tuple((first, last) for first, last in gaps if isinstance(first, int) and isinstance(last, int))
+    return RecipeMetadata(file, recipe_hash, root_seed, _of(card, "images", int), missing, _of(card, "draws", dict))
 
 
-def _machine(card: Mapping[str, Any]) -> str:
-    platform, packages = _mapping(card.get("platform")), _mapping(card.get("packages"))
+def _machine(card: Any) -> str:
+    platform = _of(card, "platform", dict)
     where = " ".join(str(platform[key]) for key in ("system", "machine") if platform.get(key))
-    python = f"Python {card['python']}" if card.get("python") else ""
-    versions = [f"{name} {version}" for name, version in sorted(packages.items()) if version]
-    return ", ".join(filter(None, [where, python, *versions]))
+    python = _of(card, "python", str)
+    versions = [f"{name} {version}" for name, version in sorted(_of(card, "packages", dict).items()) if version]
+    return ", ".join(filter(None, [where, python and f"Python {python}", *versions]))
 
 
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, dict) else {}
-
-
-def _items(value: Any) -> list[Any]:
-    return value if isinstance(value, list) else []
-
-
-def _whole(value: Any) -> int:
-    return value if isinstance(value, int) and value >= 0 else 0
+def _of(mapping: Any, key: str, kind: Any) -> Any:
+    """A mapping's value of a kind; an empty one where there is none, or it is of another kind."""
+    value = mapping.get(key) if isinstance(mapping, dict) else None
+    return value if isinstance(value, kind) else (get_args(kind) or (kind,))[0]()

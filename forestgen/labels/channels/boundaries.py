@@ -60,50 +60,21 @@ def occlusion_boundaries(surface: Surface, camera: Camera) -> NDArray[np.bool_]:
         least = _PIXEL_TOLERANCE * pixel_m
         _mark_parallel(surface.depth_m, surface.normal, steps, _DEPTH_TOLERANCE, least, found)
         return found
-    if not projection.is_pinhole:
-        rays = world_rays(camera)
-        direction, wraps = np.ascontiguousarray(rays.direction), projection.wraps_x
-        _mark_around(surface.distance_m, surface.normal, direction, rays.valid, wraps, _TOLERANCE, found)
+    if projection.is_pinhole:
+        (x, y), rotation = camera.pixel_slopes, np.asarray(camera.world_from_camera, dtype=np.float64)
+        direction = x[:, None] * rotation[:, 0] + y[:, None, None] * rotation[:, 1] + rotation[:, 2]  # of depth 1
+        _mark(surface.depth_m, surface.normal, direction, np.ones_like(found), False, _TOLERANCE, found)
         return found
-    rotation = np.ascontiguousarray(camera.world_from_camera, dtype=np.float64)
-    _mark(surface.depth_m, surface.normal, rotation, camera.focal_px, _TOLERANCE, found)
+    rays, wraps = world_rays(camera), projection.wraps_x
+    direction = np.ascontiguousarray(rays.direction)
+    _mark(surface.distance_m, surface.normal, direction, rays.valid, wraps, _TOLERANCE, found)
     return found
 
 
 @compiled
-def _mark(depth_m, normal, rotation, focal_px, tolerance, found):  # type: ignore[no-untyped-def]
-    height, width = depth_m.shape
-    for y in range(height):
-        for x in range(width):
-            for axis in range(2):
-                other_x, other_y = (x + 1, y) if axis == 0 else (x, y + 1)
-                if other_x == width or other_y == height:
-                    continue
-                near, far = 1.0 / depth_m[y, x], 1.0 / depth_m[other_y, other_x]
-                if near == 0.0 or far == 0.0:
-                    found[y, x] |= near > 0.0
-                    found[other_y, other_x] |= far > 0.0
-                    continue
-                u, v = (x + 0.5 - 0.5 * width) / focal_px, (y + 0.5 - 0.5 * height) / focal_px
-                here = there = here_there = there_here = 0.0
-                for k in range(3):
-                    ray = rotation[k, 0] * u + rotation[k, 1] * v + rotation[k, 2]
-                    other_ray = ray + rotation[k, axis] / focal_px
-                    here += normal[y, x, k] * ray
-                    here_there += normal[y, x, k] * other_ray
-                    there += normal[other_y, other_x, k] * other_ray
-                    there_here += normal[other_y, other_x, k] * ray
-                # A degenerate face has no normal, and stands across the view.
-                slope = near * here_there / here - near if here != 0.0 else 0.0
-                other_slope = far - far * there_here / there if there != 0.0 else 0.0
-                least = tolerance * max(near, far)
-                _mark_nearer(found, y, x, other_y, other_x, near - far, -slope, -other_slope, least)
-
-
-@compiled
-def _mark_around(distance_m, normal, direction, valid, around, tolerance, found):  # type: ignore[no-untyped-def]
-    """As `_mark`, between any unit directions; `around`: the last column neighbours the first."""
-    height, width = distance_m.shape
+def _mark(reach_m, normal, direction, valid, around, tolerance, found):  # type: ignore[no-untyped-def]
+    """`reach_m` is how many times `direction` leads to a surface; `around`: the last column neighbours the first."""
+    height, width = reach_m.shape
     for y in range(height):
         for x in range(width):
             for axis in range(2):
@@ -112,7 +83,7 @@ def _mark_around(distance_m, normal, direction, valid, around, tolerance, found)
                     other_x = 0
                 if other_x == width or other_y == height or not (valid[y, x] and valid[other_y, other_x]):
                     continue
-                near, far = 1.0 / distance_m[y, x], 1.0 / distance_m[other_y, other_x]
+                near, far = 1.0 / reach_m[y, x], 1.0 / reach_m[other_y, other_x]
                 if near == 0.0 or far == 0.0:
                     found[y, x] |= near > 0.0
                     found[other_y, other_x] |= far > 0.0
@@ -123,6 +94,7 @@ def _mark_around(distance_m, normal, direction, valid, around, tolerance, found)
                     here_there += normal[y, x, k] * direction[other_y, other_x, k]
                     there += normal[other_y, other_x, k] * direction[other_y, other_x, k]
                     there_here += normal[other_y, other_x, k] * direction[y, x, k]
+                # A degenerate face has no normal, and stands across the view.
                 slope = near * here_there / here - near if here != 0.0 else 0.0
                 other_slope = far - far * there_here / there if there != 0.0 else 0.0
                 least = tolerance * max(near, far)

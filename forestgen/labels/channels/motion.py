@@ -76,9 +76,8 @@ def motion_px(
     if next_instances is not instances:
         moved = seen & (surface.plant_id > 0)
         start = np.broadcast_to(rays.origin_m, point.shape)[moved]
-        point[moved] += _carried(
-            way[moved] + start, instances.rows_of(surface.plant_id[moved]), instances, next_instances
-        )
+        row = instances.rows_of(surface.plant_id[moved])
+        point[moved] += _carried(way[moved] + start, row, instances, next_instances)
     landing, known = _landing(next_camera, point @ next_camera.world_from_camera, seen)
     motion = landing - centre
     if projection_of(next_camera).wraps_x:

@@ -9,7 +9,7 @@ import numpy as np
 from dataset_shots import CLASSES, SETTINGS, make_camera, make_labels, make_population
 
 from forestgen.core.parts import Part
-from forestgen.dataset.png import write_rgb
+from forestgen.dataset.png import write_png
 from forestgen.render.frame import Frame, Identity, Radiance, Surface
 
 SAMPLES = 8
@@ -64,7 +64,7 @@ def written(module, root, frames, settings=SETTINGS):
         folder = root / name
         folder.mkdir(parents=True, exist_ok=True)
         width, height = labelled.frame.camera.size_px
-        write_rgb(folder / "preview.png", np.full((height, width, 3), 90, np.uint8))
+        write_png(folder / "preview.png", np.full((height, width, 3), 90, np.uint8))
         module.FORMAT.write_frame(folder, labelled, settings)
 
     with ThreadPoolExecutor(2) as pool:

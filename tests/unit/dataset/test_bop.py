@@ -147,12 +147,6 @@ def test_awkward_masks(tmp_path):
             np.testing.assert_array_equal(seen > 0, instance == one["plant_id"])
 
 
-def test_without_amodal_masks_it_is_refused(tmp_path):
-    with pytest.raises(OutputError, match="amodal"):
-        bop.FORMAT.write_frame(tmp_path, replace(FRAMES["000001-a"], amodal=None), SETTINGS)
-    assert not list(tmp_path.iterdir())
-
-
 def test_equal_input_equal_bytes(tmp_path, dataset):
     first = all_bytes(dataset)
     bop.FORMAT.merge(dataset, list(FRAMES), SETTINGS)

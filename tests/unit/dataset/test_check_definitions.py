@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rasterisers import opencv_fill
 
-from forestgen.dataset.check.coco import decode, run_lengths
+from forestgen.dataset.check.coco import area, library_box, run_lengths, runs_of_ones, window
 from forestgen.dataset.check.cryptomatte import standard_id
-from forestgen.dataset.check.files import read_recipe
-from forestgen.dataset.check.finding import UnreadableError
+from forestgen.dataset.check.files import UnreadableError, read_recipe
 from forestgen.dataset.check.frame_data import CameraFile, camera_of, extents_of
 from forestgen.dataset.check.merged import UNKNOWN, following_frames
 from forestgen.dataset.check.plants import keypoint_states
@@ -40,22 +39,22 @@ def test_run_lengths_are_those_of_pycocotools(mask):
     runs = run_lengths(code_of(mask), size)
     flat = np.repeat(np.arange(len(runs)) % 2, runs)
     assert np.array_equal(flat, mask.T.ravel())
-    decoded = decode(code_of(mask), size)
-    assert decoded.area == decoded.library_area == mask.sum()
-    assert np.array_equal(decoded.window(0, 0, *size), mask)
+    decoded = runs_of_ones(code_of(mask), size)
     width, height = size
+    assert area(decoded) == mask.sum()
+    assert np.array_equal(window(decoded, height, 0, 0, *size), mask)
     x, y = width // 3, height // 2
-    assert np.array_equal(decoded.window(x, y, width - x, height - y), mask[y:, x:])
+    assert np.array_equal(window(decoded, height, x, y, width - x, height - y), mask[y:, x:])
 
 
 def test_long_runs_and_negative_differences():
     mask = np.zeros((500, 400), np.uint8)
     mask[:, 10:200] = 1
     mask[3, 250] = 1
-    decoded = decode(code_of(mask), (400, 500))
-    assert decoded.area == decoded.library_area == 190 * 500 + 1
-    assert decoded.library_box == [10, 0, 241, 500]
-    assert np.array_equal(decoded.window(0, 0, 400, 500), mask)
+    decoded = runs_of_ones(code_of(mask), (400, 500))
+    assert area(decoded) == 190 * 500 + 1
+    assert library_box(code_of(mask)) == [10, 0, 241, 500]
+    assert np.array_equal(window(decoded, 500, 0, 0, 400, 500), mask)
 
 
 @given(st.text(max_size=30))

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from forestgen.dataset.check.finding import Finding
 from forestgen.dataset.check.light import radiance
 
 KNOWN = {"forestgen/relative_error": "0.1"}
@@ -20,7 +19,8 @@ def findings(colour, variance=1.0, mode="rgb", header=KNOWN):
         exr_header=header,
         recipe={"render": {"mode": mode}},
         instance=np.zeros((2, 3), np.uint32),
-        finding=lambda file, problem, **about: Finding(file, problem, image="camera0", **about),
+        name="camera0",
+        file=lambda name: f"camera0/{name}",
     )
     return [finding.problem.partition(" (")[0] for finding in radiance.findings(frame)]
 

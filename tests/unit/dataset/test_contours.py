@@ -13,7 +13,7 @@ from rasterisers import opencv_fill, overlap, pillow_fill
 from scipy.ndimage import label
 
 from forestgen.dataset.check.yolo import _differences
-from forestgen.dataset.formats import bridges
+from forestgen.dataset.formats import contours
 from forestgen.dataset.formats.contours import polygons
 
 NEIGHBOURS = np.ones((3, 3))
@@ -147,10 +147,9 @@ def test_the_best_subtree_is_that_of_all(pieces, random):
         if kept[0] and all(kept[parent[k]] for k in range(1, len(pieces)) if kept[k]):
             above = sum(cost[k] for k in range(1, len(pieces)) if kept[k])
             best = max(best, Fraction(int(6 * area[list(kept)].sum()), int(6 * area.sum() + above)))
-    order = np.argsort(names)
-    one = np.array([names[k] for k in range(1, len(pieces))])
-    other = np.array([names[parent[k]] for k in range(1, len(pieces))])
-    kept, used = bridges._best_subtree(area[order], one, other, cost[1:], names[0])
+    order, above = np.argsort(names), np.argsort(names) - 1
+    parents = np.array([names[parent[k]] for k in order])
+    kept, used = contours._best_subtree(area[order], cost[1:], np.array(names), parents, above)
     assert kept[names[0]]
     assert used.sum() == kept.sum() - 1
     found = Fraction(int(6 * area[order][kept].sum()), int(6 * area.sum() + cost[1:][used].sum()))
@@ -160,7 +159,7 @@ def test_the_best_subtree_is_that_of_all(pieces, random):
 @settings(max_examples=60, deadline=None)
 @given(hnp.arrays(bool, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=9)), st.integers(0, 9))
 def test_nearest_pixels_are_those_of_a_search(mask, reach):
-    nearest = bridges._voronoi(mask.astype(np.int32), reach)
+    nearest = contours._voronoi(mask.astype(np.int32), reach)
     own = np.argwhere(mask)
     for (y, x), found in np.ndenumerate(nearest):
         down, across = np.abs(own - [y, x]).T if len(own) else (np.empty(0), np.empty(0))
@@ -176,7 +175,8 @@ def test_nearest_pixels_are_those_of_a_search(mask, reach):
 def test_pieces_form_one_tree_where_no_bridge_costs_too_much():
     mask = scattered(3, share=0.5) > 0
     pieces, number = label(mask, NEIGHBOURS)
-    edges = bridges._spanning_tree(bridges._candidates(pieces.astype(np.int32), 10**6), number)
+    edges, order, parent = contours._spanning_tree(contours._candidates(pieces.astype(np.int32), 10**6), number, 0)
     assert len(edges.one) == number - 1
-    order, _, _ = bridges._from_root(edges.one, edges.other, number, 0)
+    pairs = set(zip(edges.one.tolist(), edges.other.tolist(), strict=True))
+    assert all((min(k, up), max(k, up)) in pairs for k, up in enumerate(parent.tolist()) if k)
     assert sorted(order) == list(range(number))

@@ -14,7 +14,7 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.dataset import exr
 from forestgen.dataset.camera import camera_from_world, world_to_camera, world_to_ndc
 from forestgen.dataset.check import light
-from forestgen.dataset.check.frame_data import FrameData, FrameTask
+from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.exr import read_exr, read_exr_attributes, write_exr
 from forestgen.dataset.tonemap import centre_nm, width_nm
 from forestgen.labels.channels.boundaries import occlusion_boundaries
@@ -310,14 +310,14 @@ def put(key, value):
 )
 def test_the_check_wants_the_header(tmp_path, shot, change, words):
     path = written(tmp_path / "a.exr", shot)
-    frame = FrameData(FrameTask(tmp_path, ".", {}, {}))
+    frame = FrameData(tmp_path, ".")
     rewritten(path, lambda *_: None)
     assert list(light.header.findings(frame)) == []
     rewritten(path, change)
-    found = [one.problem for one in light.header.findings(FrameData(FrameTask(tmp_path, ".", {}, {})))]
+    found = [one.problem for one in light.header.findings(FrameData(tmp_path, "."))]
     assert any(words in problem for problem in found), found
 
 
 def test_the_check_reads_bands(tmp_path):
     written(tmp_path / "frame.exr", bands_shot())
-    assert list(light.header.findings(FrameData(FrameTask(tmp_path, ".", {}, {})))) == []
+    assert list(light.header.findings(FrameData(tmp_path, "."))) == []

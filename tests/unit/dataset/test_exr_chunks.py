@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import random
 import struct
 from pathlib import Path
@@ -12,8 +11,7 @@ import OpenEXR
 import pytest
 from dataset_shots import make_shot
 
-from forestgen.dataset.check.files import read_exr
-from forestgen.dataset.check.finding import UnreadableError
+from forestgen.dataset.check.files import UnreadableError, read_exr
 from forestgen.dataset.exr import write_exr
 from forestgen.dataset.exr_chunks import check_chunks
 
@@ -27,7 +25,7 @@ def content(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 def refused(content: bytes) -> bool:
     try:
-        check_chunks(io.BytesIO(content))
+        check_chunks(content)
     except ValueError:
         return True
     return False

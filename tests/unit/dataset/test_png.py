@@ -85,7 +85,7 @@ def test_overlay_tints_plants_and_leaves_the_rest():
 def test_png_bytes_repeat(tmp_path):
     picture = np.random.default_rng(0).integers(0, 256, (20, 30, 3)).astype(np.uint8)
     for name in "ab":
-        png.write_rgb(tmp_path / name, picture)
+        png.write_png(tmp_path / name, picture)
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
     assert b"tIME" not in (tmp_path / "a").read_bytes()
 

@@ -11,7 +11,7 @@ from PIL import Image
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.dataset import raw
 from forestgen.dataset.check import light
-from forestgen.dataset.check.frame_data import FrameData, FrameTask
+from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.raw import d65, levels, mosaiced, raw_image, vignetting, write_raw
 from forestgen.dataset.writer import frame_bytes, write_frame
 from forestgen.recipe.cameras import Exposure
@@ -257,7 +257,7 @@ def photographed(folder, exposure, about=None, **kept):
         radiance = replace(radiance, **wide, **about)
     frame = replace(shot.frame, camera=camera, radiance=radiance)
     write_frame(folder / "000000-a", replace(shot.labelled, frame=frame), "", {"image_seed": "5"}, SETTINGS)
-    return FrameData(FrameTask(folder, "000000-a", {}, {}))
+    return FrameData(folder, "000000-a")
 
 
 EXPOSED = changed(PLAIN, shutter_s=None, vignetting=0.7)
@@ -275,7 +275,7 @@ def test_what_is_written_passes_the_check(tmp_path, exposure, denoised):
 @pytest.mark.parametrize("about", [DRONE, {"channels": ("G", "R", "B"), "bands": CAMERA_BANDS["bands"]}])
 def test_bands_pass_the_check(tmp_path, about):
     frame = photographed(tmp_path, EXPOSED, about)
-    assert len(list((frame.task.root / frame.name).glob("raw-*.png"))) == len(about["bands"])
+    assert len(list((frame.root / frame.name).glob("raw-*.png"))) == len(about["bands"])
     assert list(light.raw.findings(frame)) == []
     assert list(light.header.findings(frame)) == []
 
@@ -298,17 +298,17 @@ def test_rows_at_a_time_change_nothing(monkeypatch):
 
 def test_another_view_than_the_headers(tmp_path):
     frame = photographed(tmp_path, EXPOSED)
-    with Image.open(frame.task.root / frame.name / "preview.png") as image:
+    with Image.open(frame.root / frame.name / "preview.png") as image:
         image.load()
-        Image.fromarray(np.asarray(image)).save(frame.task.root / frame.name / "preview.png")
+        Image.fromarray(np.asarray(image)).save(frame.root / frame.name / "preview.png")
     assert [finding.problem for finding in light.header.findings(frame)] == ["the view is not frame.exr's"]
 
 
 def damaged(frame, what):
-    path = frame.task.root / frame.name / "raw.png"
+    path = frame.root / frame.name / "raw.png"
     with Image.open(path) as image:
         numbers = np.array(image)
-    facts = json.loads((frame.task.root / frame.name / "raw.json").read_text())
+    facts = json.loads((frame.root / frame.name / "raw.json").read_text())
     if what == "a pixel":
         numbers[3, 5] += 6000
     elif what == "shifted":
@@ -322,7 +322,7 @@ def damaged(frame, what):
     else:
         facts["white_level"] = facts["black_level"]
     Image.fromarray(numbers).save(path)
-    (frame.task.root / frame.name / "raw.json").write_text(json.dumps(facts))
+    (frame.root / frame.name / "raw.json").write_text(json.dumps(facts))
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from forestgen.dataset.index import INDEX_NAME, read_index, write_index
 from forestgen.dataset.report.frames import read_frames
 from forestgen.dataset.report.gallery import BUDGET_BYTES, MOST_FRAMES, _mask, _photo, choose
 from forestgen.dataset.report.page import write_report
-from forestgen.dataset.report.run_log import MOST_MESSAGES, read_run
+from forestgen.dataset.report.source import MOST_MESSAGES, read_run
 from support.data_sets import SPLITS, write_data_set
 
 PICTURE = re.compile(r'src="data:image/webp;base64,([^"]*)"')
@@ -220,7 +220,7 @@ def test_a_page_of_many_images_stays_small(tmp_path):
     noise = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
     (tmp_path / "train" / "noise").mkdir(parents=True)
     for name in ("preview.png", "overlay.png", "semantic.png"):
-        png.write_rgb(tmp_path / "train" / "noise" / name, noise)
+        png.write_png(tmp_path / "train" / "noise" / name, noise)
     page = report(tmp_path)
     assert len(pictures(page)) == 3 * MOST_FRAMES
     assert len(PICTURE.sub("", page)) < 300_000  # all but the pictures

@@ -7,16 +7,15 @@ import pytest
 from PIL import Image
 
 from forestgen.core.errors import DatasetError, OutputError
-from forestgen.dataset.checksums import file_sum, read_sums, write_sums
-from forestgen.dataset.png import write_rgb
-from forestgen.dataset.thumbnails import LONG_SIDE_PX, write_thumbnail
+from forestgen.dataset.manifest import file_sum, read_sums, write_sums
+from forestgen.dataset.png import LONG_SIDE_PX, write_png, write_thumbnail
 
 
 def frame(folder, width, height):
     folder.mkdir()
     y, x = np.mgrid[:height, :width]
     picture = np.stack([255 * x / width, 255 * y / height, np.full(x.shape, 90)], axis=2).astype(np.uint8)
-    write_rgb(folder / "preview.png", picture, {"view": "filmic"})
+    write_png(folder / "preview.png", picture, {"view": "filmic"})
     return picture
 
 

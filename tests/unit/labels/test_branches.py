@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from forestgen.architecture.prototypes import MOST_NODES
-from forestgen.labels.channels.module import branch_labels
+from forestgen.labels.channels.surface import branch_labels
 from forestgen.render.identity.surface import empty_surface
 from support.scenes import simple_tree
 

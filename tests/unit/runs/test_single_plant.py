@@ -11,7 +11,7 @@ import pytest
 
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.parts import Part
-from forestgen.dataset.file_set import FileSet
+from forestgen.dataset.files import FileSet
 from forestgen.plants.bark.texture import texture_images
 from forestgen.runs.single_plant import (
     Order,

@@ -1,17 +1,33 @@
-"""Sections of the page on what the labels hold: classes, instances, species, depth; split by split where it matters."""
+"""Sections of the page on what was drawn (sun, weather, season, cameras, distributions) and on what the labels hold."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.report.charts import Chart, bars, percent, ranges, shares
-from forestgen.dataset.report.frames import numbers
-from forestgen.dataset.report.layout import Cell, Fact, Row, Section, ShareList, Table, listed
+from forestgen.dataset.report.charts import (
+    Cell,
+    Fact,
+    Part,
+    Row,
+    Section,
+    ShareList,
+    Table,
+    bars,
+    listed,
+    percent,
+    ranges,
+    shares,
+    sun_plot,
+)
+from forestgen.dataset.report.frames import correlations, named, names, numbers, unit_of
 from forestgen.dataset.report.source import Legend, Source
+from forestgen.dataset.settings import DRAW
 
 RARE = 0.001  # share of a split's pixels, or of its instances, below which a class is hard to learn
 _NOTHING, _SKY = "nothing", "nothing (sky)"
@@ -48,14 +64,9 @@ class Balance:
 def balance(
     counted: Sequence[Mapping[str, int] | None], split: Sequence[str], names: Sequence[str], splits: Sequence[str]
 ) -> Balance:
-    """Sum counts by name and split.
+    """Sum counts of frames, name -> count or None if nothing is known, by name and by the frame's split.
 
-    Parameters
-    ----------
-    counted : name -> count for each frame; None where nothing is known of a frame.
-    split : of each frame.
-    names : all that can occur, such as the legend's classes; others that do are added.
-    splits : all splits, in the order to show them.
+    `names` are all that can occur, such as the legend's classes; others that do are added.
     """
     occurring = {name for one in counted if one for name in one}
     known = tuple(dict.fromkeys([*names, *sorted(occurring)]))
@@ -73,11 +84,11 @@ def balance(
 def class_section(source: Source) -> Section:
     """Pixels by semantic class and instances by category, split by split."""
     tables, notes = [], []
-    for column, names, what, title, head in (
+    for column, all_names, what, title, head in (
         ("class_pixels", source.legend.classes, "pixels", "Pixels by class", "class"),
         ("category_instances", source.legend.categories, "instances", "Instances by category", "category"),
     ):
-        counted = _balance(source, column, names)
+        counted = _balance(source, column, all_names)
         if counted.counts.any():
             notes += _missing_and_rare(counted, what)
             tables.append(_balance_table(counted, source.legend, title, head))
@@ -124,34 +135,21 @@ def _balance_table(counted: Balance, legend: Legend, title: str, head: str) -> T
 def instance_section(source: Source) -> Section:
     """Sizes of the plants in view."""
     frames = source.frames
-    counts = _log_counts(frames.values("instance_pixels_histogram"))
-    total, small = int(counts.sum()), int(counts[:4].sum())
+    rows = frames.values("instance_pixels_histogram")  # how many have 1, 2-3, 4-7, 8-15, ... pixels
+    counts = np.array([sum(one) for one in zip_longest(*filter(None, rows), fillvalue=0)], dtype=np.int64)
+    total, small, edges = int(counts.sum()), int(counts[:4].sum()), 2.0 ** np.arange(len(counts) + 1)
+    sizes = f"Instances by size: {total:,} plants in view, the largest below {edges[-1]:,.0f} pixels"
     parts = (
         Fact(f"{total:,}", "plants in view") if total else None,
         Fact(percent(small / total), "smaller than 16 pixels") if total else None,
-        _sizes(counts) if total else None,
+        bars(counts, edges, "Size of instances", "visible pixels", summary=sizes, log=True, y_title="plants")
+        if total
+        else None,
         numbers(frames, "plants_in_view", "Plants in view of a frame", "plants"),
-        numbers(
-            frames, "visible_fraction_median", "How much of a plant is visible", "median of a frame, %", factor=100
-        ),
+        numbers(frames, "visible_fraction_median", "Visible share of a plant", "median of a frame, %", factor=100),
     )
     lead = "A plant is in view if it wins at least one pixel of the instance mask."
     return Section("instances", "Instances", "No instances are counted here.", lead, parts)
-
-
-def _sizes(counts: NDArray[np.int64]) -> Chart:
-    edges = 2.0 ** np.arange(len(counts) + 1)
-    summary = f"Instances by size: {counts.sum():,} plants in view, the largest below {edges[-1]:,.0f} pixels"
-    return bars(counts, edges, "Size of instances", "visible pixels", log=True, y_title="plants", summary=summary)
-
-
-def _log_counts(rows: Sequence[Sequence[int] | None]) -> NDArray[np.int64]:
-    """Sum of histograms of different lengths: how many have 1, 2-3, 4-7, 8-15, ... pixels."""
-    counts = np.zeros(max((len(row) for row in rows if row), default=0), dtype=np.int64)
-    for row in rows:
-        if row:
-            counts[: len(row)] += np.asarray(row, dtype=np.int64)
-    return counts
 
 
 def species_section(source: Source) -> Section:
@@ -185,3 +183,96 @@ def depth_section(source: Source) -> Section:
     )
     lead = "Along each pixel's ray to what it shows, sky left out."
     return Section("depth", "Depth", "No depths are recorded here.", lead, parts)
+
+
+_MOST_DRAWS = 24
+_MOST_CHARACTERS = 110  # of a distribution as the recipe has it
+
+
+def sun_section(source: Source) -> Section:
+    """Where the sun stood."""
+    frames = source.frames
+    parts = (
+        sun_plot(frames.numbers("sun_azimuth_deg"), frames.numbers("sun_elevation_deg")),
+        numbers(frames, "sun_elevation_deg", "Elevation of the sun", "degrees above the horizon", unit="°"),
+        numbers(frames, "sun_azimuth_deg", "Azimuth of the sun", "degrees clockwise from north", unit="°"),
+        numbers(frames, "sunlit_share", "Sunlit pixels", "share of what is not sky, %", unit="%", factor=100),
+    )
+    return Section("sun", "Sun", "No sun is recorded here.", parts=parts)
+
+
+def weather_section(source: Source) -> Section:
+    """Clouds, haze, season, wind."""
+    frames = source.frames
+    parts = (
+        names(frames, "clouds", "Clouds"),
+        names(frames, "season", "Season"),
+        names(frames, "sky_kind", "Sky"),
+        numbers(frames, "cloud_cover", "Cloud cover", "as the recipe asks for, %", unit="%", factor=100),
+        numbers(frames, "cloud_share", "Clouds in view", "mean opacity over the sky's pixels, %", unit="%", factor=100),
+        numbers(frames, "turbidity", "Turbidity", "turbidity"),
+        numbers(frames, "visibility_m", "Visibility in haze", "m", unit="m", log=True),
+        numbers(frames, "wind_m_per_s", "Wind", "m/s", unit="m/s"),
+    )
+    return Section("weather", "Weather and season", "No weather is recorded here.", parts=parts)
+
+
+def camera_section(source: Source) -> Section:
+    """How the cameras look."""
+    frames = source.frames
+    sides = zip(frames.numbers("width_px"), frames.numbers("height_px"), strict=True)
+    parts = (
+        names(frames, "camera_kind", "Kind"),
+        names(frames, "camera", "Camera"),
+        named([f"{width:.0f} x {height:.0f} px" for width, height in sides if width > 0 and height > 0], "Size"),
+        numbers(frames, "camera_height_m", "Height above the ground", "m", unit="m"),
+        numbers(frames, "camera_pitch_deg", "Pitch", "degrees above the horizon", unit="°"),
+        numbers(frames, "camera_azimuth_deg", "Direction of view", "degrees clockwise from north", unit="°"),
+        numbers(frames, "hfov_deg", "Horizontal field of view", "degrees", unit="°"),
+    )
+    return Section("cameras", "Cameras", "No cameras are recorded here.", parts=parts)
+
+
+def draw_section(source: Source) -> Section:
+    """What the recipe's distributions gave, and what goes together."""
+    drawn = [name for name in source.frames.names if name.startswith(DRAW)]
+    lead = "What the recipe's distributions gave; below each, what the recipe asks for." if drawn else ""
+    if len(drawn) > _MOST_DRAWS:
+        lead += f" The first {_MOST_DRAWS} of {len(drawn):,}; the index has all."
+    absent = "No draws are recorded here: the recipe has no distributions, or the folder has no index."
+    parts = [_draw(source, name, source.metadata.draws) for name in drawn[:_MOST_DRAWS]]
+    return Section("draws", "Drawn values", absent, lead, parts, _correlations(source, drawn))
+
+
+def _draw(source: Source, name: str, distributions: Mapping[str, Any]) -> Part | None:
+    key, frames = name.removeprefix(DRAW), source.frames
+    text = _flow(distributions[key]) if key in distributions else ""
+    note = text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 4]} ..."
+    if frames.is_number(name):
+        unit = unit_of(key)
+        return numbers(frames, name, key, unit or "value", unit=unit, note=note)
+    return names(frames, name, key, note)
+
+
+def _flow(value: Any) -> str:
+    """A distribution as one would write it on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_flow(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _correlations(source: Source, drawn: Sequence[str]) -> list[Table]:
+    rows = [
+        Row(
+            f"{one.first.removeprefix(DRAW)} and {one.second.removeprefix(DRAW)}",
+            [Cell(f"{one.rank:+.2f}", abs(one.rank))],
+        )
+        for one in correlations(source.frames, drawn)
+    ]
+    note = (
+        "Spearman's rank correlation over the images. Of two things that always come together, a model may learn one "
+        "for the other. What the recipe correlates on purpose is here too."
+    )
+    return [Table("What goes together", ("pair", "correlation"), rows, note)] if rows else []
