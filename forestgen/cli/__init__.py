@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from forestgen.cli.arguments import option
+from forestgen.cli.arguments import with_options
 from forestgen.cli.communities import fit_kernel, lsystem, simulate, stats
 from forestgen.cli.console import errors_for_people, names_of
 from forestgen.cli.datasets import merge, pack, report, verify
@@ -68,17 +68,15 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_ALLOW = "Let recipes read from this folder too, not only from their own. Before the command's name; may be repeated."
+
+
 @app.callback()
 def options(
-    version: Annotated[bool, option("--version", "Show the version.", callback=_version, is_eager=True)] = False,
-    allowed: Annotated[
-        list[Path] | None,
-        option(
-            "--allow-folder DIR",
-            "Let recipes read from this folder too, not only from their own. Before the command's name; may be "
-            "repeated.",
-        ),
-    ] = None,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version.", callback=_version, is_eager=True)
+    ] = False,
+    allowed: Annotated[list[Path] | None, typer.Option("--allow-folder", metavar="DIR", help=_ALLOW)] = None,
 ) -> None:
     if allowed:
         from forestgen.recipe.assets import allow_folders
@@ -108,7 +106,8 @@ _COMMANDS: tuple[tuple[Callable[..., None], str, type[typer.core.TyperCommand] |
     (doctor, "doctor", None),
 )
 for _function, _example, _class in _COMMANDS:
-    app.command(_function.__name__.replace("_", "-"), cls=_class, epilog=f"Example: forestgen {_example}")(_function)
+    _name, _epilog = _function.__name__.replace("_", "-"), f"Example: forestgen {_example}"
+    app.command(_name, cls=_class, epilog=_epilog)(with_options(_function))
 add_completion(app)
 
 

@@ -5,20 +5,19 @@ from __future__ import annotations
 import json
 import sys
 from itertools import groupby
-from typing import Annotated
+from pathlib import Path
 
 import typer
 
-from forestgen.cli.arguments import Json, Overrides, RecipePath, argument, option
 from forestgen.cli.console import Printer
 
 
-def validate(recipe: RecipePath, overrides: Overrides = None, as_json: Json = False) -> None:
+def validate(recipe: Path, set_: list[str] | None = None, json_: bool = False) -> None:
     """Check a recipe without making anything, and say what it would make."""
     from forestgen import load
 
-    found, say = load(recipe, set=overrides).validate(), Printer()
-    if as_json:
+    found, say = load(recipe, set=set_).validate(), Printer()
+    if json_:
         say.json(found.as_dict())
         return
     for line in str(found).splitlines():
@@ -34,22 +33,17 @@ def schema() -> None:
     sys.stdout.write(json.dumps(schema_of(), indent=2) + "\n")
 
 
-def models(
-    name: Annotated[
-        str | None, argument("NAME", "Show this part's manual page, or this species' or recipe's file.")
-    ] = None,
-    kind: Annotated[
-        str | None,
-        option("--kind KIND", "Only these, such as community_model or species; an unknown one lists the kinds."),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """List models, generators, data set formats and all other parts, species and recipes."""
+def models(name: str | None = None, kind: str | None = None, json_: bool = False) -> None:
+    """List models, generators, data set formats and all other parts, species and recipes.
+
+    NAME  Show this part's manual page, or this species' or recipe's file.
+    --kind KIND  Only these, such as community_model or species; an unknown one lists the kinds.
+    """
     from forestgen import models as list_models
     from forestgen.recipe.assets import recipes_dir, scenes_dir
 
     found, say = list_models(name, kind=kind), Printer()
-    if as_json:
+    if json_:
         say.json([{**one.as_dict(), "page": one.page} if name is not None else one.as_dict() for one in found])
         return
     if name is not None:
@@ -64,13 +58,13 @@ def models(
     say(f"species and lsystems lie in {scenes_dir()}, recipes in {recipes_dir()}")
 
 
-def doctor(as_json: Json = False) -> None:
+def doctor(json_: bool = False) -> None:
     """Check this machine, and say what to do about what is missing. Exit code 3 if it cannot render."""
     from forestgen import doctor as diagnose
     from forestgen.core.errors import ResourceError
 
     found, say = diagnose(), Printer()
-    if as_json:
+    if json_:
         say.json(found.as_dict())
     else:
         for line in found.lines():
