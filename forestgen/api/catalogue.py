@@ -163,12 +163,13 @@ class SpeciesEntry:
 
 def species() -> list[SpeciesEntry]:
     """The species that come with forestgen."""
-    from forestgen.runs.single_plant import drawn_of, mature_size_m
+    from forestgen.api.plants import drawn_of
+    from forestgen.plants.build import size_m
 
     found = []
     for name in list_assets("species"):
         one = drawn_of(name, 0).species[name]
-        height_m, width_m = mature_size_m(one)
+        height_m, width_m = size_m(one, one.ecology.max_radius_m)
         found.append(SpeciesEntry(name, height_m, width_m, one.plant.generator, one.description))
     return found
 

@@ -14,7 +14,7 @@ from forestgen.cli.console import Printer
 from forestgen.core.figures import count, show_bytes, table_lines, three_digits
 
 if TYPE_CHECKING:
-    from forestgen.runs.single_plant import SinglePlant
+    from forestgen.api.plants import SinglePlant
 
 _MOST_FILES = 6  # named one by one
 
