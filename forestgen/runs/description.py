@@ -95,10 +95,8 @@ def describe(
 ) -> dict[str, Any]:
     """The content of dataset.json.
 
-    Parameters
-    ----------
-    record_index : with all records, and the files over all images of each split.
-    made_with : `this_version` of each machine that made images, without repetition.
+    `record_index`: with all records, and the files over all images of each split.
+    `made_with`: `this_version` of each machine that made images, without repetition.
     """
     named = list(dict.fromkeys(name for part in parts for name in part.splits))  # in the recipe's order
     splits = sorted(record_index.splits, key=lambda name: (named.index(name) if name in named else len(named), name))

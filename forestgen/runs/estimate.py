@@ -163,14 +163,10 @@ def estimate(
 def check_fits(expected: Estimate, storage: StorageBackend, *, workers_here: bool = True) -> None:
     """Refuse a batch that cannot fit.
 
-    Parameters
-    ----------
-    workers_here : whether the workers are processes of this machine.
+    `workers_here`: whether the workers are processes of this machine.
 
-    Raises
-    ------
-    ResourceError : too little memory for a worker, or for the workers that were asked for.
-    OutputError : the disk is too small.
+    Raises `ResourceError`: too little memory for a worker, or for the workers that were asked for.
+    Raises `OutputError`: the disk is too small.
     """
     if workers_here:
         _check_memory(expected)

@@ -69,16 +69,12 @@ def finish(
 ) -> Finished:
     """Write each split's merged files, and those of the whole data set.
 
-    Parameters
-    ----------
-    jobs : the images of the data set. Frames and records of no job of these are removed.
-    records : of finished jobs, in any order; those of other jobs do not count. An image whose files are not all there
-        in their sizes loses its record, so that the next run makes it again.
+    `jobs`: the images of the data set. Frames and records of no job of these are removed.
+    `records`: of finished jobs, in any order; those of other jobs do not count. An image whose files are not all there
+    in their sizes loses its record, so that the next run makes it again.
 
-    Raises
-    ------
-    OutputError : a file cannot be written, or a frame's share of a format is damaged.
-    DatasetError : two records contradict each other.
+    Raises `OutputError`: a file cannot be written, or a frame's share of a format is damaged.
+    Raises `DatasetError`: two records contradict each other.
     """
     part = recipe_part(loaded, ranges_of(sorted(job.image for job in jobs)))
     wanted = {job.key for job in jobs}

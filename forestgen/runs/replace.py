@@ -63,9 +63,7 @@ def recover(storage: StorageBackend, say: Callable[[str], None]) -> None:
 
     The previous data set is put back or, if the new one has a finished image, removed, but for users' files.
 
-    Raises
-    ------
-    OutputError : something cannot be moved.
+    Raises `OutputError`: something cannot be moved.
     """
     outcome = _settle(storage, say) if isinstance(storage, LocalStorage) else None
     if outcome is not None:
@@ -87,9 +85,7 @@ def replacing(
     overwrite : replace the data set that is there; if the block fails before an image is finished, it is put back.
     keep_begun : without `overwrite`, leave what a block has begun that fails before an image is finished: its log.
 
-    Raises
-    ------
-    OutputError : users' files lie where the new data set has its own, or something cannot be moved.
+    Raises `OutputError`: users' files lie where the new data set has its own, or something cannot be moved.
     """
     if overwrite:
         check_replaceable(storage, splits)
@@ -111,10 +107,8 @@ def replacing(
 def _settle(storage: LocalStorage, say: Callable[[str], None], *, drop_begun: bool = False) -> str | None:
     """What became of the previous data set: it is back, or removed; None if there was none, or it stays.
 
-    Parameters
-    ----------
-    say : called with users' files that were kept, and with what could not be removed.
-    drop_begun : remove a data set without a finished image also where there was no previous one.
+    `say`: called with users' files that were kept, and with what could not be removed.
+    `drop_begun`: remove a data set without a finished image also where there was no previous one.
     """
     root = storage.root
     outcome: str | None = None
@@ -204,9 +198,7 @@ def foreign_files(root: Path) -> list[str]:
     The sources are SHA256SUMS for a finished data set; else the images' records, the names that forestgen uses in any
     data set, and its list of the files over all images (`folder.note_written`).
 
-    Raises
-    ------
-    OutputError : the folder cannot be read, or the disk of temporary files is full.
+    Raises `OutputError`: the folder cannot be read, or the disk of temporary files is full.
     """
     with TemporaryDirectory(prefix="forestgen-foreign-") as scratch, RecordIndex(Path(scratch)) as record_index:
         refused: list[Finding] = []
@@ -266,13 +258,9 @@ def check_replaceable(storage: StorageBackend, splits: Iterable[str]) -> None:
 
     Files where only some formats have theirs are not refused: they are renamed when the new data set is there.
 
-    Parameters
-    ----------
-    splits : names of the new one's.
+    `splits`: names of the new one's.
 
-    Raises
-    ------
-    OutputError
+    Raises `OutputError`.
     """
     if not isinstance(storage, LocalStorage):
         hint = "remove it there, or choose another"
@@ -312,9 +300,7 @@ def move_foreign(source: Path, target: Path) -> list[str]:
 
     Files of other tools go only into folders that are there, and not into frames.
 
-    Raises
-    ------
-    OSError : one cannot be moved; the others after it stay too.
+    Raises `OSError`: one cannot be moved; the others after it stay too.
     """
     splits = {*splits_before(LocalStorage(source)), *splits_before(LocalStorage(target))}
     kept: list[str] = []

@@ -113,10 +113,8 @@ def run_batch(
         ends before an image is finished leaves nothing; so does one with `overwrite`.
     threads, memory_bytes : of each worker; None: no bound.
 
-    Raises
-    ------
-    RecipeError, ResourceError : see `check_recipe`, `check_stale_outputs` and `prepare`.
-    OutputError, DatasetError : the storage fails for good, or the first images all fail; what is done stays.
+    Raises `RecipeError`, `ResourceError`: see `check_recipe`, `check_stale_outputs` and `prepare`.
+    Raises `OutputError`, `DatasetError`: the storage fails for good, or the first images all fail; what is done stays.
     """
     display = display or SilentDisplay()
     storage, images = storage_of(target), images_of(loaded, count)
@@ -187,14 +185,10 @@ def images_of(loaded: LoadedRecipe, count: int) -> range:
 def check_recipe(loaded: LoadedRecipe, images: range) -> tuple[DatasetSettings, dict[str, float]]:
     """Settings of the data set, and the splits with their shares, of a recipe that passes every check.
 
-    Parameters
-    ----------
-    images : numbers of those that are wanted.
+    `images`: numbers of those that are wanted.
 
-    Raises
-    ------
-    RecipeError : at an end of its distributions the recipe asks for the impossible, or for several data sets.
-    ResourceError : an image would need more memory than is free.
+    Raises `RecipeError`: at an end of its distributions the recipe asks for the impossible, or for several data sets.
+    Raises `ResourceError`: an image would need more memory than is free.
     """
     plan = check_plan(loaded)
     settings = data_set_of(plan.drawn)

@@ -158,9 +158,7 @@ def damaged_images(
     stale : those that are made again in any case: they are not checked.
     say : takes progress, and a sentence about each of the first damaged images.
 
-    Raises
-    ------
-    OutputError : a file is there and must not be read.
+    Raises `OutputError`: a file is there and must not be read.
     """
     total = len(done_keys(storage))
     if not total:

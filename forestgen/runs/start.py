@@ -116,10 +116,9 @@ class RunOptions:
 def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> RunSummary:
     """Make a recipe's images in this process; the first one that fails raises its error, finished ones stay.
 
-    Raises
-    ------
-    RecipeError, AssetError, ResourceError, OutputError, RenderError : what an image or the folder does not allow.
-    DatasetError : images are missing at the end.
+    Raises `RecipeError`, `AssetError`, `ResourceError`, `OutputError`, `RenderError`: what an image or the folder does
+    not allow.
+    Raises `DatasetError`: images are missing at the end.
     """
 
     def prepare(work: Work, left: int) -> Work:
@@ -132,10 +131,8 @@ def render(loaded: LoadedRecipe, target: str, options: RunOptions, display: Disp
 def batch(loaded: LoadedRecipe, target: str, options: RunOptions, display: Display) -> RunSummary:
     """Make a recipe's images with many workers.
 
-    Raises
-    ------
-    RecipeError, ResourceError, OutputError : see `forestgen.runs.run.run_batch`.
-    DatasetError : images failed, or are missing at the end.
+    Raises `RecipeError`, `ResourceError`, `OutputError`: see `forestgen.runs.run.run_batch`.
+    Raises `DatasetError`: images failed, or are missing at the end.
     """
     workers = _Workers(options, display)
     return _run(loaded, target, options, display, workers.engine, workers.prepare)

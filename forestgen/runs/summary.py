@@ -259,10 +259,8 @@ class _JobDone(BaseModel):
 def write_jobs_table(storage: StorageBackend, lines: Iterable[Mapping[str, Any]], images: range) -> None:
     """Write run/jobs.parquet: a row an image, what the log's last sound `job_done` says of it.
 
-    Parameters
-    ----------
-    lines : of the log.
-    images : numbers of the batch's images.
+    `lines`: of the log.
+    `images`: numbers of the batch's images.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -179,9 +179,7 @@ def verify(
     hashes : read all files and compare their sums; otherwise only that they are there.
     labels : check the labels of each split.
 
-    Raises
-    ------
-    RecipeError : the folder is no data set of forestgen, or a number is out of bounds.
+    Raises `RecipeError`: the folder is no data set of forestgen, or a number is out of bounds.
     """
     whole_of(rerender, "rerender", 0, 10**9)
     whole_of(seed, "seed", 0, MOST_SEEDS)
@@ -218,10 +216,8 @@ def verify(
 def open_data_set(root: Path) -> dict[str, Any]:
     """dataset.json of a finished data set.
 
-    Raises
-    ------
-    RecipeError : the folder holds something else: what it seems to be, and what to do.
-    DatasetError : dataset.json is damaged.
+    Raises `RecipeError`: the folder holds something else: what it seems to be, and what to do.
+    Raises `DatasetError`: dataset.json is damaged.
     """
     refuse_address(root)
     check_folder(root, "a folder that forestgen render or batch made")

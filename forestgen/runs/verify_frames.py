@@ -43,10 +43,8 @@ class FrameFacts:
 def check_frames(root: Path, description: Mapping[str, Any], jobs: int | None, progress: Progress) -> list[Check]:
     """The checks that open every frame.
 
-    Parameters
-    ----------
-    description : dataset.json.
-    jobs : threads; by default the cores.
+    `description`: dataset.json.
+    `jobs`: threads; by default the cores.
     """
     class_names = description["settings"]["class_names"]
     frames: list[Finding] = []

@@ -54,9 +54,7 @@ class DaskEngine:
     job_memory_bytes : that a job takes at its peak, from the estimate; None if it is not known.
     notice : called with events ``worker_joined``, ``worker_lost``, ``worker_refused`` and ``waiting``, with a message.
 
-    Raises
-    ------
-    ResourceError : on entry, no scheduler answers, or none of its workers fits; later, the scheduler is gone.
+    Raises `ResourceError`: on entry, no scheduler answers, or none of its workers fits; later, the scheduler is gone.
     """
 
     def __init__(
