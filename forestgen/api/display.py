@@ -16,7 +16,7 @@ from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import three_digits
 from forestgen.core.progress import Progress
-from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
+from forestgen.runs.summary import Display, ProgressTracker, SilentDisplay
 
 _LINE_EVERY_S = 60.0
 _NOTEBOOK_EVERY_S = 0.5

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from forestgen.dataset.frame import Frame
     from forestgen.recipe.load import LoadedRecipe
     from forestgen.runs.start import DryRun
-    from forestgen.runs.tracker import Display
+    from forestgen.runs.summary import Display
 
 
 class Rendering:
@@ -43,7 +43,7 @@ class Rendering:
         threads, device, progress : see `render`.
         """
         from forestgen.api.frames import frames_of
-        from forestgen.runs.start import RunOptions
+        from forestgen.runs.contract import RunOptions
         from forestgen.scene.planning import check_plan
 
         loaded = self._loaded
@@ -83,7 +83,8 @@ class Rendering:
         ------
         ForestgenError : the first image that fails raises its own error; finished images stay, and `resume` goes on.
         """
-        from forestgen.runs.start import RunOptions, render
+        from forestgen.runs.contract import RunOptions
+        from forestgen.runs.start import render
 
         options = RunOptions.of(locals())
         target = address_of(free_folder(Path("outputs") / self._loaded.path.stem) if out is None else out, "out")
@@ -127,7 +128,8 @@ class Rendering:
         DatasetError : images could not be made; the others are there.
         RecipeError, ResourceError, OutputError
         """
-        from forestgen.runs.start import RunOptions, batch
+        from forestgen.runs.contract import RunOptions
+        from forestgen.runs.start import batch
 
         options, target = RunOptions.of(locals()), address_of(out, "out")
         with _shown(options.device, progress) as display:
@@ -160,7 +162,8 @@ class Rendering:
         ------
         RecipeError, ResourceError, OutputError : the batch could not be made.
         """
-        from forestgen.runs.start import RunOptions, dry_run
+        from forestgen.runs.contract import RunOptions
+        from forestgen.runs.start import dry_run
 
         options, target = RunOptions.of(locals()), address_of(out, "out")
         with _shown(options.device, progress) as display:

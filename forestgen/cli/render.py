@@ -15,7 +15,7 @@ from forestgen.core.figures import count
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
     from forestgen.api.recipes import Recipe
-    from forestgen.runs.tracker import Display
+    from forestgen.runs.summary import Display
 
 _OPTIONS = (
     "workers", "threads", "resume", "discard", "overwrite", "worker_memory", "timeout", "retries", "engine",

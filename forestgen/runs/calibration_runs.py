@@ -25,7 +25,7 @@ from forestgen.plants.growing import forget_shared
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
 from forestgen.runs.engines.local import LocalEngine
-from forestgen.runs.keys import job_key, versions_hash
+from forestgen.runs.records import job_key, versions_hash
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
 from forestgen.scene.plan import estimate_bytes

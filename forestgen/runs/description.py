@@ -19,8 +19,8 @@ from forestgen.dataset.safe_path import is_frame, load_json
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.recipe.dataset import SplitName
-from forestgen.runs.keys import versions_hash
 from forestgen.runs.record_index import FileSum, RecordIndex
+from forestgen.runs.records import versions_hash
 
 MOST_IMAGES = 10_000_000  # of a recipe; a number in an untrusted file is counted up to
 DATASET_NAME = "dataset.json"

@@ -34,7 +34,7 @@ from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS, splits_before, writte
 from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import done_keys
 from forestgen.runs.storage import LOCK_FILES, STAGING, LocalStorage, unreadable_storage
-from forestgen.runs.verify_files import enter_records, enter_sums
+from forestgen.runs.verify_index import enter_records, enter_sums
 
 _MAP = rf"{MAPS}/[0-9a-f]{{16}}\.[^/]+"
 _OF_RUN = re.compile(rf"SHA256SUMS|report\.html|{RUN}/(log\.jsonl|jobs\.parquet|summary\.json)")  # not in SHA256SUMS

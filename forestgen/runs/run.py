@@ -22,6 +22,7 @@ from forestgen.runs.contract import (
     Lock,
     Notice,
     Outcome,
+    RunOptions,
     StorageBackend,
     Work,
 )
@@ -36,14 +37,22 @@ from forestgen.runs.folder import (
     open_batch,
     settle_batch,
 )
-from forestgen.runs.keys import job_key, versions_hash
-from forestgen.runs.records import done_keys, records_of
+from forestgen.runs.records import done_keys, job_key, records_of, versions_hash
 from forestgen.runs.remote_storage import storage_of
 from forestgen.runs.replace import check_replaceable, recover, replacing
 from forestgen.runs.stale_outputs import ResumeDiff, check_stale_outputs, damaged_images, resume_diff
 from forestgen.runs.storage import LocalStorage
-from forestgen.runs.summary import Log, RunSummary, done_fields, failed_fields, write_jobs_table, write_summary
-from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
+from forestgen.runs.summary import (
+    Display,
+    Log,
+    ProgressTracker,
+    RunSummary,
+    SilentDisplay,
+    done_fields,
+    failed_fields,
+    write_jobs_table,
+    write_summary,
+)
 from forestgen.scene.planning import check_plan
 
 _AHEAD = 2  # jobs that are drawn and handed on, for each worker; one by one where the first failure ends the run
@@ -84,20 +93,14 @@ class _Run:
 def run_batch(
     loaded: LoadedRecipe,
     target: str,
-    *,
-    count: int,
+    options: RunOptions,
     engine: Callable[[Work, Notice], Engine],
     prepare: Callable[[Work, int], Work] = lambda work, left: work,
-    resume: bool = False,
-    discard: bool = False,
-    overwrite: bool = False,
-    retries: int = 2,
+    *,
     strict: bool = False,
-    threads: int | None = None,
-    memory_bytes: int | None = None,
     display: Display | None = None,
 ) -> RunSummary:
-    """Make the first `count` images of a recipe into a data set: all of them, or those that it lacks.
+    """Make the first images of a recipe into a data set: all of them, or those that it lacks.
 
     Parameters
     ----------
@@ -105,28 +108,26 @@ def run_batch(
     engine : makes what does the jobs, given what they need, and whom to tell which workers come and go.
     prepare : given the work and the number of images that are to be made, before anything is changed: refuses what
         cannot fit, and returns the work with the threads of each worker.
-    resume : go on in a data set that is there, and make its damaged images again; without it, it is refused.
-    discard : whether finished images may be thrown away that are too many, or that would be made otherwise now.
-    overwrite : replace a data set that is there, which comes back if no image of the new one is finished.
-    retries : attempts after the first, of jobs whose failure may pass.
-    strict : an image that cannot be drawn ends the run with its own error; the others before it are made. A run that
-        ends before an image is finished leaves nothing; so does one with `overwrite`.
-    threads, memory_bytes : of each worker; None: no bound.
+    strict : an image that cannot be drawn or made ends the run with its own error; the others before it are made. A run
+        that ends before an image is finished leaves nothing; so does one with `options.overwrite`.
 
-    Raises `RecipeError`, `ResourceError`: see `check_recipe`, `check_stale_outputs` and `prepare`.
-    Raises `OutputError`, `DatasetError`: the storage fails for good, or the first images all fail; what is done stays.
+    Raises
+    ------
+    RecipeError, ResourceError : see `check_recipe`, `check_stale_outputs` and `prepare`.
+    OutputError, DatasetError : the storage fails for good, or the first images all fail; what is done stays.
     """
-    display = display or SilentDisplay()
+    display, overwrite = display or SilentDisplay(), options.overwrite
+    count = options.count or loaded.images
     storage, images = storage_of(target), images_of(loaded, count)
     check_ours(storage)
     settings, splits = check_recipe(loaded, images)
-    work = Work(loaded, settings, storage, versions_hash(), threads, memory_bytes)
+    work = Work(loaded, settings, storage, versions_hash(), options.threads, options.memory_bytes)
     with storage.lock(display.say) as lock:
-        check_resume(storage, resume=resume or overwrite)
+        check_resume(storage, resume=options.resume or overwrite)
         recover(storage, display.say)
         mark = fingerprint(loaded, work.versions)
         before = finished_images(work, images, splits, mark, display.say, overwrite=overwrite)
-        check_stale_outputs(before, storage.name, agreed=discard)
+        check_stale_outputs(before, storage.name, agreed=options.discard)
         work = prepare(work, count - before.kept)
         with replacing(storage, splits, display.say, overwrite=overwrite, keep_begun=not strict):
             storage.clear_staging()
@@ -135,6 +136,7 @@ def run_batch(
             with Log(storage) as log:
                 storage.discard(storage.staging())  # raises if nothing can be written, before anything is removed
                 known = open_batch(storage, images, used, mark, display.say, before.stale, damaged)
+                retries = 0 if strict else options.retries
                 run = _Run(work, lock, log, JobQueue(work, images, splits, known), display, retries, strict)
                 _log_start(run, target, damaged)
                 return _make_and_finish(run, engine, images, used, mark)

@@ -33,8 +33,7 @@ from forestgen.recipe.load import LoadedRecipe
 from forestgen.runs.contract import JobRecord, StorageBackend
 from forestgen.runs.finish import recipe_part
 from forestgen.runs.folder import images_in_frames, is_made_from
-from forestgen.runs.keys import image_of_key, job_key
-from forestgen.runs.records import done_keys, in_order, records_of
+from forestgen.runs.records import done_keys, image_of_key, in_order, job_key, records_of
 from forestgen.runs.storage import LocalStorage, unreadable_storage
 from forestgen.runs.verify_index import plain_yaml
 

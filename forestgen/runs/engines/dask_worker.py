@@ -51,7 +51,7 @@ class GuardedStorage:
 def versions() -> dict[str, str]:
     """What must be the same on all machines: its name for people -> version or hash."""
     from forestgen.dataset.manifest import package_versions
-    from forestgen.runs.keys import versions_hash
+    from forestgen.runs.records import versions_hash
 
     return {
         "Python": platform.python_version(),

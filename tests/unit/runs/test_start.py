@@ -13,8 +13,7 @@ from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.figures import parse_bytes
 from forestgen.recipe.assets import recipes_dir
 from forestgen.runs import start
-from forestgen.runs.contract import Failed, FailureKind, Job
-from forestgen.runs.start import RunOptions, seconds_of
+from forestgen.runs.contract import Failed, FailureKind, Job, RunOptions, seconds_of
 from forestgen.runs.summary import RunSummary
 from support.displays import RecordingDisplay
 
