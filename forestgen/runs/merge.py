@@ -7,7 +7,6 @@ two has the same number.
 
 from __future__ import annotations
 
-import hashlib
 import heapq
 import json
 import os
@@ -21,6 +20,7 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.core.progress import Progress, Silent
+from forestgen.dataset.checksums import file_sum
 from forestgen.dataset.files import make_folder, output_error
 from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
 from forestgen.dataset.manifest import is_run_folder
@@ -36,8 +36,6 @@ from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import JOBS, record_bytes, record_path, records_of
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify import open_data_set, refuse_address
-
-_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -290,10 +288,9 @@ def _take(piece: Piece, record: JobRecord, storage: LocalStorage, link: bool) ->
             continue
         make_folder(target.parent)
         try:
-            if link and source.size_bytes() >= 0 and _linked(source, target):
-                digest, size = entry["sha256"], target.stat().st_size  # a link is not read
-            else:
-                digest, size = _copied(source, target, int(entry["bytes"]))
+            size, digest = source.size_bytes(), entry["sha256"]  # a link is not read
+            if size == entry["bytes"] and not (link and _linked(source, target)):
+                digest = _copied(source, target)
         except OSError as error:
             raise unreadable(source, error, "forestgen verify names all such files") from error
         if size != entry["bytes"] or digest != entry["sha256"]:
@@ -316,17 +313,13 @@ def _linked(source: SafePath, target: Path) -> bool:
     return True
 
 
-def _copied(source: SafePath, target: Path, most_bytes: int) -> tuple[str, int]:
-    """SHA-256 and size of what was copied: of a file that is longer than `most_bytes` not all."""
-    digest, size = hashlib.sha256(), 0
+def _copied(source: SafePath, target: Path) -> str:
+    """SHA-256 of the copy."""
     with source.open() as stream:
         try:
             with target.open("wb") as copy:
-                while size <= most_bytes and (block := stream.read(_BLOCK_BYTES)):
-                    digest.update(block)
-                    copy.write(block)
-                    size += len(block)
+                shutil.copyfileobj(stream, copy)
+            shutil.copystat(source.located(), target)
         except OSError as error:
             raise output_error(error, target) from error
-    shutil.copystat(source.located(), target)
-    return digest.hexdigest(), size
+    return file_sum(target)

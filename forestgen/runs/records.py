@@ -77,18 +77,7 @@ def record_path(key: str) -> str:
 
 def record_bytes(record: JobRecord) -> bytes:
     """A record as JSON: the same bytes for the same content; last comes the SHA-256 of what is before it."""
-    content = {
-        "schema": _SCHEMA,
-        "key": record.key,
-        "image": record.image,
-        "split": record.split,
-        "image_seed": record.image_seed,
-        "recipe_hash": record.recipe_hash,
-        "rows": list(record.rows),
-        "files": {path: dict(record.files[path]) for path in sorted(record.files)},
-        "report": dict(record.report),
-        "notes": list(record.notes),
-    }
+    content = {"schema": _SCHEMA, **vars(record), "files": {path: record.files[path] for path in sorted(record.files)}}
     body = json.dumps(content, separators=(",", ":"), ensure_ascii=False)[:-1].encode()
     return body + _SUM + hashlib.sha256(body).hexdigest().encode() + b'"}\n'
 
