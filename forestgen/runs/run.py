@@ -26,7 +26,7 @@ from forestgen.runs.contract import (
     StorageBackend,
     Work,
 )
-from forestgen.runs.finish import Finished, finish
+from forestgen.runs.finish import finish
 from forestgen.runs.folder import (
     TAKEN,
     FinishedImages,
@@ -48,8 +48,7 @@ from forestgen.runs.summary import (
     ProgressTracker,
     RunSummary,
     SilentDisplay,
-    done_fields,
-    failed_fields,
+    job_fields,
     write_jobs_table,
     write_summary,
 )
@@ -138,7 +137,10 @@ def run_batch(
                 known = open_batch(storage, images, used, mark, display.say, before.stale, damaged)
                 retries = 0 if strict else options.retries
                 run = _Run(work, lock, log, JobQueue(work, images, splits, known), display, retries, strict)
-                _log_start(run, target, damaged)
+                about = {"images": len(images), "done": run.queue.done, "threads": work.threads}
+                log.event("start", target=target, recipe=str(loaded.path), **about)
+                for image, problem in damaged.items():
+                    log.event("image_damaged", image=image, message=problem)
                 return _make_and_finish(run, engine, images, used, mark)
 
 
@@ -152,15 +154,6 @@ def finished_images(
     return ResumeDiff(0, 0, frozenset())
 
 
-def _log_start(run: _Run, target: str, damaged: Mapping[int, str]) -> None:
-    loaded, images = run.work.loaded, run.tracker.total
-    run.log.event(
-        "start", target=target, recipe=str(loaded.path), images=images, done=run.queue.done, threads=run.work.threads
-    )
-    for image, problem in damaged.items():
-        run.log.event("image_damaged", image=image, message=problem)
-
-
 def _make_and_finish(
     run: _Run, engine: Callable[[Work, Notice], Engine], images: range, splits: list[str], mark: str
 ) -> RunSummary:
@@ -171,7 +164,6 @@ def _make_and_finish(
         settle_batch(work.storage, splits, mark)
         return _finish(run, images)
     except BaseException as error:
-        _count_made(run)
         _log_stop(run, error)
         raise
     finally:
@@ -224,7 +216,10 @@ def _make_all(run: _Run, engine: Engine) -> None:
                 in_flight -= 1
                 _account(run, outcome)
             run.lock.check()
-            _tell(run)
+            run.display.show(run.tracker)
+            if time.monotonic() - run.logged_s > _PROGRESS_EVERY_S:
+                run.logged_s = time.monotonic()
+                run.log.event("progress", **run.tracker.as_event())
 
 
 def _hand_out(run: _Run, engine: Engine, in_flight: int) -> int:
@@ -252,7 +247,7 @@ def _account(run: _Run, outcome: Outcome) -> None:
         run.last = outcome.record
         run.notes += outcome.record.notes
         run.peak_memory_bytes = max(run.peak_memory_bytes, outcome.run.peak_memory_bytes)
-        run.log.event("job_done", **done_fields(outcome))
+        run.log.event("job_done", **job_fields(outcome))
         return
     if outcome.kind == "worker":
         run.log.event("worker_lost", worker=outcome.worker, image=outcome.job.image, message=outcome.message)
@@ -260,7 +255,7 @@ def _account(run: _Run, outcome: Outcome) -> None:
         _give_up(run, outcome)
         return
     run.tracker.retried += 1
-    run.log.event("job_failed", **failed_fields(outcome), will_retry=True)
+    run.log.event("job_failed", **job_fields(outcome), will_retry=True)
     run.queue.again(outcome.job, outcome.attempt + 1)
 
 
@@ -268,7 +263,7 @@ def _give_up(run: _Run, failed: Failed) -> None:
     """An image that will not be made; the run goes on, unless the others would fail alike."""
     run.failed.append(failed)
     run.tracker.failed += 1
-    run.log.event("job_failed", **failed_fields(failed), will_retry=False)
+    run.log.event("job_failed", **job_fields(failed), will_retry=False)
     if run.strict and failed.error is not None:
         raise failed.error
     if failed.kind == "output":
@@ -287,14 +282,6 @@ def _give_up(run: _Run, failed: Failed) -> None:
         )
 
 
-def _tell(run: _Run) -> None:
-    run.display.show(run.tracker)
-    now = time.monotonic()
-    if now - run.logged_s > _PROGRESS_EVERY_S:
-        run.logged_s = now
-        run.log.event("progress", **run.tracker.as_event())
-
-
 def _finish(run: _Run, images: range) -> RunSummary:
     """The files over all images, the report, and the counts."""
     storage, tracker = run.work.storage, run.tracker
@@ -306,7 +293,24 @@ def _finish(run: _Run, images: range) -> RunSummary:
     run.log.upload()
     write_jobs_table(storage, run.log.lines(), images)
     report, why = _write_report(storage)
-    summary = _summary(run, whole, report, (*whole.notes, *why))
+    summary = RunSummary(
+        target=storage.name,
+        images=tracker.total,
+        already=tracker.already,
+        made=tracker.made,
+        failed=tuple(sorted(run.failed, key=lambda failed: failed.job.image)),
+        missing=whole.missing,
+        frames=whole.frames,
+        bytes=whole.bytes,
+        report=report,
+        seconds=time.monotonic() - tracker.started_s,
+        images_per_hour=tracker.images_per_hour,
+        stages_s=tracker.longest_stages_s,
+        peak_memory_bytes=run.peak_memory_bytes,
+        notes=(*whole.notes, *why),
+        image_notes=tuple(run.notes),
+        last=run.last,
+    )
     write_summary(storage, summary)
     return summary
 
@@ -327,46 +331,21 @@ def _write_report(storage: StorageBackend) -> tuple[str | None, list[str]]:
     return f"{storage.name}/{_REPORT}", []
 
 
-def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, ...]) -> RunSummary:
-    tracker = run.tracker
-    return RunSummary(
-        target=run.work.storage.name,
-        images=tracker.total,
-        already=tracker.already,
-        made=tracker.made,
-        failed=tuple(sorted(run.failed, key=lambda failed: failed.job.image)),
-        missing=whole.missing,
-        frames=whole.frames,
-        bytes=whole.bytes,
-        report=report,
-        seconds=time.monotonic() - tracker.started_s,
-        images_per_hour=tracker.images_per_hour,
-        stages_s=tracker.longest_stages_s,
-        peak_memory_bytes=run.peak_memory_bytes,
-        notes=notes,
-        image_notes=tuple(run.notes),
-        last=run.last,
-    )
-
-
-def _count_made(run: _Run) -> None:
-    """Count the images by their records: a run that is stopped may not have heard of the last ones."""
-    if run.submitted:
-        with suppress(ForestgenError):  # what has stopped the run matters more
-            run.tracker.made = len(run.submitted & done_keys(run.work.storage))
-
-
 def _log_stop(run: _Run, error: BaseException) -> None:
-    """Why the run ended early; the error itself matters more than that the log may fail too."""
+    """Count the images made, and log why the run ended early; the error itself matters more than that these may fail.
+
+    They are counted by their records: a run that is stopped may not have heard of the last ones.
+    """
     if isinstance(error, ForestgenError):
         reason = str(error)
     else:
         reason = f"{type(error).__name__}: {error}" if isinstance(error, Exception) else "interrupted"
-    try:
+    with suppress(ForestgenError):
+        if run.submitted:
+            run.tracker.made = len(run.submitted & done_keys(run.work.storage))
+    with suppress(ForestgenError):
         run.log.event("stop", reason=reason, **run.tracker.as_event())
         run.log.upload()
-    except ForestgenError:
-        return
 
 
 class JobQueue:
@@ -410,16 +389,13 @@ class JobQueue:
                 continue
             if known is not None:
                 forget_key(self._storage, known)
-            drawn = self._draw(image)
-            self.keys[image] = "" if isinstance(drawn, Failed) else drawn.key
-            yield drawn if isinstance(drawn, Failed) else (drawn, 1)
-
-    def _draw(self, image: int) -> Job | Failed:
-        try:
-            drawn = self._loaded.draw(image - self.images.start)
-        except ForestgenError as error:  # a drawn value that the schema rejects
-            return Failed(self._job(image, ""), 1, "recipe", str(error), error=error)
-        return self._job(image, job_key(drawn, self._versions))
+            self.keys[image] = ""
+            try:
+                self.keys[image] = job_key(self._loaded.draw(image - self.images.start), self._versions)
+            except ForestgenError as error:  # a drawn value that the schema rejects
+                yield Failed(self._job(image, ""), 1, "recipe", str(error), error=error)
+            else:
+                yield self._job(image, self.keys[image]), 1
 
     def _job(self, image: int, key: str) -> Job:
         return Job(image - self.images.start, image, split_of(self._splits, image), key)

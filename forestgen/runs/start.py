@@ -9,7 +9,7 @@ from forestgen.core.errors import DatasetError
 from forestgen.core.figures import count, seconds
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
-from forestgen.runs.contract import TRANSIENT, Engine, Failed, Notice, RunOptions, Work
+from forestgen.runs.contract import TRANSIENT, Engine, Notice, RunOptions, Work
 from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.estimate import BUDGET_S, LEAST_IMAGES, Estimate, check_disk, check_fits, estimate, most_disk_bytes
 from forestgen.runs.folder import check_ours, fingerprint
@@ -164,7 +164,10 @@ def _check_complete(summary: RunSummary) -> None:
             got="\n".join(summary.notes[:_MOST_FAILURES]),
             hint="the same command with `resume=True` makes them again",
         )
-    shown = [_failure(failed) for failed in summary.failed[:_MOST_FAILURES]]
+    shown = [
+        f"image {one.job.image} ({one.job.split}), {count(one.attempt, 'attempt')}, {one.kind}: {one.message}"
+        for one in summary.failed[:_MOST_FAILURES]
+    ]
     if len(summary.failed) > _MOST_FAILURES:
         shown.append(f"... and {len(summary.failed) - _MOST_FAILURES} more: run/log.jsonl has all")
     again = any(failed.kind in TRANSIENT for failed in summary.failed)
@@ -176,8 +179,3 @@ def _check_complete(summary: RunSummary) -> None:
         if again
         else "they would fail again in the same way; the data set is finished without them",
     )
-
-
-def _failure(failed: Failed) -> str:
-    tries = f"{failed.attempt} attempt{'s' if failed.attempt > 1 else ''}"
-    return f"image {failed.job.image} ({failed.job.split}), {tries}, {failed.kind}: {failed.message}"

@@ -27,7 +27,7 @@ from forestgen.core.figures import count, seconds, table_lines
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import make_folder, output_error
 from forestgen.dataset.safe_path import load_json
-from forestgen.runs.contract import RUN, Done, Failed, JobRecord, StorageBackend
+from forestgen.runs.contract import RUN, Done, Failed, JobRecord, Outcome, StorageBackend
 from forestgen.runs.storage import LocalStorage
 
 LOG = f"{RUN}/log.jsonl"
@@ -128,19 +128,10 @@ def _size_errors(errors: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def write_summary(storage: StorageBackend, summary: RunSummary) -> None:
     """Write run/summary.json."""
-    plain = {
-        "images": summary.images,
-        "already": summary.already,
-        "made": summary.made,
-        "failed": [one.job.image for one in summary.failed],
-        "missing": list(summary.missing),
-        "frames": summary.frames,
-        "bytes": summary.bytes,
-        "total_s": summary.seconds,
-        "timings_s": dict(summary.stages_s),
-        "peak_memory_bytes": summary.peak_memory_bytes,
-        "notes": list(summary.notes),
-    }
+    names = ("images", "already", "made", "failed", "missing", "frames", "bytes", "peak_memory_bytes", "notes")
+    plain = {name: getattr(summary, name) for name in names}
+    plain |= {"failed": [one.job.image for one in summary.failed], "total_s": summary.seconds}
+    plain["timings_s"] = dict(summary.stages_s)
     storage.write(SUMMARY, (json.dumps(plain, indent=1) + "\n").encode())
 
 
@@ -213,32 +204,15 @@ class Log:
                     yield line
 
 
-def done_fields(done: Done) -> dict[str, Any]:
-    """The fields of a `job_done`."""
-    run = done.run
-    return {
-        "image": done.job.image,
-        "split": done.job.split,
-        "attempt": run.attempt,
-        "seconds": round(run.seconds, 4),
-        "timings_s": {name: round(seconds, 4) for name, seconds in run.timings_s.items()},
-        "peak_memory_bytes": run.peak_memory_bytes,
-        "worker": run.worker,
-        "frames": len(done.record.rows),
-    }
-
-
-def failed_fields(failed: Failed) -> dict[str, Any]:
-    """The fields of a `job_failed`, but `will_retry`."""
-    return {
-        "image": failed.job.image,
-        "split": failed.job.split,
-        "attempt": failed.attempt,
-        "kind": failed.kind,
-        "message": failed.message,
-        "seconds": round(failed.seconds, 4),
-        "worker": failed.worker,
-    }
+def job_fields(outcome: Outcome) -> dict[str, Any]:
+    """The fields of a `job_done`, or of a `job_failed` but for `will_retry`."""
+    fields = {"image": outcome.job.image, "split": outcome.job.split}
+    if isinstance(outcome, Done):
+        fields |= {**vars(outcome.run), "frames": len(outcome.record.rows)}
+        fields["timings_s"] = {name: round(spent, 4) for name, spent in outcome.run.timings_s.items()}
+    else:
+        fields |= {name: getattr(outcome, name) for name in ("attempt", "kind", "message", "seconds", "worker")}
+    return {**fields, "seconds": round(fields["seconds"], 4)}
 
 
 Count = Annotated[int, Field(ge=0, lt=2**63)]
