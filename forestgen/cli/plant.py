@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from forestgen.api.plants import SinglePlant
 
 _MOST_FILES = 6  # named one by one
+_OPTIONS = (  # of `grow_files`
+    "height_m", "seed", "frames", "frames_per_s", "detail", "wood_triangles", "size_px", "samples", "distance_m",
+    "look_at_m", "overwrite",
+)  # fmt: skip
 
 
 def plant(
@@ -63,32 +67,24 @@ def plant(
         raise typer.BadParameter("name a species, or give --list", param_hint="SPECIES")
     from forestgen.api.plants import grow_files
 
-    made = grow_files(
-        species,
-        out or None,
-        height_m=height_m,
-        seed=seed,
-        count=count_,
-        frames=frames,
-        frames_per_s=frames_per_s,
-        detail=detail,
-        wood_triangles=wood_triangles,
-        size_px=size_px,
-        samples=samples,
-        distance_m=distance_m,
-        look_at_m=look_at_m,
-        overwrite=overwrite,
-        progress=progress_of(quiet),
-    )
-    say = Printer(quiet)
-    if json_:
+    given = {name: value for name, value in locals().items() if name in _OPTIONS}
+    made = grow_files(species, out or None, count=count_, progress=progress_of(quiet), **given)
+    _print(made, Printer(quiet), json_, frames is not None)
+
+
+def _print(made: Sequence[SinglePlant], say: Printer, as_json: bool, frames: bool) -> None:
+    if as_json:
         say.json([{**asdict(one), "files": {str(path): size for path, size in one.files.items()}} for one in made])
         return
     if len(made) == 1:
         _print_one(made[0], say)
     else:
-        _print_many(made, say, frames=frames is not None)
-    _print_files({path: size for one in made for path, size in one.files.items()}, say)
+        _print_many(made, say, frames=frames)
+    files = {path: size for one in made for path, size in one.files.items()}
+    shown = [f"{path} ({show_bytes(size)})" for path, size in files.items()]
+    if len(shown) > _MOST_FILES:
+        shown = [shown[0], "...", f"{shown[-1]}; {len(shown)} files, {show_bytes(sum(files.values()))}"]
+    say("files: " + ", ".join(shown))
 
 
 def _print_one(one: SinglePlant, say: Printer) -> None:
@@ -117,14 +113,6 @@ def _print_many(made: Sequence[SinglePlant], say: Printer, *, frames: bool) -> N
         )
     say(f"{count(len(made), 'frame' if frames else 'plant')} of {made[0].species}")
     say("\n".join(table_lines(rows)))
-
-
-def _print_files(files: dict[Path, int], say: Printer) -> None:
-    shown = [f"{path} ({show_bytes(size)})" for path, size in files.items()]
-    if len(shown) > _MOST_FILES:
-        total = show_bytes(sum(files.values()))
-        shown = [shown[0], "...", f"{shown[-1]}; {len(shown)} files, {total}"]
-    say("files: " + ", ".join(shown))
 
 
 def _mass(kilograms: float) -> str:
