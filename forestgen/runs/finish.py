@@ -285,7 +285,11 @@ def _show_frames(storage: StorageBackend, split: str, root: Path, record_index: 
     """Make the frames' folders appear in `root`."""
     if isinstance(storage, LocalStorage):
         for frame in record_index.frames(split):
-            _link_folder(storage.root / split / frame, root / frame)
+            source, target = storage.root / split / frame, root / frame
+            try:
+                target.symlink_to(source, target_is_directory=True)
+            except OSError:  # not everybody may make links to folders under Windows
+                shutil.copytree(source, target)
         return
     remote: Any = storage
     names = (file.path for frame in record_index.frames(split) for file in record_index.files(f"{split}/{frame}"))
@@ -293,20 +297,6 @@ def _show_frames(storage: StorageBackend, split: str, root: Path, record_index: 
     remote.fetch(read, root.parent)
     for frame in list(record_index.frames(split)):
         record_index.note_found(_touched(file, root.parent) for file in list(record_index.files(f"{split}/{frame}")))
-
-
-def _link_folder(source: Path, target: Path) -> None:
-    try:
-        target.symlink_to(source, target_is_directory=True)
-    except OSError:  # not everybody may make links to folders under Windows
-        shutil.copytree(source, target, copy_function=_link_file)
-
-
-def _link_file(source: str, target: str) -> None:
-    try:
-        os.link(source, target)
-    except OSError:
-        shutil.copyfile(source, target)
 
 
 def _touched(file: FileSum, folder: Path) -> tuple[str, int, int]:
