@@ -268,9 +268,22 @@ def check_replaceable(storage: StorageBackend, splits: Iterable[str]) -> None:
     if not storage.names(""):
         return
     root, names = storage.root, {*splits, *splits_before(storage)}
-    own = [path for path in foreign_files(root) if tool_of(path) is None]
-    used = [path for path in own if any(_name_is_used(root, one, names) for one in _files(root, path, names))]
-    if used:
+
+    def files(path: str) -> Iterator[str]:
+        """A path and, of a folder that the new data set has as well, what lies in it."""
+        yield path
+        if path.partition("/")[0] in (*names, *_FOLDERS) and not (root / path).is_symlink():
+            for folder, folders, inner in os.walk(root / path):
+                inside = Path(folder).relative_to(root).as_posix()
+                yield from (f"{inside}/{name}" for name in (*folders, *inner) if inside != ".")
+
+    def is_used(path: str) -> bool:
+        """Whether the new data set may have a file there, or a folder where this is none."""
+        is_folder = path in _FOLDERS or path in names
+        return _is_named(path, names) or (is_folder and not SafePath(root, path).is_folder())
+
+    own = (path for path in foreign_files(root) if tool_of(path) is None)
+    if used := [path for path in own if any(map(is_used, files(path)))]:
         raise OutputError(
             "files that forestgen has not written lie where the new data set has its own",
             where=storage.name,
@@ -278,21 +291,6 @@ def check_replaceable(storage: StorageBackend, splits: Iterable[str]) -> None:
             got=named(used),
             hint="move them away",
         )
-
-
-def _files(root: Path, path: str, names: Iterable[str]) -> Iterator[str]:
-    """A path and, of a folder that the new data set has as well, what lies in it."""
-    yield path
-    if path.partition("/")[0] in (*names, *_FOLDERS) and not (root / path).is_symlink():
-        for folder, folders, files in os.walk(root / path):
-            inside = Path(folder).relative_to(root).as_posix()
-            yield from (f"{inside}/{name}" for name in (*folders, *files) if inside != ".")
-
-
-def _name_is_used(root: Path, path: str, splits: set[str]) -> bool:
-    """Whether the new data set may have a file there, or a folder where this is none."""
-    is_folder = path in _FOLDERS or path in splits
-    return _is_named(path, splits) or (is_folder and not SafePath(root, path).is_folder())
 
 
 def move_foreign(source: Path, target: Path) -> list[str]:

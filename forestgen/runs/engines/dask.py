@@ -388,10 +388,7 @@ def versions() -> dict[str, str]:
 
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
-    """What differs, for people; "" if nothing that matters does.
-
-    Packages that do not enter the hash may differ; they are named only where the hash differs as well.
-    """
+    """What differs, for people; "" where the code's hash does not, whatever packages that are not in it do."""
     code = "forestgen's code"
     if here[code] == there.get(code):
         return ""
