@@ -114,7 +114,10 @@ def write_data_set(
     parts, made_with : see `describe`.
     splits : whose folders may hold files that no record lists.
     """
-    folders = sorted({*splits, *record_index.splits, *_splits_before(storage), THUMBNAILS, MAPS})
+    before = set[str]()  # the splits when it was last finished: another recipe may have had others
+    with suppress(DatasetError):
+        before.update(read_description(storage.read(DATASET_NAME), storage.name)["splits"])
+    folders = sorted({*splits, *record_index.splits, *before, THUMBNAILS, MAPS})
     for folder in folders:
         record_index.note_found(storage.found(folder))
     notes = []
@@ -137,7 +140,8 @@ def write_data_set(
     missing = tuple(image for one in description["recipes"] for image in numbers_in(one["missing"]))
     if missing:
         are = "image is" if len(missing) == 1 else "images are"
-        notes.append(f"{len(missing)} {are} missing: {_named(missing)}")
+        shown = [f"{first}-{last}" if last > first else f"{first}" for first, last in ranges_of(missing)]
+        notes.append(f"{len(missing)} {are} missing: {', '.join(shown[:8])}{', ...' if len(shown) > 8 else ''}")
     total = sum(file.bytes for file in record_index.files())
     return Finished(int(description["frames"]), total, missing, tuple(notes))
 
@@ -172,14 +176,6 @@ def _store_maps(value: Any, home: Path, folder: Path) -> None:
     elif isinstance(value, list):
         for item in value:
             _store_maps(item, home, folder)
-
-
-def _splits_before(storage: StorageBackend) -> set[str]:
-    """The splits that the data set had when it was last finished: another recipe may have had others."""
-    try:
-        return set(read_description(storage.read(DATASET_NAME), storage.name)["splits"])
-    except DatasetError:
-        return set()
 
 
 def _remove_unlisted(storage: StorageBackend, folders: Sequence[str], record_index: RecordIndex) -> None:
@@ -246,12 +242,6 @@ def _write_whole(
 
 def _enter(record_index: RecordIndex, path: str, content: bytes) -> None:
     record_index.add_file(FileSum(path, len(content), hashlib.sha256(content).hexdigest()))
-
-
-def _named(numbers: Sequence[int]) -> str:
-    """Some of many numbers, for people."""
-    shown = [f"{first}-{last}" if last > first else f"{first}" for first, last in ranges_of(numbers)]
-    return ", ".join(shown[:8]) + (", ..." if len(shown) > 8 else "")
 
 
 def write_split(

@@ -139,7 +139,10 @@ def open_batch(
             forget(storage, record)
             if record.image in keys:  # two records of one image: the frames were those of either, and are gone
                 storage.remove(record_path(keys.pop(record.image)))
-    _remove_unlisted(storage, listed, recorded)
+    for folder, names in {**listed, THUMBNAILS: set(storage.names(THUMBNAILS))}.items():
+        for name in sorted(names):  # frames and thumbnails of jobs that never came to their records
+            if is_frame(name.removesuffix(".jpg")) and f"{folder}/{name}" not in recorded:
+                storage.remove(f"{folder}/{name}")
     for split in set(before) - set(splits):
         storage.remove(split)
     settle_batch(storage, splits, "" if stale & keys.keys() else mark)
@@ -173,14 +176,6 @@ def _frames(record: JobRecord) -> list[str]:
     """Names of a record's frames."""
     inside = (path.split("/") for path in record.files if path.startswith(f"{record.split}/"))
     return sorted({parts[1] for parts in inside if len(parts) > 2 and parts[1] != MAPS})
-
-
-def _remove_unlisted(storage: StorageBackend, listed: dict[str, set[str]], recorded: set[str]) -> None:
-    """Frames and thumbnails of jobs that never came to their records."""
-    for folder, names in {**listed, THUMBNAILS: set(storage.names(THUMBNAILS))}.items():
-        for name in sorted(names):
-            if is_frame(name.removesuffix(".jpg")) and f"{folder}/{name}" not in recorded:
-                storage.remove(f"{folder}/{name}")
 
 
 def _is_batch(storage: StorageBackend) -> bool:

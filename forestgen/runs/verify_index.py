@@ -137,7 +137,10 @@ def index_findings(data_set: OpenDataSet) -> Iterator[Finding]:
         yield Finding(
             DATASET_NAME, "the images' seeds are not the index'", digest, str(description["image_seeds_sha256"])
         )
-    yield from _frames_without_rows(root, {*frames, *description["splits"]}, frames)
+    for split in sorted({*frames, *description["splits"]}):
+        for name in LocalStorage(root).names(split):
+            if is_frame(name) and name not in frames.get(split, ()) and (root / split / name).is_dir():
+                yield Finding(f"{split}/{name}", "the index has no row of this frame", "a row", "none", image=name)
     try:
         yield from _description_findings(description, data_set.splits)
     except (KeyError, TypeError, ValueError) as error:
@@ -163,14 +166,6 @@ def _row_findings(data_set: OpenDataSet, row: Mapping[str, Any], frames: dict[st
     if first != (seed, split):
         expected = f"{first[0]}, {first[1]}"
         yield Finding(INDEX_NAME, "rows of one image differ in seed or split", expected, f"{seed}, {split}", image=name)
-
-
-def _frames_without_rows(root: Path, splits: Iterable[str], frames: Mapping[str, set[str]]) -> Iterator[Finding]:
-    storage = LocalStorage(root)
-    for split in sorted(splits):
-        for name in storage.names(split):
-            if is_frame(name) and name not in frames.get(split, ()) and (root / split / name).is_dir():
-                yield Finding(f"{split}/{name}", "the index has no row of this frame", "a row", "none", image=name)
 
 
 def _column_findings(root: Path, description: Mapping[str, Any]) -> Iterator[Finding]:
@@ -220,7 +215,14 @@ def _description_findings(description: Mapping[str, Any], split_of_image: Mappin
             yield Finding(DATASET_NAME, f"{key} is not the sum over the splits", str(total), str(description[key]))
     made = dict.fromkeys(range(len(description["recipes"])), 0)
     for image, split in split_of_image.items():
-        number = next((at for at, one in enumerate(description["recipes"]) if _holds(one["asked"], image)), None)
+        number = next(
+            (
+                at
+                for at, one in enumerate(description["recipes"])
+                if any(first <= image <= last for first, last in one["asked"])
+            ),
+            None,
+        )
         if number is None:
             yield Finding(DATASET_NAME, f"image {image} of the index is of no recipe", "one that asked for it", "none")
             continue
@@ -284,10 +286,6 @@ def plain_yaml(text: str, name: str) -> dict[str, Any]:
 
 def _identity(complete: Mapping[str, Any]) -> str:
     return recipe_hash({key: value for key, value in complete.items() if key not in ("images", "first_image")})
-
-
-def _holds(ranges: Any, image: int) -> bool:
-    return any(first <= image <= last for first, last in ranges)
 
 
 def found(root: Path) -> Iterator[tuple[str, int, int]]:
