@@ -94,15 +94,6 @@ def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> Fr
     folder = str(row["folder"])
     findings: list[Finding] = []
 
-    def compared(read: Callable[[], Mapping[str, Any]]) -> None:
-        try:
-            shown = read()
-            findings.extend(_wrong(row, key, value) for key, value in shown.items() if row[key] != value)
-        except UnreadableError as error:
-            findings.append(error.finding)
-        except MISUNDERSTOOD as error:
-            findings.append(misunderstood(folder, error, str(row["frame"])))
-
     def plants() -> dict[str, Any]:
         table = read_table(root, f"{folder}/plants.parquet")
         community.append(_community(table))
@@ -111,7 +102,9 @@ def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> Fr
     def classes() -> dict[str, Any]:
         semantic = read_picture(root, f"{folder}/semantic.png")
         height, width = semantic.shape
-        return {"class_pixels": _counts(semantic, class_names), "height_px": height, "width_px": width}
+        counts = np.bincount(semantic.ravel(), minlength=len(class_names))
+        pixels = {class_names[number]: int(counts[number]) for number in np.flatnonzero(counts).tolist()}
+        return {"class_pixels": pixels, "height_px": height, "width_px": width}
 
     def camera() -> dict[str, Any]:
         content = read_json(root, f"{folder}/camera.json")
@@ -127,13 +120,17 @@ def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> Fr
 
     community: list[bytes] = []
     for read in (plants, classes, camera, recipe):
-        compared(read)
+        try:
+            findings.extend(_wrong(row, key, value) for key, value in read().items() if row[key] != value)
+        except UnreadableError as error:
+            findings.append(error.finding)
+        except MISUNDERSTOOD as error:
+            findings.append(misunderstood(folder, error, str(row["frame"])))
     return FrameFacts(row, community[0] if community else b"", tuple(findings))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=64)  # all frames of an image share a drawn recipe
 def _hash_of(text: str) -> str:
-    """Hash of a drawn recipe, which all frames of an image share."""
     return recipe_hash(plain_yaml(text, ""))
 
 
@@ -154,11 +151,6 @@ def _plants_shown(plants: Mapping[str, Any]) -> dict[str, Any]:
         "species_instances": {name: int((species == name).sum()) for name in names},
         "species_pixels": {name: int(pixels[seen][species == name].sum()) for name in names},
     }
-
-
-def _counts(semantic: Any, class_names: Sequence[str]) -> dict[str, int]:
-    counts = np.bincount(semantic.ravel(), minlength=len(class_names))
-    return {class_names[number]: int(counts[number]) for number in np.flatnonzero(counts).tolist()}
 
 
 def _community(plants: Mapping[str, Any]) -> bytes:

@@ -215,14 +215,8 @@ def _description_findings(description: Mapping[str, Any], split_of_image: Mappin
             yield Finding(DATASET_NAME, f"{key} is not the sum over the splits", str(total), str(description[key]))
     made = dict.fromkeys(range(len(description["recipes"])), 0)
     for image, split in split_of_image.items():
-        number = next(
-            (
-                at
-                for at, one in enumerate(description["recipes"])
-                if any(first <= image <= last for first, last in one["asked"])
-            ),
-            None,
-        )
+        holds = (any(first <= image <= last for first, last in one["asked"]) for one in description["recipes"])
+        number = next((at for at, held in enumerate(holds) if held), None)
         if number is None:
             yield Finding(DATASET_NAME, f"image {image} of the index is of no recipe", "one that asked for it", "none")
             continue
