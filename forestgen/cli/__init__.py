@@ -11,8 +11,7 @@ import typer
 from forestgen.cli.arguments import with_options
 from forestgen.cli.communities import fit_kernel, lsystem, simulate, stats
 from forestgen.cli.console import errors_for_people, names_of
-from forestgen.cli.datasets import merge, pack, report, verify
-from forestgen.cli.inspect import doctor, models, schema, validate
+from forestgen.cli.datasets import doctor, merge, models, pack, report, schema, validate, verify
 from forestgen.cli.instruments import calibrate, light, measure, weather
 from forestgen.cli.parsing import (
     PointsCommand,

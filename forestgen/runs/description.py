@@ -183,7 +183,11 @@ def read_description(content: bytes | None, where: str) -> dict[str, Any]:
                 raise ValueError(f"more than {MOST_IMAGES:,} images")
         _check_settings(settings_of(data))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        got = f"{type(error).__name__}: {_first_error(error)}"
+        text = " ".join(str(error).split())
+        if isinstance(error, ValidationError):
+            first = error.errors(include_url=False, include_input=False)[0]
+            text = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        got = f"{type(error).__name__}: {text[:200]}"
         raise DatasetError("dataset.json is damaged", where=where, expected=SCHEMA, got=got, hint=hint) from error
     return dict(data)
 
@@ -253,14 +257,6 @@ def _check_settings(settings: DatasetSettings) -> None:
         raise ValueError("settings: a species is of no category")
     if settings.depth_unit_m <= 0 or settings.point_stride < 1:
         raise ValueError("settings: depth_unit_m or point_stride is not positive")
-
-
-def _first_error(error: Exception) -> str:
-    """What is wrong, on one line."""
-    if isinstance(error, ValidationError):
-        first = error.errors(include_url=False, include_input=False)[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"[:200]
-    return " ".join(str(error).split())[:200]
 
 
 def settings_of(description: Mapping[str, Any]) -> DatasetSettings:

@@ -117,17 +117,9 @@ class VerificationReport:
 
 
 def _finding(one: Finding) -> dict[str, Any]:
-    return {
-        "check": one.check,
-        "where": one.where,
-        "problem": one.problem,
-        "expected": one.expected,
-        "got": one.got,
-        "file": one.file,
-        "frame": one.image or None,
-        "plant_id": one.plant_id,
-        "pixel": None if one.pixel is None else list(one.pixel),
-    }
+    names = ("check", "where", "problem", "expected", "got", "file", "plant_id")
+    pixel = None if one.pixel is None else list(one.pixel)
+    return {**{name: getattr(one, name) for name in names}, "frame": one.image or None, "pixel": pixel}
 
 
 class _Verifier:
