@@ -116,14 +116,14 @@ def probe_images(
                 else:
                     probes.append(_probe_of(outcome, drawn, reduced, is_first=not probes))
                 spent_s = time.monotonic() - start
-                if outcome is None or (len(probes) > 1 and _is_enough(probes[-1], spent_s, budget_s, count)):
+                if outcome is None:
+                    break
+                # Whether another probe would take more than there is, or more than its share of the batch.
+                if len(probes) > 1 and (
+                    spent_s + probes[-1].made_s > budget_s or spent_s > _SHARE_OF_BATCH * count * probes[-1].seconds
+                ):
                     break
     return CalibrationRuns(tuple(probes), tuple(notes), reduced)
-
-
-def _is_enough(last: CalibrationRun, spent_s: float, budget_s: float, count: int) -> bool:
-    """Whether another probe would take more than there is, or more than its share of the batch."""
-    return spent_s + last.made_s > budget_s or spent_s > _SHARE_OF_BATCH * count * last.seconds
 
 
 def _spread(count: int) -> Iterator[int]:

@@ -48,18 +48,20 @@ def check_frames(root: Path, description: Mapping[str, Any], jobs: int | None, p
     """
     class_names = description["settings"]["class_names"]
     frames: list[Finding] = []
-    seeds, communities = _Shared("seed"), _Shared("plant community")
+    first: dict[tuple[str, bytes], tuple[str, str]] = {}  # what and its mark -> split and frame that had it first
+    seeds: list[Finding] = []
+    communities: list[Finding] = []
     with ThreadPoolExecutor(jobs) as pool, progress.stage("frames", int(description["frames"])) as advance:
         for facts in in_order(pool, partial(_facts, root, class_names), _rows(root)):
             advance(1)
             frames += facts.findings
-            seeds.add(str(facts.row.get("image_seed")).encode(), facts.row)
-            communities.add(facts.community, facts.row)
+            seeds += _shared(first, "seed", str(facts.row.get("image_seed")).encode(), facts.row)
+            communities += _shared(first, "plant community", facts.community, facts.row)
     images = int(description["images"])
     return [
         ("frames", "the index tells of frames what their files show", int(description["frames"]), frames),
-        ("seeds", "no image's seed is in two splits", images, seeds.findings),
-        ("communities", "no plant community is in two splits", images, communities.findings),
+        ("seeds", "no image's seed is in two splits", images, seeds),
+        ("communities", "no plant community is in two splits", images, communities),
     ]
 
 
@@ -71,22 +73,15 @@ def _rows(root: Path) -> Iterator[dict[str, Any]]:
         return
 
 
-class _Shared:
-    """What only one split may have."""
-
-    def __init__(self, what: str) -> None:
-        self._what = what
-        self._first: dict[bytes, tuple[str, str]] = {}  # what -> split and frame that had it first
-        self.findings: list[Finding] = []
-
-    def add(self, mark: bytes, row: Mapping[str, Any]) -> None:
-        if not mark:
-            return
-        split, frame = self._first.setdefault(mark, (row["split"], row["folder"]))
-        if split != row["split"]:
-            problem = f"two splits share a {self._what}"
-            expected = f"another than that of {frame} ({_HINT})"
-            self.findings.append(Finding(str(row["folder"]), problem, expected, f"the same in {row['split']}"))
+def _shared(
+    first: dict[tuple[str, bytes], tuple[str, str]], what: str, mark: bytes, row: Mapping[str, Any]
+) -> Iterator[Finding]:
+    """A finding if another split has had what only one may have."""
+    split, frame = first.setdefault((what, mark), (row["split"], row["folder"]))
+    if mark and split != row["split"]:
+        expected = f"another than that of {frame} ({_HINT})"
+        problem = f"two splits share a {what}"
+        yield Finding(str(row["folder"]), problem, expected, f"the same in {row['split']}")
 
 
 def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> FrameFacts:
