@@ -206,7 +206,7 @@ class Log:
 
 def job_fields(outcome: Outcome) -> dict[str, Any]:
     """The fields of a `job_done`, or of a `job_failed` but for `will_retry`."""
-    fields = {"image": outcome.job.image, "split": outcome.job.split}
+    fields: dict[str, Any] = {"image": outcome.job.image, "split": outcome.job.split}
     if isinstance(outcome, Done):
         fields |= {**vars(outcome.run), "frames": len(outcome.record.rows)}
         fields["timings_s"] = {name: round(spent, 4) for name, spent in outcome.run.timings_s.items()}
