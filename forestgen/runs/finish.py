@@ -90,7 +90,7 @@ def finish(
     part = recipe_part(loaded, ranges_of(sorted(job.image for job in jobs)))
     wanted = {job.key for job in jobs}
     splits = {job.split for job in jobs}
-    with TemporaryDirectory(prefix="forestgen-finish-") as scratch, RecordIndex(Path(scratch)) as record_index:
+    with RecordIndex() as record_index:
         for record in records:
             if record.key in wanted:
                 record_index.add(record)

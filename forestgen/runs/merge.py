@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
@@ -79,12 +78,9 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
     groups = [group for piece in pieces for group in piece.description["files"].values()]
     needed = 0 if link else sum(int(group["bytes"]) for group in groups)
     total = sum(int(piece.description["images"]) for piece in pieces)
-    with (
-        OutputFolder(target, required_bytes=needed) as folder,
-        TemporaryDirectory(prefix="forestgen-merge-") as scratch,
-    ):
+    with OutputFolder(target, required_bytes=needed) as folder:
         storage = LocalStorage(folder, str(target))
-        with RecordIndex(Path(scratch)) as record_index:
+        with RecordIndex() as record_index:
             with (progress or Silent()).stage("images", total) as advance:
                 for piece, record in _records(pieces):
                     advance(1)

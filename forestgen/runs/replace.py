@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import chain, count
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.dataset.check import Finding
@@ -200,7 +199,7 @@ def foreign_files(root: Path) -> list[str]:
 
     Raises `OutputError`: the folder cannot be read, or the disk of temporary files is full.
     """
-    with TemporaryDirectory(prefix="forestgen-foreign-") as scratch, RecordIndex(Path(scratch)) as record_index:
+    with RecordIndex() as record_index:
         refused: list[Finding] = []
         is_whole = enter_sums(root, record_index, refused) and not refused
         splits = {*splits_before(LocalStorage(root)), *enter_records(root, record_index)}

@@ -28,7 +28,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
@@ -171,7 +170,7 @@ def verify(
         whole_of(workers, "workers", 1, 1024)
     start = perf_counter()
     description = open_data_set(root)
-    with TemporaryDirectory(prefix="forestgen-verify-") as scratch, RecordIndex(Path(scratch)) as record_index:
+    with RecordIndex() as record_index:
         data_set = checks.OpenDataSet(root, description, record_index)
         verifier = _Verifier(data_set, workers, progress or Silent())
         verifier.notes += filter(None, [previous_note(root)])
