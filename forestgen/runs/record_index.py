@@ -43,15 +43,12 @@ class RecordIndex:
         self._scratch = TemporaryDirectory(prefix="forestgen-records-")
         try:
             self._base = sqlite3.connect(Path(self._scratch.name) / "records.sqlite", isolation_level=None)
-            for pragma in (
-                "journal_mode=OFF",
-                "synchronous=OFF",
-                "cache_size=-8000",
-            ):  # kB; a crash leaves none to read
+            for pragma in ("journal_mode=OFF", "synchronous=OFF", "cache_size=-8000"):  # kB; no crash leaves it
                 self._base.execute(f"PRAGMA {pragma}")
             self._base.executescript(_TABLES)
             self._base.execute("BEGIN")
         except sqlite3.OperationalError as error:
+            self._scratch.cleanup()
             raise self._failed(error) from error
 
     def __enter__(self) -> RecordIndex:
