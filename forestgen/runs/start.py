@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 from forestgen.core.errors import DatasetError
 from forestgen.core.figures import count, seconds
-from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
 from forestgen.runs.contract import TRANSIENT, Engine, Notice, RunOptions, Work
 from forestgen.runs.engines.local import LocalEngine
@@ -66,7 +65,7 @@ class _Workers:
     def prepare(self, work: Work, left: int) -> Work:
         """See `run_batch`."""
         is_local = self._options.engine == "local"
-        expected = _estimate(work.loaded, work.settings, left, self._options, self._display)
+        expected = _estimate(work, left, self._options, self._display)
         check_fits(expected, work.storage, workers_here=is_local)
         for text in expected.lines():
             self._display.say(text)
@@ -125,32 +124,17 @@ def dry_run(loaded: LoadedRecipe, target: str, options: RunOptions, display: Dis
     work = Work(loaded, settings, storage, versions_hash())
     mark = fingerprint(loaded, work.versions)
     before = finished_images(work, images, splits, mark, display.say, overwrite=options.overwrite)
-    expected = _estimate(loaded, settings, len(images) - before.kept, options, display, probe=True)
+    expected = _estimate(work, len(images) - before.kept, options, display, probe=True)
     check_fits(expected, storage, workers_here=options.engine == "local")
     return DryRun(expected, before.discarded, before.reasons())
 
 
-def _estimate(
-    loaded: LoadedRecipe,
-    settings: DatasetSettings,
-    left: int,
-    options: RunOptions,
-    display: Display,
-    *,
-    probe: bool = False,
-) -> Estimate:
+def _estimate(work: Work, left: int, options: RunOptions, display: Display, *, probe: bool = False) -> Estimate:
     """What the images that are not made yet will take, with as many workers as cores and memory allow."""
     if left and (probe or left >= LEAST_IMAGES):
         display.say(f"making some images to measure them: about {BUDGET_S:.0f} s, and longer for large ones")
-    return estimate(
-        loaded,
-        settings,
-        count=left,
-        workers=options.workers,
-        threads=options.threads,
-        progress=display,
-        probe=probe,
-    )
+    wanted = {"workers": options.workers, "threads": options.threads}
+    return estimate(work.loaded, work.settings, count=left, **wanted, progress=display, probe=probe)
 
 
 def _check_complete(summary: RunSummary) -> None:

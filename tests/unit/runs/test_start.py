@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -24,9 +25,9 @@ def test_measuring_takes_a_minute_and_is_announced(
 ) -> None:
     given: dict[str, Any] = {}
     monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
-    nothing: Any = None
+    nothing: Any = SimpleNamespace(loaded=None, settings=None)
     told = RecordingDisplay()
-    start._estimate(nothing, nothing, count, RunOptions(), told, probe=probe)
+    start._estimate(nothing, count, RunOptions(), told, probe=probe)
     assert ("making some images to measure them" in "".join(told.said)) == said
     assert (given["workers"], given["threads"]) == (None, None)  # the estimate shares the cores out
     assert given["count"] == count
