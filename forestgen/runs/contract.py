@@ -58,7 +58,7 @@ class Job:
     index: int  # argument of LoadedRecipe.draw
     image: int  # number in the frames' names: the recipe's first_image + index
     split: str
-    key: str  # the image's number and the hash of all that its files depend on; see runs/keys.py
+    key: str  # the image's number and the hash of all that its files depend on; see `records.job_key`
 
 
 @dataclass(frozen=True)
@@ -279,7 +279,7 @@ class Work:
     loaded: LoadedRecipe
     settings: DatasetSettings
     storage: StorageBackend
-    versions: str  # hash of code and packages, as it is where the batch was started: runs/keys.py
+    versions: str  # hash of code and packages, as it is where the batch was started: `records.versions_hash`
     threads: int | None = None  # of the renderer in each worker; None: all cores
     memory_bytes: int | None = None  # that a worker may take; None: no bound
 

@@ -1,7 +1,7 @@
 """What a batch will take, before it starts: time, memory, disk.
 
 Images, frames, pixels and light paths follow from the recipe. Plants, exemplars and triangles, seconds, bytes and
-memory are those of a few images of the batch that are really made (runs/probes.py), on this machine as it is now.
+memory are those of a few images of the batch that are really made (runs/calibration_runs.py), on this machine as it is now.
 Intervals are from the 10th to the 90th percentile of images, as if the logarithms of what they take were normal.
 """
 
@@ -123,12 +123,10 @@ def estimate(
 ) -> Estimate:
     """What `count` images of a recipe will take on this machine.
 
-    Parameters
-    ----------
-    workers : None: as many as its cores and its free memory allow.
-    threads : of each worker; None: the cores are shared out.
-    probe : whether to make images of a small batch too, which takes about as long as the batch itself.
-    budget_s : of the probes, about; at least one is made.
+    `workers`: None: as many as its cores and its free memory allow.
+    `threads`: of each worker; None: the cores are shared out.
+    `probe`: whether to make images of a small batch too, which takes about as long as the batch itself.
+    `budget_s`: of the probes, about; at least one is made.
     """
     counts, probed = count_images(loaded, count), CalibrationRuns(())
     here = threads or max(1, cores() // (workers or cores()))

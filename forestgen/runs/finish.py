@@ -108,11 +108,9 @@ def write_data_set(
 ) -> Finished:
     """Write all that is not an image's own.
 
-    Parameters
-    ----------
-    record_index : with the records of the images.
-    parts, made_with : see `describe`.
-    splits : whose folders may hold files that no record lists.
+    `record_index`: with the records of the images.
+    `parts`, `made_with`: see `describe`.
+    `splits`: whose folders may hold files that no record lists.
     """
     before = set[str]()  # the splits when it was last finished: another recipe may have had others
     with suppress(DatasetError):

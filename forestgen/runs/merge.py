@@ -56,18 +56,14 @@ class Piece:
 def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress: Progress | None = None) -> Finished:
     """Merge finished data sets into a new one, which appears whole or not at all.
 
-    Parameters
-    ----------
-    sources : folders of data sets; their order does not matter to the result.
-    target : absent, or an empty folder.
-    link : make hard links instead of copies, which are not read: files are shared with the sources. Copies are compared
-        with the images' records on their way.
+    `sources`: folders of data sets; their order does not matter to the result.
+    `target`: absent, or an empty folder.
+    `link`: make hard links instead of copies, which are not read: files are shared with the sources. Copies are
+    compared with the images' records on their way.
 
-    Raises
-    ------
-    RecipeError : a folder is no finished data set, or two cannot be one.
-    DatasetError : a piece is damaged, or two pieces have different images of one number.
-    OutputError : the target cannot be written.
+    Raises `RecipeError`: a folder is no finished data set, or two cannot be one.
+    Raises `DatasetError`: a piece is damaged, or two pieces have different images of one number.
+    Raises `OutputError`: the target cannot be written.
     """
     _check_target(target, sources)
     pieces = [_piece(root) for root in sources]

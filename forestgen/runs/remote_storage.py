@@ -225,12 +225,10 @@ def _clear_leftovers(_process: int) -> None:
 class RemoteLock:
     """Holds the lock; see `contract.Lock`.
 
-    Parameters
-    ----------
-    store : fsspec's file system.
-    key : of the lock's object.
-    where : the data set's address, for messages.
-    say : takes a sentence when there is something to wait for.
+    `store`: fsspec's file system.
+    `key`: of the lock's object.
+    `where`: the data set's address, for messages.
+    `say`: takes a sentence when there is something to wait for.
     """
 
     beat_s, patience_s, settle_s = BEAT_S, PATIENCE_S, SETTLE_S

@@ -77,12 +77,10 @@ def replacing(
 
     What forestgen has not written moves from the previous data set into the new one.
 
-    Parameters
-    ----------
-    splits : names of the new data set's.
-    say : called with users' files that were kept, and with what could not be removed.
-    overwrite : replace the data set that is there; if the block fails before an image is finished, it is put back.
-    keep_begun : without `overwrite`, leave what a block has begun that fails before an image is finished: its log.
+    `splits`: names of the new data set's.
+    `say`: called with users' files that were kept, and with what could not be removed.
+    `overwrite`: replace the data set that is there; if the block fails before an image is finished, it is put back.
+    `keep_begun`: without `overwrite`, leave what a block has begun that fails before an image is finished: its log.
 
     Raises `OutputError`: users' files lie where the new data set has its own, or something cannot be moved.
     """

@@ -101,19 +101,15 @@ def run_batch(
 ) -> RunSummary:
     """Make the first images of a recipe into a data set: all of them, or those that it lacks.
 
-    Parameters
-    ----------
-    target : a folder, or the address of an object store.
-    engine : makes what does the jobs, given what they need, and whom to tell which workers come and go.
-    prepare : given the work and the number of images that are to be made, before anything is changed: refuses what
-        cannot fit, and returns the work with the threads of each worker.
-    strict : an image that cannot be drawn or made ends the run with its own error; the others before it are made. A run
-        that ends before an image is finished leaves nothing; so does one with `options.overwrite`.
+    `target`: a folder, or the address of an object store.
+    `engine`: makes what does the jobs, given what they need, and whom to tell which workers come and go.
+    `prepare`: given the work and the number of images that are to be made, before anything is changed: refuses what
+    cannot fit, and returns the work with the threads of each worker.
+    `strict`: an image that cannot be drawn or made ends the run with its own error; the others before it are made. A
+    run that ends before an image is finished leaves nothing; so does one with `options.overwrite`.
 
-    Raises
-    ------
-    RecipeError, ResourceError : see `check_recipe`, `check_stale_outputs` and `prepare`.
-    OutputError, DatasetError : the storage fails for good, or the first images all fail; what is done stays.
+    Raises `RecipeError`, `ResourceError`: see `check_recipe`, `check_stale_outputs` and `prepare`.
+    Raises `OutputError`, `DatasetError`: the storage fails for good, or the first images all fail; what is done stays.
     """
     display, overwrite = display or SilentDisplay(), options.overwrite
     count = options.count or loaded.images
@@ -351,11 +347,9 @@ def _log_stop(run: _Run, error: BaseException) -> None:
 class JobQueue:
     """Jobs with their attempts; those that are tried again come first.
 
-    Parameters
-    ----------
-    images : numbers of the images that are wanted.
-    splits : name -> share.
-    known : the images whose records are there. A stale one is forgotten when its turn comes.
+    `images`: numbers of the images that are wanted.
+    `splits`: name -> share.
+    `known`: the images whose records are there. A stale one is forgotten when its turn comes.
     """
 
     def __init__(self, work: Work, images: range, splits: Mapping[str, float], known: FinishedImages) -> None:

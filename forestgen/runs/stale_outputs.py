@@ -76,11 +76,9 @@ def resume_diff(
 ) -> ResumeDiff:
     """Compare the finished images with what is wanted now; removes nothing.
 
-    Parameters
-    ----------
-    images : numbers of the images that are wanted.
-    mark, versions : see `folder.fingerprint`.
-    say : called if it takes a while: of a recipe that has changed, each finished image is drawn again.
+    `images`: numbers of the images that are wanted.
+    `mark`, `versions`: see `folder.fingerprint`.
+    `say`: called if it takes a while: of a recipe that has changed, each finished image is drawn again.
     """
     keys = done_keys(storage)
     mine = {image: key for key in keys if (image := image_of_key(key)) in images}
@@ -151,11 +149,9 @@ def damaged_images(
 ) -> dict[int, str]:
     """Image -> the first file that is damaged and how, of finished images; what can be restored is restored.
 
-    Parameters
-    ----------
-    images : numbers of the images that are wanted.
-    stale : those that are made again in any case: they are not checked.
-    say : takes progress, and a sentence about each of the first damaged images.
+    `images`: numbers of the images that are wanted.
+    `stale`: those that are made again in any case: they are not checked.
+    `say`: takes progress, and a sentence about each of the first damaged images.
 
     Raises `OutputError`: a file is there and must not be read.
     """

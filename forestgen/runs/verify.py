@@ -154,13 +154,11 @@ def verify(
 ) -> VerificationReport:
     """Check a data set's folder.
 
-    Parameters
-    ----------
-    rerender : how many images to render again.
-    seed : draws these.
-    workers : processes and threads that check; by default the cores. No result depends on it.
-    hashes : read all files and compare their sums; otherwise only that they are there.
-    labels : check the labels of each split.
+    `rerender`: how many images to render again.
+    `seed`: draws these.
+    `workers`: processes and threads that check; by default the cores. No result depends on it.
+    `hashes`: read all files and compare their sums; otherwise only that they are there.
+    `labels`: check the labels of each split.
 
     Raises `RecipeError`: the folder is no data set of forestgen, or a number is out of bounds.
     """

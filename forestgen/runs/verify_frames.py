@@ -163,11 +163,9 @@ def check_renders(
 ) -> Iterator[Finding]:
     """Files that have other bytes than those that are rendered now.
 
-    Parameters
-    ----------
-    description : dataset.json.
-    count, seed : how many images; which ones.
-    note : called if other versions than those of this machine made the data set.
+    `description`: dataset.json.
+    `count`, `seed`: how many images; which ones.
+    `note`: called if other versions than those of this machine made the data set.
     """
     moved = _moved(description)
     if moved:
