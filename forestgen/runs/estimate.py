@@ -1,7 +1,7 @@
 """What a batch will take, before it starts: time, memory, disk.
 
 Images, frames, pixels and light paths follow from the recipe. Plants, exemplars and triangles, seconds, bytes and
-memory are those of a few images of the batch that are really made (runs/calibration_runs.py), on this machine as it is now.
+memory are those of a few images of the batch that are really made on this machine as it is now (calibration_runs.py).
 Intervals are from the 10th to the 90th percentile of images, as if the logarithms of what they take were normal.
 """
 
