@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
 
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.safe_path import SafePath, is_frame, is_inside, is_split, load_json
@@ -26,14 +25,6 @@ _SCHEMA = "forestgen-batch/1"
 # Without these folders a run would take finished images for unfinished ones.
 _FOLDERS = (HIDDEN, JOBS, STAGING, RUN, PREVIOUS, MOVING, BEGUN)
 _WHOLE = ("dataset.json", "SHA256SUMS")  # they say that the data set is complete: while a run works, it is not
-
-
-@dataclass
-class FinishedImages:
-    """Images whose records are there."""
-
-    keys: dict[int, str]  # image -> key
-    stale: frozenset[int]  # those of them that the recipe, or these versions, would make otherwise now
 
 
 def fingerprint(loaded: LoadedRecipe, versions: str) -> str:
@@ -109,8 +100,8 @@ def open_batch(
     note: Callable[[str], None],
     stale: frozenset[int] = frozenset(),
     damaged: Collection[int] = (),
-) -> FinishedImages:
-    """Which images are done; removes what does not belong, and what killed runs have left.
+) -> dict[int, str]:
+    """Key of each image that is done; removes what does not belong, and what killed runs have left.
 
     Parameters
     ----------
@@ -146,7 +137,7 @@ def open_batch(
     for split in set(before) - set(splits):
         storage.remove(split)
     settle_batch(storage, splits, "" if stale & keys.keys() else mark)
-    return FinishedImages(keys, stale & keys.keys())
+    return keys
 
 
 def settle_batch(storage: StorageBackend, splits: Iterable[str], mark: str) -> None:

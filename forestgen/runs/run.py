@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -29,7 +29,6 @@ from forestgen.runs.contract import (
 from forestgen.runs.finish import finish
 from forestgen.runs.folder import (
     TAKEN,
-    FinishedImages,
     check_ours,
     check_resume,
     fingerprint,
@@ -132,7 +131,8 @@ def run_batch(
                 storage.discard(storage.staging())  # raises if nothing can be written, before anything is removed
                 known = open_batch(storage, images, used, mark, display.say, before.stale, damaged)
                 retries = 0 if strict else options.retries
-                run = _Run(work, lock, log, JobQueue(work, images, splits, known), display, retries, strict)
+                queue = JobQueue(work, images, splits, known, before.stale)
+                run = _Run(work, lock, log, queue, display, retries, strict)
                 about = {"images": len(images), "done": run.queue.done, "threads": work.threads}
                 log.event("start", target=target, recipe=str(loaded.path), **about)
                 for image, problem in damaged.items():
@@ -352,13 +352,15 @@ class JobQueue:
     `known`: the images whose records are there. A stale one is forgotten when its turn comes.
     """
 
-    def __init__(self, work: Work, images: range, splits: Mapping[str, float], known: FinishedImages) -> None:
+    def __init__(
+        self, work: Work, images: range, splits: Mapping[str, float], known: Mapping[int, str], stale: Collection[int]
+    ) -> None:
         self._loaded, self._versions = work.loaded, work.versions
         self._storage = work.storage
-        self.images, self._splits, self._known = images, splits, known
+        self.images, self._splits, self._known, self._stale = images, splits, known, stale
         self._again: deque[tuple[Job, int]] = deque()
         self._fresh = self._draw_all()
-        self.done = len(known.keys) - len(known.stale)
+        self.done = sum(image not in stale for image in known)
         self.keys: dict[int, str] = {}  # image -> key, of all images that have had their turn
 
     def next(self) -> tuple[Job, int] | Failed | None:
@@ -377,8 +379,8 @@ class JobQueue:
 
     def _draw_all(self) -> Iterator[tuple[Job, int] | Failed]:
         for image in self.images:
-            known = self._known.keys.get(image)
-            if known is not None and image not in self._known.stale:
+            known = self._known.get(image)
+            if known is not None and image not in self._stale:
                 self.keys[image] = known
                 continue
             if known is not None:
