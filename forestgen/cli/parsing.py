@@ -42,7 +42,8 @@ class NumbersCommand(typer.core.TyperCommand):
     """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        for one in self.params:
+        parameters: Any = self.params
+        for one in parameters:
             words = (one.metavar or "").split()
             if getattr(one, "multiple", False) and (len(words) > 1 or words[-1:] == ["R..."]):
                 args = join_numbers(args, one.opts[0], len(words) if len(words) > 1 else None)

@@ -133,8 +133,10 @@ def _estimate(work: Work, left: int, options: RunOptions, display: Display, *, p
     """What the images that are not made yet will take, with as many workers as cores and memory allow."""
     if left and (probe or left >= LEAST_IMAGES):
         display.say(f"making some images to measure them: about {BUDGET_S:.0f} s, and longer for large ones")
-    wanted = {"workers": options.workers, "threads": options.threads}
-    return estimate(work.loaded, work.settings, count=left, **wanted, progress=display, probe=probe)
+    workers, threads = options.workers, options.threads
+    return estimate(
+        work.loaded, work.settings, count=left, workers=workers, threads=threads, progress=display, probe=probe
+    )
 
 
 def _check_complete(summary: RunSummary) -> None:
