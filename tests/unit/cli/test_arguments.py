@@ -32,7 +32,7 @@ def test_a_line_belongs_to_the_parameter_of_its_name() -> None:
     where, steps, setting, quiet, *_ = made.params
     assert (where.metavar, where.help) == ("PLACE", "Where to do it.")
     assert (steps.opts, steps.metavar, steps.help) == (["--map-step"], "N", "A step.")
-    assert (steps.type.min, steps.type.max) == (1, 9)
+    assert "[1<=x<=9]" in steps.get_help_record(made.make_context("command", ["here"]))[1]
     assert (setting.opts, setting.metavar, setting.show_default) == (["--set", "-s"], "KEY", "that of A")
     assert quiet.opts == ["--quiet", "-q"]
     assert quiet.help == "Show no progress, and print nothing but errors."
