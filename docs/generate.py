@@ -18,6 +18,7 @@ from typing import Any
 
 import generate_reference
 
+from forestgen.api.plants import drawn_of
 from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.registry import Registry
 from forestgen.plants.parameters import PlantParameters
@@ -28,7 +29,6 @@ from forestgen.recipe.curves import CURVE_SCHEMA
 from forestgen.recipe.registries import BUILDINGS, RIGS
 from forestgen.recipe.schema import Recipe
 from forestgen.recipe.species import PlantType
-from forestgen.runs.single_plant import drawn_of
 
 DOCS = Path(__file__).parent
 NUMBERS = DOCS / "species.json"

@@ -22,13 +22,13 @@ import generate
 import numpy as np
 from PIL import Image
 
+from forestgen.api.plants import described, grow, plan_of
 from forestgen.core.progress import Silent
 from forestgen.dataset.tonemap import tone_map
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.plan import PlantPlan
 from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph, size_of_m
-from forestgen.runs.single_plant import described, grow, plan_of
 from forestgen.scene.surfaces import materials_of
 
 PICTURES = Path(__file__).parent / "pictures"
@@ -112,7 +112,7 @@ def mature(plan: PlantPlan, name: str) -> Exemplar:
 
 def numbers_of(plan: PlantPlan, exemplar: Exemplar) -> dict[str, float]:
     """What the page's table says of a plant, to four digits."""
-    one = described(exemplar, plan.drawn.species[exemplar.species], SEED, {})
+    one = described(exemplar, plan.drawn.species[exemplar.species], SEED)
     values = {
         "height_m": one.height_m,
         "width_m": one.crown_width_m,

@@ -73,10 +73,8 @@ def assemble_image(
 
     `memory_budget_bytes`: that the image may take; None: what is free now.
 
-    Raises
-    ------
-    ResourceError : so many plants grew that the scene would need more memory than there is.
-    RecipeError : a camera stands in a trunk, or in clouds that are rendered from afar.
+    Raises `ResourceError`: so many plants grew that the scene would need more memory than there is.
+    Raises `RecipeError`: a camera stands in a trunk, or in clouds that are rendered from afar.
     """
     with timings("community"):
         population = final_population(plan.community, progress)
@@ -92,9 +90,7 @@ def measure(
 ) -> ReadingT:
     """Measure in the scene of a recipe's first image.
 
-    Raises
-    ------
-    RecipeError, ResourceError
+    Raises `RecipeError`, `ResourceError`.
     """
     plan = check_plan(loaded)
     instrument.check(plan, keys)
@@ -231,9 +227,7 @@ def simulate(
         last.
     graphs : files that the branches of the last step's plants are written to.
 
-    Raises
-    ------
-    RecipeError, ResourceError, OutputError
+    Raises `RecipeError`, `ResourceError`, `OutputError`.
     """
     from forestgen.community.history_files import check_graphs, check_map_steps, write_community, write_graphs
     from forestgen.community.resume import note_of_other_code, snapshot_to_resume

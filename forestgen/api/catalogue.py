@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,39 +19,16 @@ from forestgen.core.registry import Registry, part_at
 from forestgen.geometry.export import MESH_EXPORTERS
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.registry import GENERATORS
+from forestgen.recipe import registries as parts
 from forestgen.recipe.assets import find_asset, list_assets
-from forestgen.recipe.registries import (
-    BUILDINGS,
-    CLOUD_SOURCES,
-    DATASET_FORMATS,
-    GROUND_COVERS,
-    INSTRUMENTS,
-    LABEL_CHANNELS,
-    PACKS,
-    PROJECTIONS,
-    RIGS,
-    SKIES,
-    TERRAINS,
-)
 from forestgen.recipe.suggestions import did_you_mean
 
-_REGISTRIES: dict[str, Registry] = {
-    "community_model": COMMUNITY_MODELS,
-    "competition_model": COMPETITION_MODELS,
-    "plant_generator": GENERATORS,
-    "dataset_format": DATASET_FORMATS,
-    "pack": PACKS,
-    "label_channel": LABEL_CHANNELS,
-    "cloud_source": CLOUD_SOURCES,
-    "sky_model": SKIES,
-    "terrain": TERRAINS,
-    "ground_cover": GROUND_COVERS,
-    "projection": PROJECTIONS,
-    "rig": RIGS,
-    "instrument": INSTRUMENTS,
-    "building": BUILDINGS,
-    "mesh_exporter": MESH_EXPORTERS,
-}
+_KINDS: tuple[Registry, ...] = (  # in the order in which `models` lists them
+    COMMUNITY_MODELS, COMPETITION_MODELS, GENERATORS, parts.DATASET_FORMATS, parts.PACKS, parts.LABEL_CHANNELS,
+    parts.CLOUD_SOURCES, parts.SKIES, parts.TERRAINS, parts.GROUND_COVERS, parts.PROJECTIONS, parts.RIGS,
+    parts.INSTRUMENTS, parts.BUILDINGS, MESH_EXPORTERS,
+)  # fmt: skip
+_REGISTRIES = {one.kind.replace(" ", "_"): one for one in _KINDS}
 _WITHOUT_COMMENT = {  # files of a format that has none
     "fig_5_2": "A bush of one rule, of Rhodes University's forest: its Fig. 5.2, in the format .sys.",
 }
@@ -65,7 +42,7 @@ class Entry:
     kind: str  # of part, such as community_model; or species, lsystem, recipe
     name: str
     description: str
-    path: Path | None = field(default=None)  # of a file
+    path: Path | None = None  # of a file
 
     @property
     def page(self) -> str:
@@ -171,12 +148,13 @@ class SpeciesEntry:
 
 def species() -> list[SpeciesEntry]:
     """The species that come with forestgen."""
-    from forestgen.runs.single_plant import drawn_of, mature_size_m
+    from forestgen.api.plants import drawn_of
+    from forestgen.plants.build import size_m
 
     found = []
     for name in list_assets("species"):
         one = drawn_of(name, 0).species[name]
-        height_m, width_m = mature_size_m(one)
+        height_m, width_m = size_m(one, one.ecology.max_radius_m)
         found.append(SpeciesEntry(name, height_m, width_m, one.plant.generator, one.description))
     return found
 

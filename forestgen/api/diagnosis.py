@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -72,46 +73,32 @@ class Diagnosis:
 
 def doctor() -> Diagnosis:
     """What this machine offers: `Diagnosis.ready` tells whether forestgen can render here."""
-    machine = (find() for find in (_python, _cores, _memory, _disk, _packages))
     libraries = (_tried(*one) for one in _LIBRARIES)  # each in a process of its own
     gpu = _tried("GPU", "check_cuda", "", required=False)
     use = "used if FORESTGEN_TRACING is cuda" if gpu.good else "not needed"
-    findings = (*machine, *libraries, replace(gpu, text=f"{gpu.text}; {use}"))
+    findings = (*_machine(), *libraries, replace(gpu, text=f"{gpu.text}; {use}"))
     system = f"{platform.system()} {platform.machine()}"
     return Diagnosis(__version__, platform.python_version(), system, findings)
 
 
-def _python() -> Finding:
-    good = (3, 11) <= sys.version_info[:2] < (3, 14)
-    return Finding("Python", good, f"{platform.python_version()}, {sys.executable}", "use Python 3.11, 3.12 or 3.13")
-
-
-def _cores() -> Finding:
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return Finding("cores", True, f"{usable} usable of {os.cpu_count()}")
-
-
-def _memory() -> Finding:
+def _machine() -> Iterator[Finding]:
     import psutil
 
-    free, total = free_bytes(), psutil.virtual_memory().total
-    text = f"{free / 1e9:.1f} GB free of {total / 1e9:.1f} GB"
-    return Finding("memory", free > _LEAST_FREE_BYTES, text, "close other programs: 3 GB is the least")
-
-
-def _disk() -> Finding:
-    import shutil
-
+    good = (3, 11) <= sys.version_info[:2] < (3, 14)
+    version = f"{platform.python_version()}, {sys.executable}"
+    yield Finding("Python", good, version, "use Python 3.11, 3.12 or 3.13")
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    yield Finding("cores", True, f"{usable} usable of {os.cpu_count()}")
+    free = free_bytes()
+    text = f"{free / 1e9:.1f} GB free of {psutil.virtual_memory().total / 1e9:.1f} GB"
+    yield Finding("memory", free > _LEAST_FREE_BYTES, text, "close other programs: 3 GB is the least")
     free = shutil.disk_usage(".").free
-    return Finding("disk, this folder", free > 1e9, f"{free / 1e9:.1f} GB free", "a 640x360 frame takes about 25 MB")
-
-
-def _packages() -> Finding:
+    yield Finding("disk, this folder", free > 1e9, f"{free / 1e9:.1f} GB free", "a 640x360 frame takes about 25 MB")
     versions = package_versions()
     missing = [name for name, version in versions.items() if version is None]
     wanted = ("mitsuba", "drjit", "mitsuba-oidn", "numpy", "OpenEXR")
     text = ", ".join(f"{name} {versions[name] or 'missing'}" for name in wanted)
-    return Finding("packages", not missing, text, f"missing: {', '.join(missing)}; run `uv sync`")
+    yield Finding("packages", not missing, text, f"missing: {', '.join(missing)}; run `uv sync`")
 
 
 def _tried(name: str, function: str, remedy: str, *, required: bool = True) -> Finding:

@@ -16,7 +16,7 @@ from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import three_digits
 from forestgen.core.progress import Progress
-from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
+from forestgen.runs.summary import Display, ProgressTracker, SilentDisplay
 
 _LINE_EVERY_S = 60.0
 _NOTEBOOK_EVERY_S = 0.5
@@ -37,7 +37,8 @@ def display_of(progress: bool | Progress | None) -> Display:
     if progress is None or progress is True:
         if _in_notebook():
             return NotebookDisplay()
-        return Bars() if _in_terminal() else Lines(_LINE_EVERY_S)
+        is_terminal = sys.stderr is not None and not sys.stderr.closed and sys.stderr.isatty()
+        return Bars() if is_terminal else Lines(_LINE_EVERY_S)
     if not callable(getattr(progress, "stage", None)) or isinstance(progress, type):
         expected = "None, True, False, or an object with a method stage(title, total)"
         raise RecipeError("this shows no progress", parameter="progress", expected=expected, got=shown(progress))
@@ -94,8 +95,10 @@ class Bars(SilentDisplay):
             shown.reset(task, total=total)
         else:
             task = self._tasks[title] = shown.add_task(title, total=total, note="")
-            if len(self._tasks) > _MOST_BARS:
-                self._remove_oldest()
+            finished = {one.id for one in shown.tasks if one.finished}
+            oldest = next((name for name, one in self._tasks.items() if one in finished), None)
+            if len(self._tasks) > _MOST_BARS and oldest is not None:
+                shown.remove_task(self._tasks.pop(oldest))
         try:
             yield lambda steps: shown.advance(task, steps)
         finally:
@@ -114,13 +117,6 @@ class Bars(SilentDisplay):
         if self._run is None:
             self._run = self._progress.add_task("images", total=tracker.total, note="")
         self._progress.update(self._run, completed=tracker.done + tracker.failed, note=pace(tracker))
-
-    def _remove_oldest(self) -> None:
-        done = {task.id for task in self._progress.tasks if task.finished}
-        for title, task in self._tasks.items():
-            if task in done:
-                self._progress.remove_task(self._tasks.pop(title))
-                return
 
 
 class Lines(SilentDisplay):
@@ -165,8 +161,7 @@ class Lines(SilentDisplay):
     def say(self, text: str) -> None:
         _write(text)
 
-    def _tell(self, text: str) -> None:
-        _write(text)
+    _tell = say
 
 
 class NotebookDisplay(Lines):
@@ -242,10 +237,6 @@ def span(seconds: float) -> str:
     if minutes < 24 * 60:
         return f"{minutes // 60} h {minutes % 60:02d} min"
     return f"{minutes // 1440} d {minutes % 1440 // 60} h"
-
-
-def _in_terminal() -> bool:
-    return sys.stderr is not None and not sys.stderr.closed and sys.stderr.isatty()
 
 
 def _in_notebook() -> bool:

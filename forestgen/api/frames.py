@@ -24,8 +24,9 @@ from forestgen.dataset.writer import write_frame, write_maps
 from forestgen.pipeline import RenderedFrame, assemble_image, image_frames
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe, dump_yaml
 from forestgen.render.variant import mitsuba, tracing_on
-from forestgen.runs.tracker import Display
-from forestgen.scene.plan import check_memory, make_plan
+from forestgen.runs.summary import Display
+from forestgen.scene.plan import check_memory
+from forestgen.scene.plan import make_plan
 
 
 class MadeFrame(Frame):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -11,38 +13,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.api.display import display_of
-from forestgen.core.arguments import path_of, paths_of
-from forestgen.core.progress import Progress
+from forestgen.core.arguments import PathLike, number_of, path_of, paths_of, whole_of
+from forestgen.core.errors import RecipeError
+from forestgen.core.parts import Part
+from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import FileSet, check_writable
-from forestgen.geometry.export import model_files, png
-from forestgen.geometry.mesh import Mesh
+from forestgen.dataset.tonemap import tone_map
+from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of, mesh_suffixes, model_files, png
+from forestgen.geometry.mesh import Mesh, surface_area_m2
+from forestgen.plants.bark.texture import texture_images
+from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.growing import ExemplarRequest, grow_exemplar
+from forestgen.plants.light_wood import check_wood_triangles
+from forestgen.geometry.simplify import with_light_wood
+from forestgen.plants.parameters import with_detail
+from forestgen.plants.plan import PlantPlan, plan_plants
 from forestgen.plants.build import check_sways, sway
-from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.plan import PlantPlan
-from forestgen.render.studio import PictureSettings, camera_of
-from forestgen.runs.single_plant import (
-    PICTURE,
-    Order,
-    SinglePlant,
-    check_formats,
-    check_numbers,
-    default_outputs,
-    described,
-    grow,
-    grow_plants,
-    mesh_model,
-    name_of,
-    picture_of,
-    plan_of,
-    radius_of_m,
-)
+from forestgen.recipe.assets import SUFFIXES, find_asset
+from forestgen.recipe.load import DrawnRecipe, load_recipe_data
+from forestgen.recipe.species import TALLEST_M, Species
+from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph
+from forestgen.scene.spec import Camera, Material
+from forestgen.scene.surfaces import materials_of
 
+PICTURE = ".png"
+_MOST_FILES = 9999  # names have four digits
+_MOST_SEEDS = 2**63  # mesh files hold them as signed integers
+_SHORTEST_M = 0.02
+_TALLEST = 2.0  # of a mature plant's height
 _REPR_SAMPLES = 16
 
 
-def plant(
-    species: str | os.PathLike[str], height_m: float | None = None, *, seed: int = 0, detail: int | None = None
-) -> Plant:
+@dataclass(frozen=True)
+class SinglePlant:
+    """What was made."""
+
+    species: str
+    seed: int
+    height_m: float
+    crown_width_m: float
+    triangles: dict[str, int]  # by part
+    leaf_area_m2: float  # one side
+    leaf_area_index: float  # leaf area over the crown's projection, pi/4 width^2
+    wood_kg: float  # dry
+    leaf_kg: float  # dry
+    files: dict[Path, int] = field(default_factory=dict)  # size in bytes
+
+
+def plant(species: PathLike, height_m: float | None = None, *, seed: int = 0, detail: int | None = None) -> Plant:
     """Grow one plant.
 
     Parameters
@@ -57,15 +75,15 @@ def plant(
     RecipeError, AssetError : there is no such species, or it has no plant of that height.
     """
     source = str(path_of(species, "species"))
-    check_numbers(Order(source, (), height_m, seed, detail=detail))
+    check_numbers(height_m=height_m, seed=seed, detail=detail)
     plan, name = plan_of(source, seed, detail), name_of(source)
     radius_m = radius_of_m(plan.drawn.species[name], height_m)
     return Plant(plan, grow(plan, name, radius_m, seed), seed)
 
 
 def grow_files(
-    species: str | os.PathLike[str],
-    out: Sequence[str | os.PathLike[str]] | None = None,
+    species: PathLike,
+    out: Sequence[PathLike] | None = None,
     *,
     height_m: float | None = None,
     seed: int = 0,
@@ -95,24 +113,51 @@ def grow_files(
     ------
     RecipeError, AssetError, OutputError
     """
+    settings = PictureSettings(size_px, samples, distance_m, look_at_m).check()
     source = str(path_of(species, "species"))
-    outputs = tuple(paths_of(() if out is None else out, "out", output=True)) or default_outputs(source)
-    order = Order(
-        source,
-        outputs,
-        height_m,
-        seed,
-        count,
-        frames,
-        frames_per_s,
-        detail,
-        wood_triangles,
-        PictureSettings(size_px, samples, distance_m, look_at_m).check(),
-        overwrite,
-    )
-    display = display_of(progress)
-    with display.running():
-        return grow_plants(order, display)
+    outputs = paths_of(() if out is None else out, "out", output=True) or default_outputs(source)
+    check_numbers(count, frames, frames_per_s, seed, detail, height_m, wood_triangles)
+    check_formats(outputs)
+    names = list(numbered(outputs, count if frames is None else frames, several=count > 1 or frames is not None))
+    for paths in names:
+        meshes = [path for path in paths if path.suffix.lower() != PICTURE]
+        beside = [path.with_name(name) for path in meshes for name in exporter_of(path.name).companions(path.name)]
+        check_writable([*paths, *beside], overwrite=overwrite)
+    made: list[SinglePlant] = []
+    plan, display, camera = plan_of(source, seed, detail), display_of(progress), None
+    title = "plants" if frames is None else "frames"
+    with display.running(), FileSet(overwrite=overwrite) as files, display.stage(title, len(names)) as advance:
+        plants = _grown(plan, height_m, range(seed, seed + count), frames, frames_per_s)
+        for one, paths in zip(plants, names, strict=True):
+            if camera is None or frames is None:  # frames are all seen from one place
+                camera = camera_of(one._exemplar, settings)
+            contents = dict(one._contents(paths, wood_triangles, camera, settings.samples, display))
+            for path, content in contents.items():
+                files.write(path, content)
+            made.append(replace(one.measures, files={path: len(content) for path, content in contents.items()}))
+            advance(1)
+    return made
+
+
+def numbered(outputs: Sequence[Path], count: int, *, several: bool) -> Iterator[list[Path]]:
+    """Files of each plant or frame; where there are several, the first tree.glb is tree-0001.glb."""
+    for number in range(1, count + 1):
+        yield [path.with_name(f"{path.stem}-{number:04d}{path.suffix}") if several else path for path in outputs]
+
+
+def _grown(
+    plan: PlantPlan, height_m: float | None, seeds: range, frames: int | None, frames_per_s: float
+) -> Iterator[Plant]:
+    """A plant of each seed, or poses of the first one."""
+    (name,) = plan.drawn.species
+    if frames is not None:
+        check_sways(name, plan.generators[name])
+    radius_m = radius_of_m(plan.drawn.species[name], height_m)
+    if frames is None:
+        yield from (Plant(plan, grow(plan, name, radius_m, seed), seed) for seed in seeds)
+        return
+    for exemplar in sway(plan, name, radius_m, seeds[0], frames, frames_per_s):
+        yield Plant(plan, exemplar, seeds[0])
 
 
 class Plant:
@@ -128,7 +173,7 @@ class Plant:
     @cached_property
     def measures(self) -> SinglePlant:
         """Height, crown width, leaf area, dry masses, triangles by part."""
-        return described(self._exemplar, self._plan.drawn.species[self.species], self.seed, {})
+        return described(self._exemplar, self._plan.drawn.species[self.species], self.seed)
 
     @property
     def height_m(self) -> float:
@@ -161,9 +206,7 @@ class Plant:
             [mesh.faces.astype(np.int64) + start for mesh, start in zip(self.meshes.values(), first, strict=False)]
         )
 
-    def export(
-        self, path: str | os.PathLike[str], *, wood_triangles: int | None = None, overwrite: bool = False
-    ) -> Path:
+    def export(self, path: PathLike, *, wood_triangles: int | None = None, overwrite: bool = False) -> Path:
         """Write a mesh (.glb, .ply, .obj, .usd, .usda, .usdc, .usdz, or a registered format), or a picture (.png).
 
         Parameters
@@ -178,16 +221,27 @@ class Plant:
         """
         target = path_of(path, "path", output=True)
         check_formats([target])
-        check_numbers(Order(self.species, (target,), wood_triangles=wood_triangles))
+        check_numbers(wood_triangles=wood_triangles)
         check_writable([target], overwrite=overwrite)
-        if target.suffix.lower() == PICTURE:
-            files = {target.name: png(self.picture())}
-        else:
-            files = model_files(mesh_model(self._plan, self._exemplar, self.seed, wood_triangles), target.name)
+        camera, samples = camera_of(self._exemplar, PictureSettings()), PictureSettings.samples
         with FileSet(overwrite=overwrite) as written:
-            for name, content in files.items():
-                written.write(target.with_name(name), content)
+            for name, content in self._contents([target], wood_triangles, camera, samples, Silent()):
+                written.write(name, content)
         return target
+
+    def _contents(
+        self, paths: Sequence[Path], wood_triangles: int | None, camera: Camera, samples: int, progress: Progress
+    ) -> Iterator[tuple[Path, bytes]]:
+        """Files of meshes and pictures, with those beside them."""
+        model = None
+        for path in paths:
+            if path.suffix.lower() == PICTURE:
+                yield path, png(picture_of(self._plan, self._exemplar, camera, samples, self.seed, progress))
+                continue
+            if model is None:
+                model = mesh_model(self._plan, self._exemplar, self.seed, wood_triangles)
+            for name, content in model_files(model, path.name).items():
+                yield path.with_name(name), content
 
     def picture(
         self,
@@ -208,22 +262,14 @@ class Plant:
         look_at_m : look at this height through a normal lens, not at the whole plant.
         """
         settings = PictureSettings(size_px, samples, distance_m, look_at_m).check()
-        display = display_of(progress)
+        camera, display = camera_of(self._exemplar, settings), display_of(progress)
         with display.running():
-            return picture_of(
-                self._plan, self._exemplar, camera_of(self._exemplar, settings), settings.samples, self.seed, display
-            )
+            return picture_of(self._plan, self._exemplar, camera, settings.samples, self.seed, display)
 
     def sway(self, frames: int, frames_per_s: float = 12.0) -> list[Plant]:
-        """The plant's poses in the wind, of a species whose generator is strands.
-
-        Raises
-        ------
-        RecipeError : plants of this species do not move.
-        """
-        check_numbers(Order(self.species, (), frames=frames, frames_per_s=frames_per_s))
-        parameters = self._plan.generators[self.species]
-        check_sways(self.species, parameters)
+        """The plant's poses in the wind; `RecipeError` unless its species' generator is strands."""
+        check_numbers(frames=frames, frames_per_s=frames_per_s)
+        check_sways(self.species, self._plan.generators[self.species])
         posed = sway(self._plan, self.species, self._exemplar.radius_m, self.seed, frames, frames_per_s)
         return [Plant(self._plan, one, self.seed) for one in posed]
 
@@ -236,3 +282,167 @@ class Plant:
             f"<Plant {one.species}: {one.height_m:.2f} m tall, crown {one.crown_width_m:.2f} m wide, "
             f"{sum(one.triangles.values()):,} triangles>"
         )
+
+
+def check_numbers(
+    count: int = 1,
+    frames: int | None = None,
+    frames_per_s: float = 12.0,
+    seed: int = 0,
+    detail: int | None = None,
+    height_m: float | None = None,
+    wood_triangles: int | None = None,
+) -> None:
+    """Raise `RecipeError` for numbers, a pace or a seed that are none."""
+    whole_of(count, "count", 1, _MOST_FILES)
+    if frames is not None:
+        whole_of(frames, "frames", 1, _MOST_FILES)
+        if count > 1:
+            raise RecipeError("frames are of one plant", parameter="frames", expected="`count` or `frames`, not both")
+    if not 0 < number_of(frames_per_s, "frames_per_s") <= 1000:
+        got = f"{frames_per_s:g}"
+        raise RecipeError("no such pace", parameter="frames_per_s", expected="above 0, at most 1000", got=got)
+    if whole_of(seed, "seed", 0, _MOST_SEEDS) + count > _MOST_SEEDS:
+        expected = f"less than {_MOST_SEEDS - count + 1}"
+        raise RecipeError("no such seed", parameter="seed", expected=expected, got=str(seed))
+    if detail is not None:
+        whole_of(detail, "detail", 0, 2)
+    if height_m is not None:
+        number_of(height_m, "height_m")
+    check_wood_triangles(wood_triangles)
+
+
+def check_formats(outputs: Sequence[Path]) -> None:
+    """Raise `RecipeError` for files of an unknown kind, and for one that is named twice."""
+    wanted = (*mesh_suffixes(), PICTURE)
+    for path in outputs:
+        if path.suffix.lower() not in wanted:
+            expected = ", ".join(wanted[:-1]) + f" or {wanted[-1]}"
+            raise RecipeError("unknown format", parameter="out", expected=expected, got=f"{str(path)!r:.200}")
+    if len(set(outputs)) < len(outputs):
+        twice = next(path for path in outputs if list(outputs).count(path) > 1)
+        raise RecipeError("the same file twice", parameter="out", got=str(twice))
+
+
+def name_of(species: str) -> str:
+    """Name of a shipped species or of a species file: ``my oak.yaml`` is my-oak."""
+    return re.sub(r"[^A-Za-z0-9_-]", "-", Path(species).stem).lstrip("-_")[:64] or "plant"
+
+
+def default_outputs(species: str) -> tuple[Path, ...]:
+    """outputs/SPECIES.glb and .png."""
+    return tuple(Path("outputs") / f"{name_of(species)}{suffix}" for suffix in (".glb", PICTURE))
+
+
+def drawn_of(species: str, seed: int) -> DrawnRecipe:
+    """A recipe that has this species alone; the generator's own keys are not yet checked."""
+    path = Path(species)
+    is_file = path.suffix in SUFFIXES["species"]
+    source = f"./{path.name}" if is_file else species  # a file of the user's own may lie anywhere
+    if not is_file:
+        find_asset("species", species, parameter="species")
+    alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "none"}}
+    folder = path.parent if is_file else Path()
+    return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant", folder).draw(0)
+
+
+def plan_of(species: str, seed: int, detail: int | None = None) -> PlantPlan:
+    """PlantPlan of `drawn_of`, its organs at a level of detail."""
+    plan = plan_plants(drawn_of(species, seed))
+    if detail is None:
+        return plan
+    finer = {name: with_detail(one, detail) for name, one in plan.generators.items()}
+    return replace(plan, generators=finer)
+
+
+def grow(plan: PlantPlan, name: str, radius_m: float, seed: int) -> Exemplar:
+    """The plant of a species, a radius and a seed."""
+    species, parameters = plan.drawn.species[name], plan.generators[name]
+    return grow_exemplar(ExemplarRequest(name, species, parameters, radius_m, seed, ("exemplar", name)))
+
+
+def radius_of_m(species: Species, height_m: float | None) -> float:
+    """Community radius of a plant of that height: the allometry's inverse."""
+    mature_m = species.ecology.max_radius_m
+    if height_m is None:
+        return mature_m
+    tallest_m = min(_TALLEST * species.mature_height_m, TALLEST_M)  # a slip of the pen makes gigabytes of leaves
+    if not (math.isfinite(height_m) and _SHORTEST_M <= height_m <= tallest_m):
+        expected = f"{_SHORTEST_M:g} to {tallest_m:.3g} m; a mature plant has {species.mature_height_m:.3g} m"
+        raise RecipeError("no such plant", parameter="height_m", expected=expected, got=f"{height_m:g}")
+    law = species.allometry.height_m
+    if law.exponent:
+        return law.inverse(height_m)
+    if not math.isclose(height_m, law.scale, rel_tol=0.01):
+        raise RecipeError(
+            "plants of this species are all of one height",
+            parameter="height_m",
+            expected=f"{law.scale:g} m",
+            got=f"{height_m:g} m",
+            hint="leave `height_m` out",
+        )
+    return mature_m
+
+
+def picture_of(
+    plan: PlantPlan, exemplar: Exemplar, camera: Camera, samples: int, seed: int, progress: Progress
+) -> NDArray[np.uint8]:
+    """(H, W, 3) sRGB picture of a plant in the studio."""
+    materials = materials_of(plan.drawn.species, plan.drawn.recipe.plants.season)
+    radiance = photograph(exemplar, materials, camera, plan.drawn.recipe, samples, seed, progress)
+    return tone_map(radiance, EXPOSURE)
+
+
+def mesh_model(plan: PlantPlan, exemplar: Exemplar, seed: int, wood_triangles: int | None = None) -> Model:
+    """A plant for mesh files, its wood of about `wood_triangles` with one baked texture, or as grown."""
+    materials = materials_of(plan.drawn.species, plan.drawn.recipe.plants.season)
+    name = exemplar.species
+    model = model_of(exemplar, plan.drawn.species[name], materials, seed)
+    if wood_triangles is None:
+        return model
+    textures = {key: one.texture.colour for (owner, key), one in materials.items() if owner == name and one.texture}
+    return replace(model, pieces=with_light_wood(model.pieces, textures, wood_triangles))
+
+
+def model_of(exemplar: Exemplar, species: Species, materials: Mapping[tuple[str, str], Material], seed: int) -> Model:
+    """A plant for mesh files."""
+    pieces = []
+    for organ in exemplar.organs:
+        surface = _surface(organ, materials[exemplar.species, organ.material])
+        area: dict[str, Value] = {"area_m2": surface_area_m2(organ.mesh)}
+        pieces.append(Piece(f"{organ.part.name.lower()}-{organ.material}", organ.part, organ.mesh, surface, area))
+    measures = asdict(described(exemplar, species, seed))
+    del measures["triangles"], measures["files"]
+    properties = {"species": exemplar.species, "description": species.description, **measures}
+    return Model(exemplar.species, pieces, properties)
+
+
+def _surface(organ: OrganMesh, material: Material) -> Surface:
+    """A material as mesh files know it; its texture needs a mesh with uv."""
+    sheet = organ.part in (Part.LEAF, Part.FLOWER)
+    look = (material.reflectance, material.transmittance, material.roughness, sheet)
+    if material.texture is None:
+        return Surface(organ.material, *look)
+    if organ.mesh.uv is None:
+        return Surface(f"{organ.material}-plain", *look)
+    return Surface(organ.material, *look, *texture_images(material.texture))
+
+
+def described(exemplar: Exemplar, species: Species, seed: int) -> SinglePlant:
+    """A plant's numbers."""
+    triangles: dict[str, int] = {}
+    for organ in exemplar.organs:
+        part = organ.part.name.lower().replace("_", " ")
+        triangles[part] = triangles.get(part, 0) + organ.mesh.triangles
+    crown_m2 = math.pi / 4 * exemplar.crown_width_m**2
+    return SinglePlant(
+        species=exemplar.species,
+        seed=seed,
+        height_m=exemplar.height_m,
+        crown_width_m=exemplar.crown_width_m,
+        triangles=triangles,
+        leaf_area_m2=exemplar.leaf_area_m2,
+        leaf_area_index=exemplar.leaf_area_m2 / crown_m2 if crown_m2 else 0.0,
+        wood_kg=species.tissue.wood_density_kg_per_m3 * exemplar.wood_volume_m3,
+        leaf_kg=species.tissue.leaf_mass_per_area_kg_per_m2 * exemplar.leaf_area_m2,
+    )

@@ -18,7 +18,6 @@ from forestgen.recipe.assets import list_assets
 
 if TYPE_CHECKING:
     from forestgen.community.fitting.fit import Fit
-    from forestgen.community.fitting.stand import MeasuredStand
     from forestgen.community.point_statistics import PointStatistics
 
 Bounds = tuple[float, float, float, float]
@@ -137,9 +136,12 @@ def fit_kernel(
         check_writable(files, overwrite=overwrite)
     table = read_points(source, window, marks=True)
     stand, notes = measured_stand(table, str(source))
-    before = [*table.notes, *notes, *_on_species(stand, library, species)]
-    display = display_of(progress)
-    with display.running():
+    before = [*table.notes, *notes]
+    strange = [name for name in stand.names if name not in library]
+    if species is None and strange:
+        who, why = ", ".join(strange) if any(strange) else "new plants", "since no `species` says what they look like"
+        before.append(f"{who}: drawn as {_SPECIES}, {why}; places do not depend on it")
+    with (display := display_of(progress)).running():
         for note in before:  # who reads that the window is wrong need not wait for the fit
             display.say(f"note: {note}")
         fit = fit_stand(stand, display, seed=seed, checks=checks, reach_m=reach_m, founders=founders)
@@ -166,15 +168,6 @@ def fit_files(target: Path) -> tuple[Path, Path, Path]:
     if target.suffix.lower() in _RECIPES:
         return target, target.with_suffix(".png"), target.with_suffix(".json")
     return target / "kernel.yaml", target / "fit.png", target / "fit.json"
-
-
-def _on_species(stand: MeasuredStand, library: set[str], species: str | None) -> list[str]:
-    """A note if plants get a look by default."""
-    strange = [name for name in stand.names if name not in library]
-    if species is not None or not strange:
-        return []
-    who = ", ".join(strange) if any(strange) else "new plants"
-    return [f"{who}: drawn as {_SPECIES}, since no `species` says what they look like; places do not depend on it"]
 
 
 def _on_fit(fit: Fit) -> list[str]:

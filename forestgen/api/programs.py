@@ -87,15 +87,6 @@ def derive(
     drawn, most = whole_of(seed, "seed", 0, MOST_SEEDS), whole_of(max_modules, "max_modules", 1, _MOST_LIMIT)
     path = named if os.path.exists(named) else find_asset("lsystems", str(named))  # noqa: PTH110 - never raises
     program = compile_program(with_values(parse_file(path), _values(set)))
-    wanted = _steps(program, steps)
-    last: derivation.Derivation | None = None
-    for last in derivation.derive(program, wanted, drawn, most_modules=most):  # noqa: B007 - the last matters
-        pass
-    assert last is not None
-    return Words(str(path), wanted, drawn, last)
-
-
-def _steps(program: Program, steps: int | None) -> int:
     wanted = program.derivation_length if steps is None else steps
     if wanted is None:
         raise RecipeError(
@@ -104,7 +95,12 @@ def _steps(program: Program, steps: int | None) -> int:
             expected="`steps=N`, or derivation length: N in the file",
             got="neither",
         )
-    return whole_of(wanted, "steps", 0, _MOST_STEPS)
+    wanted = whole_of(wanted, "steps", 0, _MOST_STEPS)
+    last: derivation.Derivation | None = None
+    for last in derivation.derive(program, wanted, drawn, most_modules=most):  # noqa: B007 - the last matters
+        pass
+    assert last is not None
+    return Words(str(path), wanted, drawn, last)
 
 
 def _values(settings: Mapping[str, Value] | Sequence[str] | None) -> dict[str, Value]:

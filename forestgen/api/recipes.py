@@ -1,6 +1,6 @@
 """Recipes: `load` reads one, and everything that a recipe can make is a method of `Recipe`.
 
-Its methods that make images are in rendering.py, those that measure in instruments.py.
+Its methods that make images and that measure are in rendering.py.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from forestgen.api.display import display_of
-from forestgen.api.instruments import Instruments
 from forestgen.api.rendering import Rendering
 from forestgen.core.arguments import PathLike, listed, path_of, paths_of, plain_copy, shown, texts_of, whole_of
 from forestgen.core.errors import RecipeError
@@ -140,7 +139,7 @@ class Validation:
         yield "hash", self.hash
 
 
-class Recipe(Rendering, Instruments):
+class Recipe(Rendering):
     """A recipe that has passed the checks of its text. Objects do not change; `set` returns another one."""
 
     def __init__(self, source: PathLike | Mapping[str, Any], overrides: Sequence[str] = ()) -> None:

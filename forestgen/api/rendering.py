@@ -1,23 +1,30 @@
-"""Images of a recipe: the methods of `Recipe` that make frames in memory, and data sets."""
+"""Methods of `Recipe` that make frames in memory and data sets, and that measure: light, colours, weather."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from forestgen.api.datasets import Run
 from forestgen.api.display import display_of
-from forestgen.core.arguments import PathLike, address_of, whole_of
-from forestgen.core.progress import Progress
+from forestgen.core.arguments import PathLike, address_of, path_of, paths_of, shown, texts_of, whole_of
+from forestgen.core.errors import OutputError, RecipeError
+from forestgen.core.progress import Progress, Timings
 from forestgen.recipe.dataset import NUMBERS_END
 
 if TYPE_CHECKING:
+    from forestgen.atmosphere.clouds.source import WeatherReport
     from forestgen.dataset.frame import Frame
+    from forestgen.instruments.calibration import Calibration
+    from forestgen.instruments.instrument import Instrument, Reading, ReadingT
+    from forestgen.instruments.light_meter import LightReadings
     from forestgen.recipe.load import LoadedRecipe
     from forestgen.runs.start import DryRun
-    from forestgen.runs.tracker import Display
+    from forestgen.runs.summary import Display
+
+_WEATHER_FILES = (".nc", ".vol", ".vdb")
 
 
 class Rendering:
@@ -43,7 +50,7 @@ class Rendering:
         threads, device, progress : see `render`.
         """
         from forestgen.api.frames import frames_of
-        from forestgen.runs.start import RunOptions
+        from forestgen.runs.contract import RunOptions
         from forestgen.scene.plan import check_plan
 
         loaded = self._loaded
@@ -83,7 +90,8 @@ class Rendering:
         ------
         ForestgenError : the first image that fails raises its own error; finished images stay, and `resume` goes on.
         """
-        from forestgen.runs.start import RunOptions, render
+        from forestgen.runs.contract import RunOptions
+        from forestgen.runs.start import render
 
         options = RunOptions.of(locals())
         target = address_of(free_folder(Path("outputs") / self._loaded.path.stem) if out is None else out, "out")
@@ -127,7 +135,8 @@ class Rendering:
         DatasetError : images could not be made; the others are there.
         RecipeError, ResourceError, OutputError
         """
-        from forestgen.runs.start import RunOptions, batch
+        from forestgen.runs.contract import RunOptions
+        from forestgen.runs.start import batch
 
         options, target = RunOptions.of(locals()), address_of(out, "out")
         with _shown(options.device, progress) as display:
@@ -160,11 +169,158 @@ class Rendering:
         ------
         RecipeError, ResourceError, OutputError : the batch could not be made.
         """
-        from forestgen.runs.start import RunOptions, dry_run
+        from forestgen.runs.contract import RunOptions
+        from forestgen.runs.start import dry_run
 
         options, target = RunOptions.of(locals()), address_of(out, "out")
         with _shown(options.device, progress) as display:
             return dry_run(self._loaded, target, options, display)
+
+    def light(
+        self,
+        at: Sequence[Sequence[float | str]],
+        *,
+        normals: str | Sequence[str | Sequence[float]] = ("up",),
+        samples: int = 16384,
+        absolute_z: bool = False,
+        out: PathLike | None = None,
+        spectrum: float | None = None,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> LightReadings:
+        """Measure light at points of the first image's scene.
+
+        Parameters
+        ----------
+        at : points x, y, z in metres, z above ground.
+        normals : where the meter looks: up, down, north, east, south, west, or a vector.
+        samples : light paths of each light at each wavelength.
+        absolute_z : count z from z = 0, not from the ground below.
+        out : a .csv or .json file.
+        spectrum : step in nm of the spectra in `out`.
+        overwrite : replace an existing file.
+        """
+        from forestgen.instruments.light_meter import INSTRUMENT
+
+        keys = {"at": at, "normals": normals, "samples": samples, "absolute_z": absolute_z, "spectrum": spectrum}
+        return _measured(self._loaded, INSTRUMENT, keys, out, overwrite, progress)
+
+    def measure(
+        self,
+        instrument: str,
+        keys: Mapping[str, Any] | Sequence[str] | None = None,
+        *,
+        out: PathLike | None = None,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> Reading:
+        """Measure in the first image's scene with an instrument; `print` shows what it measured.
+
+        Parameters
+        ----------
+        instrument : one of `forestgen.models(kind="instrument")`, whose page has its keys.
+        keys : of the measurement: ``{"at": [[30, 40, 1.5]]}``, or texts ``["at=[[30, 40, 1.5]]"]`` whose values are
+            YAML.
+        out : a file, in one of the formats of the instrument; most write .json.
+        overwrite : replace an existing file.
+        """
+        from forestgen.recipe.registries import INSTRUMENTS
+
+        values = keys if isinstance(keys, Mapping) else _values(texts_of(keys or (), "keys"))
+        INSTRUMENTS.check(instrument, parameter="instrument")
+        chosen: Instrument[Any, Reading] = INSTRUMENTS.load(instrument)
+        return _measured(self._loaded, chosen, values, out, overwrite, progress)
+
+    def weather(
+        self,
+        count: int | None = None,
+        *,
+        out: Sequence[PathLike] | PathLike = (),
+        picture: PathLike | None = None,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> list[WeatherReport]:
+        """Simulate the weather alone, of each of `count` images.
+
+        Parameters
+        ----------
+        out : files for the last image's: .nc, the state of the air; .vol or .vdb, its extinction.
+        picture : a PNG, a row an image.
+        """
+        from forestgen.atmosphere.clouds.source import cloud_source_of
+        from forestgen.community.plot_series import plot_weather
+        from forestgen.dataset.files import check_writable
+
+        files = paths_of(out, "out", output=True)
+        for one in files:
+            _check_ending(one, _WEATHER_FILES)
+        image = None if picture is None else path_of(picture, "picture", output=True)
+        if image is not None and image.suffix.lower() != ".png":
+            raise RecipeError("no such kind of picture", parameter="picture", expected=".png", got=str(image))
+        check_writable([*files, *([] if image is None else [image])], overwrite=overwrite)
+        number = self._loaded.images if count is None else whole_of(count, "count", 1, 10**8)
+        display = display_of(progress)
+        with display.running():
+            images = map(self._loaded.draw, range(number))
+            reports = [cloud_source_of(drawn).air(drawn, display) for drawn in images]
+        if image is not None:
+            image.parent.mkdir(parents=True, exist_ok=True)
+            plot_weather(reports, image)
+        for one in files:
+            _save_weather(one, reports[-1])
+        return reports
+
+    def calibrate(
+        self,
+        out: PathLike | None = None,
+        *,
+        at: Sequence[float | str] | None = None,
+        normal: str | Sequence[float] = "up",
+        width_px: int = 96,
+        samples: int = 64,
+        absolute_z: bool = False,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> tuple[Calibration, Path]:
+        """Render a ColorChecker and a grey card in the scene and compare them with colour science.
+
+        Parameters
+        ----------
+        out : folder for a sheet, calibration.html, and its numbers; by default outputs/NAME-calibration.
+        at : the board's middle, metres, z above ground; by default over the site's middle, above all plants.
+        normal : where the board looks: up, north, east, south, west, or a vector.
+        width_px, samples : of the chart's picture; light paths a pixel, of each light.
+        absolute_z : count z from z = 0, not from the ground below.
+
+        Returns
+        -------
+        What was measured, whose `holds` tells whether the bounds hold; and the folder.
+        """
+        from forestgen.dataset.folder import OutputFolder
+        from forestgen.dataset.manifest import build_manifest, write_manifest
+        from forestgen.instruments.calibration import write_calibration
+        from forestgen.instruments.colour_chart import INSTRUMENT
+        from forestgen.instruments.instrument import read_keys
+        from forestgen.pipeline import measure
+
+        keys = {"at": at, "normal": normal, "width_px": width_px, "samples": samples, "absolute_z": absolute_z}
+        loaded, section = self._loaded, read_keys(INSTRUMENT, keys)
+        wanted = free_folder(Path("outputs") / f"{loaded.path.stem}-calibration") if out is None else out
+        folder = path_of(wanted, "out", output=True)
+        timings, display = Timings(), display_of(progress)
+        with display.running(), OutputFolder(folder, overwrite=overwrite) as staging:
+            found = measure(loaded, INSTRUMENT, section, display, timings)
+            write_calibration(staging, found, loaded)
+            manifest = build_manifest(
+                staging,
+                recipe_hash=loaded.hash,
+                root_seed=loaded.seed,
+                image_seeds=[],
+                timings_s=timings.seconds,
+                extra={"calibration_holds": found.holds},
+            )
+            write_manifest(staging, manifest)
+        return found, folder
 
 
 @contextmanager
@@ -184,3 +340,61 @@ def free_folder(wanted: Path) -> Path:
         number += 1
         target = wanted.with_name(f"{wanted.name}-{number}")
     return target
+
+
+def _values(texts: Sequence[str]) -> dict[str, Any]:
+    """Key -> value of texts ``key=YAML``."""
+    from forestgen.recipe.sources import parse_yaml
+
+    found = {}
+    for text in texts:
+        key, equals, written = text.partition("=")
+        if not equals:
+            raise RecipeError("this gives no key a value", parameter="keys", expected="key=value", got=shown(text))
+        found[key.strip()], _ = parse_yaml(written, f"keys: {key.strip()}", lines=False)
+    return found
+
+
+def _measured(
+    loaded: LoadedRecipe,
+    instrument: Instrument[Any, ReadingT],
+    keys: Mapping[str, Any],
+    out: PathLike | None,
+    overwrite: bool,
+    progress: bool | Progress | None,
+) -> ReadingT:
+    """Measure, and write a file of it."""
+    from forestgen.dataset.files import FileSet, check_writable
+    from forestgen.instruments.instrument import read_keys
+    from forestgen.pipeline import measure
+
+    target = None if out is None else path_of(out, "out", output=True)
+    section, display = read_keys(instrument, keys), display_of(progress)
+    if target is not None:
+        _check_ending(target, instrument.endings)
+        check_writable([target], overwrite=overwrite)
+    with display.running():
+        reading = measure(loaded, instrument, section, display, Timings())
+    if target is not None:
+        with FileSet(overwrite=overwrite) as files:
+            files.write(target, reading.content(target.suffix.lower(), loaded))
+    return reading
+
+
+def _save_weather(path: Path, report: WeatherReport) -> None:
+    from forestgen.atmosphere.extinction import cloud_grid_of
+    from forestgen.atmosphere.weather_files import write_clouds, write_weather
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix.lower() == ".nc":
+        write_weather(path, report.weather, droplet_radius_um=report.droplet_radius_um)
+        return
+    grid = cloud_grid_of(report.weather, centre_m=None, droplet_radius_um=report.droplet_radius_um)
+    if grid is None:
+        raise OutputError("there are no clouds to write", where=str(path), hint="save the air as .nc")
+    write_clouds(path, grid)
+
+
+def _check_ending(path: Path, endings: Sequence[str]) -> None:
+    if path.suffix.lower() not in endings:
+        raise RecipeError("no such kind of file", parameter="out", expected=" or ".join(endings), got=str(path))

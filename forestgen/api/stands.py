@@ -91,8 +91,12 @@ class Stand:
         ----------
         ax : matplotlib Axes to draw into, whose figure is returned; None: a new figure.
         """
+        from matplotlib.axes import Axes
+
         from forestgen.community.plots import map_figure
 
+        if not (ax is None or isinstance(ax, Axes)):
+            raise RecipeError("these are no axes", parameter="ax", expected="matplotlib Axes, one pair", got=shown(ax))
         plan = self.summary.plan
         return map_figure(
             plan.obstacles.left_out_of(self.population),
@@ -100,7 +104,7 @@ class Stand:
             map_colours(plan),
             periodic=plan.parameters.periodic,
             obstacles=plan.obstacles,
-            axes=_axes_of(ax),
+            axes=ax,
         )
 
     def _repr_png_(self) -> bytes:
@@ -111,12 +115,3 @@ class Stand:
     def __repr__(self) -> str:
         counts = ", ".join(f"{number:,} {name}" for name, number in self.summary.counts.items())
         return f"<Stand at year {self.population.time_yr:g}: {counts or 'no plants'}>"
-
-
-def _axes_of(ax: Any) -> Any:
-    """Axes to draw into, or None. Raises `RecipeError` for what is none."""
-    from matplotlib.axes import Axes
-
-    if ax is None or isinstance(ax, Axes):
-        return ax
-    raise RecipeError("these are no axes", parameter="ax", expected="matplotlib Axes, one pair", got=shown(ax))

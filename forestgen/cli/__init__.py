@@ -8,20 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from forestgen.cli.arguments import option
+from forestgen.cli.arguments import with_options
 from forestgen.cli.communities import fit_kernel, lsystem, simulate, stats
 from forestgen.cli.console import errors_for_people, names_of
-from forestgen.cli.datasets import merge, pack, report, verify
-from forestgen.cli.inspect import doctor, models, schema, validate
+from forestgen.cli.datasets import doctor, merge, models, pack, report, schema, validate, verify
 from forestgen.cli.instruments import calibrate, light, measure, weather
-from forestgen.cli.parsing import (
-    PointsCommand,
-    RadiiCommand,
-    add_completion,
-    complete_names,
-    options_suggested,
-    show_plainly,
-)
+from forestgen.cli.parsing import NumbersCommand, add_completion, complete_names, options_suggested, show_plainly
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
 from forestgen.core import __version__
@@ -68,17 +60,15 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
+_ALLOW = "Let recipes read from this folder too, not only from their own. Before the command's name; may be repeated."
+
+
 @app.callback()
 def options(
-    version: Annotated[bool, option("--version", "Show the version.", callback=_version, is_eager=True)] = False,
-    allowed: Annotated[
-        list[Path] | None,
-        option(
-            "--allow-folder DIR",
-            "Let recipes read from this folder too, not only from their own. Before the command's name; may be "
-            "repeated.",
-        ),
-    ] = None,
+    version: Annotated[
+        bool, typer.Option("--version", help="Show the version.", callback=_version, is_eager=True)
+    ] = False,
+    allowed: Annotated[list[Path] | None, typer.Option("--allow-folder", metavar="DIR", help=_ALLOW)] = None,
 ) -> None:
     if allowed:
         from forestgen.recipe.assets import allow_folders
@@ -86,29 +76,30 @@ def options(
         allow_folders(allowed)
 
 
-_COMMANDS: tuple[tuple[Callable[..., None], str, type[typer.core.TyperCommand] | None], ...] = (
-    (render, "render recipes/quickstart.yaml --set render.samples=64 --count 3", None),
-    (batch, "batch recipes/training_set.yaml --count 1000 --out outputs/forests", None),
-    (verify, "verify outputs/forests --rerender 3", None),
-    (report, "report outputs/forests", None),
-    (pack, "pack outputs/forests --format webdataset --out outputs/shards", None),
-    (merge, "merge outputs/part-1 outputs/part-2 --out outputs/forests", None),
-    (simulate, "simulate recipes/quickstart.yaml --map-step 20 --map-step 150", None),
-    (plant, "plant spruce --height-m 12 --seed 3 --out tree.glb --out tree.png", None),
-    (validate, "validate recipes/quickstart.yaml --set seed=3", None),
-    (models, "models multiset_lsystem", None),
-    (schema, "schema > recipe.schema.json", None),
-    (stats, "stats trees.csv --window 0 50 0 20 --radii 1 2 4", RadiiCommand),
-    (fit_kernel, "fit-kernel trees.csv --species poplar --out outputs/trees.yaml", None),
-    (lsystem, "lsystem koch --steps 2 --format count", None),
-    (light, "light recipes/quickstart.yaml --at 60 40 1.5", PointsCommand),
-    (weather, "weather recipes/weather_cumulus.yaml --picture sky.png", None),
-    (calibrate, "calibrate recipes/quickstart.yaml", PointsCommand),
-    (measure, 'measure light_meter recipes/quickstart.yaml --key "at=[[60, 40, 1.5]]"', None),
-    (doctor, "doctor", None),
+_COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
+    (render, "render recipes/quickstart.yaml --set render.samples=64 --count 3"),
+    (batch, "batch recipes/training_set.yaml --count 1000 --out outputs/forests"),
+    (verify, "verify outputs/forests --rerender 3"),
+    (report, "report outputs/forests"),
+    (pack, "pack outputs/forests --format webdataset --out outputs/shards"),
+    (merge, "merge outputs/part-1 outputs/part-2 --out outputs/forests"),
+    (simulate, "simulate recipes/quickstart.yaml --map-step 20 --map-step 150"),
+    (plant, "plant spruce --height-m 12 --seed 3 --out tree.glb --out tree.png"),
+    (validate, "validate recipes/quickstart.yaml --set seed=3"),
+    (models, "models multiset_lsystem"),
+    (schema, "schema > recipe.schema.json"),
+    (stats, "stats trees.csv --window 0 50 0 20 --radii 1 2 4"),
+    (fit_kernel, "fit-kernel trees.csv --species poplar --out outputs/trees.yaml"),
+    (lsystem, "lsystem koch --steps 2 --format count"),
+    (light, "light recipes/quickstart.yaml --at 60 40 1.5"),
+    (weather, "weather recipes/weather_cumulus.yaml --picture sky.png"),
+    (calibrate, "calibrate recipes/quickstart.yaml"),
+    (measure, 'measure light_meter recipes/quickstart.yaml --key "at=[[60, 40, 1.5]]"'),
+    (doctor, "doctor"),
 )
-for _function, _example, _class in _COMMANDS:
-    app.command(_function.__name__.replace("_", "-"), cls=_class, epilog=f"Example: forestgen {_example}")(_function)
+for _function, _example in _COMMANDS:
+    _name, _epilog = _function.__name__.replace("_", "-"), f"Example: forestgen {_example}"
+    app.command(_name, cls=NumbersCommand, epilog=_epilog)(with_options(_function))
 add_completion(app)
 
 

@@ -5,62 +5,38 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
 
-from forestgen.cli.arguments import (
-    Json,
-    Overrides,
-    Overwrite,
-    Quiet,
-    RecipePath,
-    Seed,
-    Verbose,
-    Window,
-    argument,
-    option,
-    progress_of,
-)
+from forestgen.cli.arguments import progress_of
 from forestgen.cli.console import Printer
+
+Window = tuple[float, float, float, float]
 
 
 def simulate(
-    recipe: RecipePath,
-    out: Annotated[
-        Path | None,
-        option("--out -o DIR", "Folder for the results; by default outputs/NAME-community, ...-2, ..."),
-    ] = None,
-    overrides: Overrides = None,
-    map_steps: Annotated[
-        list[int] | None,
-        option("--map-step N", "Draw a map of this step; by default of the last. May be repeated."),
-    ] = None,
-    resume: Annotated[
-        Path | None,
-        option(
-            "--resume HISTORY",
-            "Go on from a snapshot of this history.parquet, which the recipe made with fewer steps.",
-        ),
-    ] = None,
-    from_step: Annotated[
-        int | None, option("--from-step N", "Resume from this step; by default from the last.")
-    ] = None,
-    graphs: Annotated[
-        list[Path] | None,
-        option(
-            "--graph FILE",
-            "Export the last step's branches, of a model whose plants have some: .parquet, .csv, .gltf, .glb, "
-            ".obj, .usda, .usdc. May be repeated.",
-        ),
-    ] = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    recipe: Path,
+    out: Path | None = None,
+    set_: list[str] | None = None,
+    map_steps: list[int] | None = None,
+    resume: Path | None = None,
+    from_step: int | None = None,
+    graphs: list[Path] | None = None,
+    overwrite: bool = False,
+    quiet: bool = False,
+    verbose: bool = False,
 ) -> None:
-    """Simulate a recipe's plant community only: history, statistics, maps."""
+    """Simulate a recipe's plant community only: history, statistics, maps.
+
+    --out -o DIR  Folder for the results; by default outputs/NAME-community, ...-2, ...
+    --map-step N  Draw a map of this step; by default of the last. May be repeated.
+    --resume HISTORY  Go on from a snapshot of this history.parquet, which the recipe made with fewer steps.
+    --from-step N  Resume from this step; by default from the last.
+    --graph FILE  Export the last step's branches, of a model whose plants have some: .parquet, .csv, .gltf, .glb,
+        .obj, .usda, .usdc. May be repeated.
+    """
     from forestgen import load
     from forestgen.api.rendering import free_folder
 
-    stand = load(recipe, set=overrides).simulate(
+    stand = load(recipe, set=set_).simulate(
         out or free_folder(Path("outputs") / f"{recipe.stem}-community"),
         map_steps=map_steps or (),
         resume=resume,
@@ -75,68 +51,44 @@ def simulate(
         say(f"files: {folder}/ ({', '.join(sorted(path.name for path in folder.iterdir()))})")
 
 
-def stats(
-    points: Annotated[
-        Path, argument("FILE", "A CSV file with columns x,y in metres; # begins a comment.", show_default=False)
-    ],
-    window: Window = None,
-    radii: Annotated[list[str] | None, option("--radii R...", "Radii of Ripley's K, metres: --radii 1 2 4.")] = None,
-    as_json: Json = False,
-) -> None:
-    """How points lie: clustered, random, regular."""
+def stats(points: Path, window: Window | None = None, radii: list[str] | None = None, json_: bool = False) -> None:
+    """How points lie: clustered, random, regular.
+
+    FILE  A CSV file with columns x,y in metres; # begins a comment.
+    --radii R...  Radii of Ripley's K, metres: --radii 1 2 4.
+    """
     from forestgen import stats as measure
 
     measured, say = measure(points, window=window, radii=radii or ()), Printer()
-    if as_json:
+    if json_:
         say.json(measured.as_dict())
     else:
         say(f"{points}: {measured}")
 
 
 def fit_kernel(
-    points: Annotated[
-        Path,
-        argument(
-            "FILE",
-            "A CSV file with columns x,y in metres, and perhaps species and radius_m; # begins a comment.",
-            show_default=False,
-        ),
-    ],
-    window: Window = None,
-    species: Annotated[
-        str | None,
-        option(
-            "--species NAME",
-            "What new plants look like: a species of the library; by default poplar, where the library does not "
-            "know the names in the file.",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        option(
-            "--out -o PATH",
-            "A recipe, NAME.yaml, beside which NAME.png and NAME.json are written; or a folder for all three.",
-        ),
-    ] = None,
-    seed: Seed = 0,
-    reach_m: Annotated[
-        float | None,
-        option(
-            "--reach-m METRES", "How far a plant acts; by default a quarter of the window, or six spacings if less."
-        ),
-    ] = None,
-    checks: Annotated[int, option("--checks N", "Test against N sets of 39 new stands.", min=1, max=1000)] = 1,
-    founders: Annotated[
-        bool,
-        option(
-            "--founders/--no-founders",
-            "Where one kernel leaves nearest neighbours far off, let some plants come first and draw the others.",
-        ),
-    ] = True,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    points: Path,
+    window: Window | None = None,
+    species: str | None = None,
+    out: Path | None = None,
+    seed: int = 0,
+    reach_m: float | None = None,
+    checks: int = 1,
+    founders: bool = True,
+    overwrite: bool = False,
+    quiet: bool = False,
 ) -> None:
-    """Fit deformation kernels to a measured stand: a recipe that places new stands like it."""
+    """Fit deformation kernels to a measured stand: a recipe that places new stands like it.
+
+    FILE  A CSV file with columns x,y in metres, and perhaps species and radius_m; # begins a comment.
+    --species NAME  What new plants look like: a species of the library; by default poplar, where the library does not
+        know the names in the file.
+    --out -o PATH  A recipe, NAME.yaml, beside which NAME.png and NAME.json are written; or a folder for all three.
+    --reach-m METRES  How far a plant acts; by default a quarter of the window, or six spacings if less.
+    --checks N  Test against N sets of 39 new stands. [1 to 1000]
+    --founders/--no-founders  Where one kernel leaves nearest neighbours far off, let some plants come first and draw
+        the others.
+    """
     import forestgen
 
     fitted = forestgen.fit_kernel(
@@ -155,31 +107,30 @@ def fit_kernel(
 
 
 def lsystem(
-    file: Annotated[Path, argument("FILE", "An L-system program: a .lsys or .sys file, or a shipped one's name.")],
-    steps: Annotated[
-        int | None, option("--steps N", "Derivation steps; by default the file's derivation length.")
-    ] = None,
-    seed: Seed = 0,
-    form: Annotated[
-        str, option("--format string|json|count", "Words, their modules as JSON, or their number.")
-    ] = "string",
-    settings: Annotated[
-        list[str] | None, option("--set NAME=VALUE", "Another value of a #define, or of an array: A=1,2,3.")
-    ] = None,
-    max_modules: Annotated[
-        int, option("--max-modules N", "Stop where the words grow longer than this.", min=1, max=10**9)
-    ] = 50_000_000,
+    file: Path,
+    steps: int | None = None,
+    seed: int = 0,
+    format_: str = "string",
+    set_: list[str] | None = None,
+    max_modules: int = 50_000_000,
 ) -> None:
-    """Derive an L-system and print the string, or the words of the multiset."""
+    """Derive an L-system and print the string, or the words of the multiset.
+
+    FILE  An L-system program: a .lsys or .sys file, or a shipped one's name.
+    --steps N  Derivation steps; by default the file's derivation length.
+    --format string|json|count  Words, their modules as JSON, or their number.
+    --set NAME=VALUE  Another value of a #define, or of an array: A=1,2,3.
+    --max-modules N  Stop where the words grow longer than this. [1 to 1000000000]
+    """
     from forestgen import derive
     from forestgen.core.errors import RecipeError
 
-    if form not in ("string", "json", "count"):
-        raise RecipeError("no such format", where="--format", expected="string, json, count", got=form)
-    words = derive(file, steps, seed=seed, set=settings, max_modules=max_modules)
-    if form == "count":
+    if format_ not in ("string", "json", "count"):
+        raise RecipeError("no such format", where="--format", expected="string, json, count", got=format_)
+    words = derive(file, steps, seed=seed, set=set_, max_modules=max_modules)
+    if format_ == "count":
         sys.stdout.write(f"{words.modules}\n")
-    elif form == "json":
+    elif format_ == "json":
         sys.stdout.write(json.dumps(words.as_dict()) + "\n")
     else:
         sys.stdout.writelines(word + "\n" for word in words.text)

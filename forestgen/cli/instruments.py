@@ -5,19 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-from forestgen.cli.arguments import (
-    AbsoluteZ,
-    Count,
-    Overrides,
-    Overwrite,
-    Quiet,
-    RecipePath,
-    argument,
-    option,
-    progress_of,
-)
+from forestgen.cli.arguments import progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds, table_lines
 
@@ -26,26 +16,25 @@ if TYPE_CHECKING:
 
 
 def measure(
-    instrument: Annotated[str, argument("NAME", "An instrument, see forestgen models --kind instrument.")],
-    recipe: RecipePath,
-    keys: Annotated[
-        list[str] | None,
-        option(
-            "--key KEY=VALUE",
-            "A key of the instrument, such as at=[[30,40,1.5]]; its page, forestgen models NAME, has them. May be "
-            "repeated.",
-        ),
-    ] = None,
-    out: Annotated[Path | None, option("--out -o FILE", "A .json file, or another that its page names.")] = None,
-    overrides: Overrides = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    instrument: str,
+    recipe: Path,
+    keys: list[str] | None = None,
+    out: Path | None = None,
+    set_: list[str] | None = None,
+    overwrite: bool = False,
+    quiet: bool = False,
 ) -> None:
-    """Measure in a recipe's scene: light, colours, gaps of the canopy, or what an installed package adds."""
+    """Measure in a recipe's scene: light, colours, gaps of the canopy, or what an installed package adds.
+
+    NAME  An instrument, see forestgen models --kind instrument.
+    --key KEY=VALUE  A key of the instrument, such as at=[[30,40,1.5]]; its page, forestgen models NAME, has them. May
+        be repeated.
+    --out -o FILE  A .json file, or another that its page names.
+    """
     from forestgen import load
 
     started, say = time.perf_counter(), Printer(quiet)
-    reading = load(recipe, set=overrides).measure(
+    reading = load(recipe, set=set_).measure(
         instrument, keys or (), out=out, overwrite=overwrite, progress=progress_of(quiet)
     )
     say(str(reading))
@@ -55,35 +44,28 @@ def measure(
 
 
 def light(
-    recipe: RecipePath,
-    at: Annotated[list[str] | None, option("--at X Y Z", "A point, metres, z above ground. May be repeated.")] = None,
-    normals: Annotated[
-        list[str] | None,
-        option(
-            "--normal DIRECTION",
-            "Where the meter looks: up, down, north, east, south, west, or x,y,z. May be repeated.",
-            show_default="up",
-        ),
-    ] = None,
-    spectrum: Annotated[
-        float | None,
-        option(
-            "--spectrum NM", "Tell the spectral irradiance too, 300 to 2500 nm, in steps of NM.", min=1.0, max=1100.0
-        ),
-    ] = None,
-    out: Annotated[Path | None, option("--out -o FILE", "A .csv or .json file.")] = None,
-    samples: Annotated[
-        int, option("--samples N", "Light paths of each light at each wavelength.", min=512, max=100_000_000)
-    ] = 16384,
-    absolute_z: AbsoluteZ = False,
-    overrides: Overrides = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    recipe: Path,
+    at: list[str] | None = None,
+    normals: list[str] | None = None,
+    spectrum: float | None = None,
+    out: Path | None = None,
+    samples: int = 16384,
+    absolute_z: bool = False,
+    set_: list[str] | None = None,
+    overwrite: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Measure light at points: lux, sun and sky, colour temperature, PAR, W/m², spectrum.
 
     A flat meter with a cosine response, from all directions above it: sun, sky and what plants and ground scatter.
     Every figure has a standard error, from eight independent replicates.
+
+    --at X Y Z  A point, metres, z above ground. May be repeated.
+    --normal DIRECTION  Where the meter looks: up, down, north, east, south, west, or x,y,z. May be repeated.
+        [default: up]
+    --spectrum NM  Tell the spectral irradiance too, 300 to 2500 nm, in steps of NM. [1 to 1100]
+    --out -o FILE  A .csv or .json file.
+    --samples N  Light paths of each light at each wavelength. [512 to 100000000]
     """
     from forestgen import load
     from forestgen.core.errors import RecipeError
@@ -91,7 +73,7 @@ def light(
     if not at:
         raise RecipeError("no point was given", where="--at", expected="--at X Y Z, metres", hint="--at 30 40 1.5")
     started, say = time.perf_counter(), Printer(quiet)
-    readings = load(recipe, set=overrides).light(
+    readings = load(recipe, set=set_).light(
         [one.split(",") for one in at],
         normals=normals or ["up"],
         samples=samples,
@@ -108,27 +90,16 @@ def light(
 
 
 def calibrate(
-    recipe: RecipePath,
-    out: Annotated[
-        Path | None,
-        option("--out -o DIR", "Folder for the sheet; by default outputs/NAME-calibration, ...-2, ..."),
-    ] = None,
-    at: Annotated[
-        list[str] | None,
-        option(
-            "--at X Y Z",
-            "The board's middle, metres, z above ground; by default over the site's middle, above all plants.",
-        ),
-    ] = None,
-    normal: Annotated[
-        str, option("--normal DIRECTION", "Where the board looks: up, north, east, south, west, or x,y,z.")
-    ] = "up",
-    width_px: Annotated[int, option("--width-px N", "Width of the chart's picture.", min=64, max=1024)] = 96,
-    samples: Annotated[int, option("--samples N", "Light paths a pixel, of each light.", min=4, max=65536)] = 64,
-    absolute_z: AbsoluteZ = False,
-    overrides: Overrides = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    recipe: Path,
+    out: Path | None = None,
+    at: list[str] | None = None,
+    normal: str = "up",
+    width_px: int = 96,
+    samples: int = 64,
+    absolute_z: bool = False,
+    set_: list[str] | None = None,
+    overwrite: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Check the colours: a ColorChecker and a grey card in the recipe's scene.
 
@@ -136,6 +107,12 @@ def calibrate(
     colour-science, illuminance and colour temperature, and writes a sheet (calibration.html) and its numbers.
 
     Exit code 0 if mean delta E is below 0.5, max below 1.5, and the grey card agrees with a light meter; 5 if not.
+
+    --out -o DIR  Folder for the sheet; by default outputs/NAME-calibration, ...-2, ...
+    --at X Y Z  The board's middle, metres, z above ground; by default over the site's middle, above all plants.
+    --normal DIRECTION  Where the board looks: up, north, east, south, west, or x,y,z.
+    --width-px N  Width of the chart's picture. [64 to 1024]
+    --samples N  Light paths a pixel, of each light. [4 to 65536]
     """
     from forestgen import load
     from forestgen.core.errors import RecipeError, RenderError
@@ -144,7 +121,7 @@ def calibrate(
     if at is not None and len(at) > 1:
         raise RecipeError("one chart at a time", where="--at", expected="one point", got=f"{len(at)}")
     started, say = time.perf_counter(), Printer(quiet)
-    found, folder = load(recipe, set=overrides).calibrate(
+    found, folder = load(recipe, set=set_).calibrate(
         out,
         at=at[0].split(",") if at else None,
         normal=normal,
@@ -168,30 +145,25 @@ def calibrate(
 
 
 def weather(
-    recipe: RecipePath,
-    images: Count = None,
-    out: Annotated[
-        list[Path] | None,
-        option(
-            "--out -o FILE",
-            "Of the last image: .nc, the state of the air; .vol or .vdb, its extinction for Mitsuba or Blender. "
-            "May be repeated.",
-        ),
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        option("--picture FILE", "A PNG: clouds from the side, cut through, and from below; a row an image."),
-    ] = None,
-    overrides: Overrides = None,
-    overwrite: Overwrite = False,
-    quiet: Quiet = False,
+    recipe: Path,
+    count_: int | None = None,
+    out: list[Path] | None = None,
+    picture: Path | None = None,
+    set_: list[str] | None = None,
+    overwrite: bool = False,
+    quiet: bool = False,
 ) -> None:
-    """Simulate a recipe's weather only: base, top and cover of its clouds, their water, rain."""
+    """Simulate a recipe's weather only: base, top and cover of its clouds, their water, rain.
+
+    --out -o FILE  Of the last image: .nc, the state of the air; .vol or .vdb, its extinction for Mitsuba or Blender.
+        May be repeated.
+    --picture FILE  A PNG: clouds from the side, cut through, and from below; a row an image.
+    """
     from forestgen import load
 
     started, say = time.perf_counter(), Printer(quiet)
-    reports = load(recipe, set=overrides).weather(
-        images, out=out or (), picture=picture, overwrite=overwrite, progress=progress_of(quiet)
+    reports = load(recipe, set=set_).weather(
+        count_, out=out or (), picture=picture, overwrite=overwrite, progress=progress_of(quiet)
     )
     _print_weather(reports, say)
     if all(report.statistics.cover == 0 for report in reports):

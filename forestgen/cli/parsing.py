@@ -35,18 +35,19 @@ def join_numbers(arguments: Sequence[str], option: str, most: int | None = None)
     return [*joined, *rest]
 
 
-class PointsCommand(typer.core.TyperCommand):
-    """A command whose option --at takes three numbers, and may be repeated: typer has no such options."""
+class NumbersCommand(typer.core.TyperCommand):
+    """A command whose options may take several numbers in a row: typer has no such options that may be repeated.
+
+    Metavars tell how many: ``X Y Z``, or any number as in ``R...``.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, join_numbers(args, "--at", 3))
-
-
-class RadiiCommand(typer.core.TyperCommand):
-    """A command whose option --radii takes several numbers."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, join_numbers(args, "--radii"))
+        parameters: Any = self.params
+        for one in parameters:
+            words = (one.metavar or "").split()
+            if getattr(one, "multiple", False) and (len(words) > 1 or words[-1:] == ["R..."]):
+                args = join_numbers(args, one.opts[0], len(words) if len(words) > 1 else None)
+        return super().parse_args(ctx, args)
 
 
 class _Argument(typer.core.TyperArgument):

@@ -5,115 +5,86 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from forestgen.cli.arguments import Json, Overwrite, Quiet, Seed, argument, option, progress_of
+from forestgen.cli.arguments import progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import count, show_bytes, table_lines, three_digits
 
 if TYPE_CHECKING:
-    from forestgen.runs.single_plant import SinglePlant
+    from forestgen.api.plants import SinglePlant
 
 _MOST_FILES = 6  # named one by one
-Out = Annotated[
-    list[Path] | None,
-    option(
-        "--out -o FILE",
-        "A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be "
-        "repeated; by default outputs/SPECIES.glb and .png.",
-    ),
-]
-Frames = Annotated[
-    int | None,
-    option("--frames N", "So many poses in the wind, of a species of the generator strands: tree-0001.glb, ..."),
-]
-Detail = Annotated[
-    int | None,
-    option(
-        "--detail 0..2",
-        "How finely leaves and flowers are drawn: 2 for close views; by default as the species' file says.",
-        min=0,
-        max=2,
-    ),
-]
-WoodTriangles = Annotated[
-    int | None,
-    option(
-        "--wood-triangles N",
-        "In mesh files, wood of about N triangles with one baked texture, for real-time programs.",
-    ),
-]
-DistanceM = Annotated[
-    float | None,
-    option(
-        "--distance-m METRES",
-        "How far the camera stands from the plant; by default as far as a normal lens asks for.",
-    ),
-]
-LookAtM = Annotated[
-    float | None,
-    option("--look-at-m METRES", "Look at this height through a normal lens, not at the whole plant."),
-]
+_OPTIONS = (  # of `grow_files`
+    "height_m", "seed", "frames", "frames_per_s", "detail", "wood_triangles", "size_px", "samples", "distance_m",
+    "look_at_m", "overwrite",
+)  # fmt: skip
 
 
 def plant(
-    species: Annotated[str | None, argument("SPECIES", "A species' name, see --list, or its YAML file.")] = None,
-    list_species: Annotated[bool, option("--list", "List the species that come with forestgen.")] = False,
-    height_m: Annotated[float | None, option("--height-m METRES", "By default that of a mature plant.")] = None,
-    seed: Seed = 0,
-    out: Out = None,
-    plants: Annotated[int, option("--count N", "So many plants, of seeds from --seed on: tree-0001.glb, ...")] = 1,
-    frames: Frames = None,
-    frames_per_s: Annotated[float, option("--frames-per-s N", "Pace of the frames.")] = 12.0,
-    detail: Detail = None,
-    wood_triangles: WoodTriangles = None,
-    size_px: Annotated[tuple[int, int], option("--size-px W H", "Size of the picture.", show_default="540 720")] = (
-        540,
-        720,
-    ),
-    samples: Annotated[int, option("--samples N", "Light paths a pixel of the picture.", min=1, max=65536)] = 32,
-    distance_m: DistanceM = None,
-    look_at_m: LookAtM = None,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
+    species: str | None = None,
+    list_: bool = False,
+    height_m: float | None = None,
+    seed: int = 0,
+    out: list[Path] | None = None,
+    count_: int = 1,
+    frames: int | None = None,
+    frames_per_s: float = 12.0,
+    detail: int | None = None,
+    wood_triangles: int | None = None,
+    size_px: tuple[int, int] = (540, 720),
+    samples: int = 32,
+    distance_m: float | None = None,
+    look_at_m: float | None = None,
+    overwrite: bool = False,
+    json_: bool = False,
+    quiet: bool = False,
 ) -> None:
-    """Grow one plant: mesh, picture, numbers."""
-    if list_species:
-        _library(as_json)
+    """Grow one plant: mesh, picture, numbers.
+
+    SPECIES  A species' name, see --list, or its YAML file.
+    --list  List the species that come with forestgen.
+    --height-m METRES  By default that of a mature plant.
+    --out -o FILE  A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be
+        repeated; by default outputs/SPECIES.glb and .png.
+    --count N  So many plants, of seeds from --seed on: tree-0001.glb, ...
+    --frames N  So many poses in the wind, of a species of the generator strands: tree-0001.glb, ...
+    --frames-per-s N  Pace of the frames.
+    --detail 0..2  How finely leaves and flowers are drawn: 2 for close views; by default as the species' file says.
+        [0 to 2]
+    --wood-triangles N  In mesh files, wood of about N triangles with one baked texture, for real-time programs.
+    --size-px W H  Size of the picture. [default: 540 720]
+    --samples N  Light paths a pixel of the picture. [1 to 65536]
+    --distance-m METRES  How far the camera stands from the plant; by default as far as a normal lens asks for.
+    --look-at-m METRES  Look at this height through a normal lens, not at the whole plant.
+    """
+    if list_:
+        _library(json_)
         return
     if species is None:
         raise typer.BadParameter("name a species, or give --list", param_hint="SPECIES")
     from forestgen.api.plants import grow_files
 
-    made = grow_files(
-        species,
-        out or None,
-        height_m=height_m,
-        seed=seed,
-        count=plants,
-        frames=frames,
-        frames_per_s=frames_per_s,
-        detail=detail,
-        wood_triangles=wood_triangles,
-        size_px=size_px,
-        samples=samples,
-        distance_m=distance_m,
-        look_at_m=look_at_m,
-        overwrite=overwrite,
-        progress=progress_of(quiet),
-    )
-    say = Printer(quiet)
+    given = {name: value for name, value in locals().items() if name in _OPTIONS}
+    made = grow_files(species, out or None, count=count_, progress=progress_of(quiet), **given)
+    _print(made, Printer(quiet), json_, frames is not None)
+
+
+def _print(made: Sequence[SinglePlant], say: Printer, as_json: bool, frames: bool) -> None:
     if as_json:
         say.json([{**asdict(one), "files": {str(path): size for path, size in one.files.items()}} for one in made])
         return
     if len(made) == 1:
         _print_one(made[0], say)
     else:
-        _print_many(made, say, frames=frames is not None)
-    _print_files({path: size for one in made for path, size in one.files.items()}, say)
+        _print_many(made, say, frames=frames)
+    files = {path: size for one in made for path, size in one.files.items()}
+    shown = [f"{path} ({show_bytes(size)})" for path, size in files.items()]
+    if len(shown) > _MOST_FILES:
+        shown = [shown[0], "...", f"{shown[-1]}; {len(shown)} files, {show_bytes(sum(files.values()))}"]
+    say("files: " + ", ".join(shown))
 
 
 def _print_one(one: SinglePlant, say: Printer) -> None:
@@ -142,14 +113,6 @@ def _print_many(made: Sequence[SinglePlant], say: Printer, *, frames: bool) -> N
         )
     say(f"{count(len(made), 'frame' if frames else 'plant')} of {made[0].species}")
     say("\n".join(table_lines(rows)))
-
-
-def _print_files(files: dict[Path, int], say: Printer) -> None:
-    shown = [f"{path} ({show_bytes(size)})" for path, size in files.items()]
-    if len(shown) > _MOST_FILES:
-        total = show_bytes(sum(files.values()))
-        shown = [shown[0], "...", f"{shown[-1]}; {len(shown)} files, {total}"]
-    say("files: " + ", ".join(shown))
 
 
 def _mass(kilograms: float) -> str:

@@ -2,152 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from forestgen.cli.arguments import (
-    Count,
-    Device,
-    Discard,
-    DryRun,
-    First,
-    Overrides,
-    Overwrite,
-    Quiet,
-    RecipePath,
-    Resume,
-    Threads,
-    Verbose,
-    Workers,
-    option,
-    progress_of,
-)
+from forestgen.cli.arguments import progress_of
 from forestgen.cli.console import NOTHING_WRITTEN, Printer, stops_keep
 from forestgen.core.figures import count
 
 if TYPE_CHECKING:
     from forestgen.api.datasets import Run
     from forestgen.api.recipes import Recipe
-    from forestgen.runs.tracker import Display
+    from forestgen.runs.summary import Display
+
+_OPTIONS = (
+    "workers", "threads", "resume", "discard", "overwrite", "worker_memory", "timeout", "retries", "engine",
+    "scheduler", "resources", "device",
+)  # fmt: skip
 
 
 def render(
-    recipe: RecipePath,
-    out: Annotated[
-        str | None,
-        option(
-            "--out -o DIR",
-            "The data set's folder, or its address in an object store; by default outputs/NAME, ...-2, ...",
-        ),
-    ] = None,
-    images: Count = None,
-    overrides: Overrides = None,
-    resume: Resume = False,
-    discard: Discard = False,
-    overwrite: Overwrite = False,
-    dry_run: DryRun = False,
-    first: First = None,
-    threads: Threads = None,
-    device: Device = None,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    recipe: Path,
+    out: str | None = None,
+    count_: int | None = None,
+    set_: list[str] | None = None,
+    resume: bool = False,
+    discard: bool = False,
+    overwrite: bool = False,
+    dry_run: bool = False,
+    first: int | None = None,
+    threads: int | None = None,
+    device: str | None = None,
+    quiet: bool = False,
+    verbose: bool = False,
 ) -> None:
     """Render a recipe: a data set of images, masks and tables, made in this process.
 
     The same bytes as `batch` makes with many workers. Ctrl-C keeps finished images; --resume goes on.
+
+    --out -o DIR  The data set's folder, or its address in an object store; by default outputs/NAME, ...-2, ...
     """
     from forestgen.api.rendering import free_folder
 
-    loaded = _load(recipe, overrides, first)
+    loaded = _load(recipe, set_, first)
     target = free_folder(Path("outputs") / recipe.stem) if out is None else out
-    options: dict[str, Any] = {
-        "resume": resume,
-        "discard": discard,
-        "overwrite": overwrite,
-        "threads": threads,
-        "device": device,
-    }
-    if dry_run:
-        Printer(quiet)(str(loaded.estimate(target, images, workers=1, progress=progress_of(quiet), **options)))
-        return
-
-    def make(display: Display) -> Run:
-        return loaded.render(target, count=images, progress=display, **options)
-
-    _run(make, quiet, verbose, overwrite=overwrite, if_none=NOTHING_WRITTEN)
-
-
-WorkerMemory = Annotated[
-    str | None,
-    option(
-        "--worker-memory SIZE",
-        "What a worker may take, such as 4GB; one that takes more is stopped, and its image tried again.",
-    ),
-]
-Timeout = Annotated[
-    str | None,
-    option(
-        "--timeout TIME",
-        "What an image may take, such as 30min; one that takes longer is stopped, and tried again.",
-    ),
-]
-Retries = Annotated[
-    int,
-    option("--retries N", "Further attempts at an image that failed for a reason that may pass.", min=0, max=100),
-]
-Resources = Annotated[
-    list[str] | None,
-    option("--resource NAME=AMOUNT", "That each image takes of a Dask worker, such as GPU=1. May be repeated."),
-]
+    _run(loaded, loaded.render, target, locals(), if_none=NOTHING_WRITTEN)
 
 
 def batch(
-    recipe: RecipePath,
-    out: Annotated[
-        str, option("--out -o DIR", "The data set's folder, or its address in an object store: s3://bucket/forests.")
-    ],
-    images: Count = None,
-    overrides: Overrides = None,
-    resume: Resume = False,
-    discard: Discard = False,
-    overwrite: Overwrite = False,
-    dry_run: DryRun = False,
-    workers: Workers = None,
-    threads: Threads = None,
-    device: Device = None,
-    worker_memory: WorkerMemory = None,
-    timeout: Timeout = None,
-    retries: Retries = 2,
-    first: First = None,
-    engine: Annotated[str, option("--engine local|dask", "Who works: this machine, or a Dask cluster.")] = "local",
-    scheduler: Annotated[str | None, option("--scheduler ADDRESS", "Of Dask, such as tcp://10.0.0.1:8786.")] = None,
-    resources: Resources = None,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
+    recipe: Path,
+    out: str,
+    count_: int | None = None,
+    set_: list[str] | None = None,
+    resume: bool = False,
+    discard: bool = False,
+    overwrite: bool = False,
+    dry_run: bool = False,
+    workers: int | None = None,
+    threads: int | None = None,
+    device: str | None = None,
+    worker_memory: str | None = None,
+    timeout: str | None = None,
+    retries: int = 2,
+    first: int | None = None,
+    engine: str = "local",
+    scheduler: str | None = None,
+    resources: list[str] | None = None,
+    quiet: bool = False,
+    verbose: bool = False,
 ) -> None:
-    """Make a data set of many images with many workers; --resume goes on where it was interrupted."""
-    loaded, amounts = _load(recipe, overrides, first), _amounts(resources or ())
-    options: dict[str, Any] = {
-        "workers": workers,
-        "threads": threads,
-        "resume": resume,
-        "discard": discard,
-        "overwrite": overwrite,
-        "worker_memory": worker_memory,
-        "timeout": timeout,
-        "retries": retries,
-        "engine": engine,
-        "scheduler": scheduler,
-        "resources": amounts,
-        "device": device,
-    }
-    if dry_run:
-        Printer(quiet)(str(loaded.estimate(out, images, progress=progress_of(quiet), **options)))
-        return
-    _run(lambda display: loaded.batch(out, images, progress=display, **options), quiet, verbose, overwrite=overwrite)
+    """Make a data set of many images with many workers; --resume goes on where it was interrupted.
+
+    --out -o DIR  The data set's folder, or its address in an object store: s3://bucket/forests.
+    --worker-memory SIZE  What a worker may take, such as 4GB; one that takes more is stopped, and its image tried
+        again.
+    --timeout TIME  What an image may take, such as 30min; one that takes longer is stopped, and tried again.
+    --retries N  Further attempts at an image that failed for a reason that may pass. [0 to 100]
+    --engine local|dask  Who works: this machine, or a Dask cluster.
+    --scheduler ADDRESS  Of Dask, such as tcp://10.0.0.1:8786.
+    --resource NAME=AMOUNT  That each image takes of a Dask worker, such as GPU=1. May be repeated.
+    """
+    loaded = _load(recipe, set_, first)
+    _run(loaded, loaded.batch, out, {**locals(), "resources": _amounts(resources or ())})
 
 
 def _load(recipe: Path, overrides: list[str] | None, first: int | None) -> Recipe:
@@ -156,14 +94,24 @@ def _load(recipe: Path, overrides: list[str] | None, first: int | None) -> Recip
     return load(recipe, set=[*(overrides or []), *([f"first_image={first}"] if first is not None else [])])
 
 
-def _run(make: Callable[[Display], Run], quiet: bool, verbose: bool, *, overwrite: bool, if_none: str = "") -> None:
-    """Make a data set, and print what was made, or what stays if it is interrupted: see `kept`."""
+def _run(
+    loaded: Recipe, make: Callable[..., Run], target: str | Path, given: Mapping[str, Any], if_none: str = ""
+) -> None:
+    """Make a data set, or estimate it, and print what was made; what stays if it is interrupted: see `kept`.
+
+    `given`: the command's parameters.
+    """
     from forestgen.api.display import display_of
 
+    quiet, count_ = given["quiet"], given["count_"]
+    options = {name: given[name] for name in _OPTIONS if name in given}
     display = display_of(progress_of(quiet))
-    with stops_keep(lambda: kept(display, overwrite=overwrite, if_none=if_none)):
-        run = make(display)
-    Printer(quiet)("\n".join(run.summary.lines(verbose=verbose)))
+    if given["dry_run"]:
+        Printer(quiet)(str(loaded.estimate(target, count_, progress=display, **{"workers": 1, **options})))
+        return
+    with stops_keep(lambda: kept(display, overwrite=given["overwrite"], if_none=if_none)):
+        run = make(target, count=count_, progress=display, **options)
+    Printer(quiet)("\n".join(run.summary.lines(verbose=given["verbose"])))
 
 
 def kept(display: Display, *, overwrite: bool = False, if_none: str = "") -> str:

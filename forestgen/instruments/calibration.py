@@ -255,14 +255,11 @@ def _plot(found: Calibration) -> str:
 def _rainbow() -> NDArray[np.float64]:
     """(N, 3) sRGB of the wavelengths 380 to 780 nm, as a mark."""
     grid = np.arange(380.0, 781.0, 2.0)
-    xyz = np.array([checker.xyz_of_light(_line(one)) for one in grid])
+    peak_nm, peak = np.array([-3.0, 0.0, 3.0]), np.array([0.0, 1.0, 0.0])
+    xyz = np.array([checker.xyz_of_light(Spectrum(one + peak_nm, peak)) for one in grid])
     xyz /= xyz.sum(axis=1).max()
     rgb = np.clip(checker.shown(100 * np.clip(xyz, 0, None), np.array([0.3127, 0.329])) / 255.0, 0.0, 1.0)
     return np.asarray(rgb)
-
-
-def _line(centre_nm: float) -> Spectrum:
-    return Spectrum(centre_nm + np.array([-3.0, 0.0, 3.0]), np.array([0.0, 1.0, 0.0]))
 
 
 def _hex(code: NDArray[np.uint8]) -> str:

@@ -103,10 +103,8 @@ class LightMeterKeys(Section):
 class LightReadings(list[LightMeter], Reading):
     """Meters in the order of the points, and at each in that of the directions.
 
-    Parameters
-    ----------
-    step_nm : of the spectra in the text; None: it has none.
-    samples : light paths of each light at each wavelength.
+    `step_nm`: of the spectra in the text; None: it has none.
+    `samples`: light paths of each light at each wavelength.
     """
 
     def __init__(self, meters: Iterable[LightMeter], step_nm: float | None = None, samples: int = 0) -> None:

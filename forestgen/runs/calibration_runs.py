@@ -12,7 +12,7 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from forestgen.plants.growing import forget_shared
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
 from forestgen.runs.engines.local import LocalEngine
-from forestgen.runs.keys import job_key, versions_hash
+from forestgen.runs.records import job_key, versions_hash
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
 from forestgen.scene.plan import estimate_bytes, make_plan
@@ -114,16 +114,15 @@ def probe_images(
                     notes.append(f"image {drawn.image_index} fails: {outcome.message}")
                 else:
                     probes.append(_probe_of(outcome, drawn, reduced, is_first=not probes))
-                if outcome is None or _is_enough(probes, time.monotonic() - start, budget_s, count):
+                spent_s = time.monotonic() - start
+                if outcome is None:
+                    break
+                # Whether another probe would take more than there is, or more than its share of the batch.
+                if len(probes) > 1 and (
+                    spent_s + probes[-1].made_s > budget_s or spent_s > _SHARE_OF_BATCH * count * probes[-1].seconds
+                ):
                     break
     return CalibrationRuns(tuple(probes), tuple(notes), reduced)
-
-
-def _is_enough(probes: Sequence[CalibrationRun], spent_s: float, budget_s: float, count: int) -> bool:
-    """Whether another probe would take more than there is, or more than its share of the batch."""
-    if len(probes) < 2:
-        return False
-    return spent_s + probes[-1].made_s > budget_s or spent_s > _SHARE_OF_BATCH * count * probes[-1].seconds
 
 
 def _spread(count: int) -> Iterator[int]:

@@ -1,4 +1,4 @@
-"""Jobs, records, outcomes, and the protocols of storage backends and engines.
+"""Jobs, records, outcomes, options of runs, and the protocols of storage backends and engines.
 
 A *job* is one scene with its cameras: an image of the recipe. Its key is the hash of all that its files depend on, so
 that done work is recognised and changed work is done again. A worker makes a job's files in a staging folder, puts them
@@ -26,18 +26,29 @@ versions: whatever the number of workers, the engine, and the interruptions.
 
 from __future__ import annotations
 
+import math
+import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+from forestgen.core.arguments import flag_of, shown, whole_of
+from forestgen.core.errors import RecipeError
+from forestgen.core.figures import parse_bytes
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe
 
 HIDDEN = ".forestgen"  # folder of records, lock and staging
 RUN = "run"  # folder of what belongs to a run, not to the data set
 RUN_DEPENDENT = (RUN, HIDDEN, "report.html")  # names in the data set's folder whose bytes may differ between runs
+
+
+ENGINES = ("local", "dask")
+DEVICES = ("llvm", "cuda")
+_LEAST_BYTES = 10**8  # less is a mistake, such as a number without its unit: Python and Mitsuba alone take more
 
 
 @dataclass(frozen=True)
@@ -47,7 +58,7 @@ class Job:
     index: int  # argument of LoadedRecipe.draw
     image: int  # number in the frames' names: the recipe's first_image + index
     split: str
-    key: str  # the image's number and the hash of all that its files depend on; see runs/keys.py
+    key: str  # the image's number and the hash of all that its files depend on; see `records.job_key`
 
 
 @dataclass(frozen=True)
@@ -170,13 +181,105 @@ class StorageBackend(Protocol):
 
 
 @dataclass(frozen=True)
+class RunOptions:
+    """What `render` and `batch` may be asked for besides the recipe and the folder; they take checked ones."""
+
+    count: int | None = None  # images of the data set, in all; None: as many as the recipe says
+    resume: bool = False  # go on in a data set that is there
+    discard: bool = False  # with resume: remove finished images that do not belong to the data set any more
+    overwrite: bool = False  # replace a previous data set
+    threads: int | None = None  # of the renderer, in each worker; None: all cores are shared out
+    workers: int | None = None  # processes; None: as many as cores and memory allow
+    worker_memory: int | str | None = None  # bytes, or a text such as 4GB; a worker that takes more is stopped
+    timeout: float | str | None = None  # seconds, or a text such as 30min, that an image may take
+    retries: int = 2  # further attempts at an image whose failure may pass
+    engine: str = "local"  # or dask
+    scheduler: str | None = None  # address of a Dask scheduler
+    resources: Mapping[str, float] | None = None  # that each image takes of a Dask worker
+    device: str | None = None  # what traces rays, llvm or cuda; None: what FORESTGEN_TRACING says
+
+    @classmethod
+    def of(cls, arguments: Mapping[str, Any]) -> RunOptions:
+        """The options among the arguments of a call, checked."""
+        return cls(**{one.name: arguments[one.name] for one in fields(cls) if one.name in arguments}).check()
+
+    def check(self) -> RunOptions:
+        """The same with Python's own numbers.
+
+        Raises `RecipeError`: values that are none, or options that exclude one another.
+        """
+        numbers: dict[str, Any] = {"retries": whole_of(self.retries, "retries", 0, 100)}
+        for name, most in (("count", 10**8), ("threads", 4096), ("workers", 1024)):
+            if getattr(self, name) is not None:
+                numbers[name] = whole_of(getattr(self, name), name, 1, most)
+        for name in ("resume", "discard", "overwrite"):
+            flag_of(getattr(self, name), name)
+        for name, value, known in (("device", self.device or "llvm", DEVICES), ("engine", self.engine, ENGINES)):
+            if value not in known:
+                raise RecipeError(f"no such {name}", parameter=name, expected=" or ".join(known), got=shown(value))
+        self._check_together()
+        resources: Any = self.resources or {}
+        for key, amount in resources.items() if isinstance(resources, Mapping) else [(None, resources)]:
+            if not (isinstance(key, str) and isinstance(amount, int | float) and 0 < amount < math.inf):
+                expected, got = "a mapping such as {'GPU': 1}", shown(self.resources)
+                raise RecipeError("these are no resources", parameter="resources", expected=expected, got=got)
+        _ = self.memory_bytes, self.timeout_s  # which refuse texts that are no size and no duration
+        return replace(self, **numbers)
+
+    def _check_together(self) -> None:
+        """Refuse options that exclude one another."""
+        is_dask = self.engine == "dask"
+        of_dask = self.scheduler is not None or bool(self.resources)
+        for wrong, option, why in (
+            (self.discard and not self.resume, "discard", "it belongs to `resume`"),
+            (self.resume and self.overwrite, "overwrite", "it replaces the data set, which `resume` goes on with"),
+            (of_dask and not is_dask, "engine", "`scheduler` and `resources` belong to `engine='dask'`"),
+            (is_dask and self.workers is not None, "workers", "the cluster has its own workers"),
+            (is_dask and self.timeout is not None, "timeout", "only workers of this machine can be stopped"),
+            (is_dask and self.device is not None, "device", "set FORESTGEN_TRACING where the workers start"),
+        ):
+            if wrong:
+                raise RecipeError(f"this option cannot be used here: {why}", parameter=option)
+
+    @property
+    def memory_bytes(self) -> int | None:
+        if self.worker_memory is None:
+            return None
+        size = parse_bytes(self.worker_memory, "worker_memory")
+        if size < _LEAST_BYTES:
+            raise RecipeError(
+                "this is too little for a worker",
+                parameter="worker_memory",
+                expected="such as 4GB",
+                got=shown(self.worker_memory),
+            )
+        return size
+
+    @property
+    def timeout_s(self) -> float | None:
+        return None if self.timeout is None else seconds_of(self.timeout, "timeout")
+
+
+def seconds_of(duration: float | str, option: str) -> float:
+    """Seconds of a number, or of a text such as 90s, 30min or 1.5h. Raises `RecipeError`."""
+    if isinstance(duration, int | float) and not isinstance(duration, bool) and 0 < duration < sys.maxsize:
+        return float(duration)
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", duration if isinstance(duration, str) else "")
+    if found is None or not float(found[1]):
+        raise RecipeError(
+            "no such duration", parameter=option, expected="such as 90s, 30min or 2h", got=shown(duration)
+        )
+    return float(found[1]) * {"s": 1, "min": 60, "h": 3600}[found[2]]
+
+
+@dataclass(frozen=True)
 class Work:
     """What a worker needs for any job of a batch; sent to it once."""
 
     loaded: LoadedRecipe
     settings: DatasetSettings
     storage: StorageBackend
-    versions: str  # hash of code and packages, as it is where the batch was started: runs/keys.py
+    versions: str  # hash of code and packages, as it is where the batch was started: `records.versions_hash`
     threads: int | None = None  # of the renderer in each worker; None: all cores
     memory_bytes: int | None = None  # that a worker may take; None: no bound
 

@@ -19,8 +19,8 @@ from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import is_frame, load_json
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.dataset import SplitName
-from forestgen.runs.keys import versions_hash
 from forestgen.runs.record_index import FileSum, RecordIndex
+from forestgen.runs.records import versions_hash
 
 MOST_IMAGES = 10_000_000  # of a recipe; a number in an untrusted file is counted up to
 DATASET_NAME = "dataset.json"
@@ -95,10 +95,8 @@ def describe(
 ) -> dict[str, Any]:
     """The content of dataset.json.
 
-    Parameters
-    ----------
-    record_index : with all records, and the files over all images of each split.
-    made_with : `this_version` of each machine that made images, without repetition.
+    `record_index`: with all records, and the files over all images of each split.
+    `made_with`: `this_version` of each machine that made images, without repetition.
     """
     named = list(dict.fromkeys(name for part in parts for name in part.splits))  # in the recipe's order
     splits = sorted(record_index.splits, key=lambda name: (named.index(name) if name in named else len(named), name))
@@ -185,7 +183,11 @@ def read_description(content: bytes | None, where: str) -> dict[str, Any]:
                 raise ValueError(f"more than {MOST_IMAGES:,} images")
         _check_settings(settings_of(data))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        got = f"{type(error).__name__}: {_first_error(error)}"
+        text = " ".join(str(error).split())
+        if isinstance(error, ValidationError):
+            first = error.errors(include_url=False, include_input=False)[0]
+            text = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        got = f"{type(error).__name__}: {text[:200]}"
         raise DatasetError("dataset.json is damaged", where=where, expected=SCHEMA, got=got, hint=hint) from error
     return dict(data)
 
@@ -255,14 +257,6 @@ def _check_settings(settings: DatasetSettings) -> None:
         raise ValueError("settings: a species is of no category")
     if settings.depth_unit_m <= 0 or settings.point_stride < 1:
         raise ValueError("settings: depth_unit_m or point_stride is not positive")
-
-
-def _first_error(error: Exception) -> str:
-    """What is wrong, on one line."""
-    if isinstance(error, ValidationError):
-        first = error.errors(include_url=False, include_input=False)[0]
-        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"[:200]
-    return " ".join(str(error).split())[:200]
 
 
 def settings_of(description: Mapping[str, Any]) -> DatasetSettings:

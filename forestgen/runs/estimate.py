@@ -1,7 +1,7 @@
 """What a batch will take, before it starts: time, memory, disk.
 
 Images, frames, pixels and light paths follow from the recipe. Plants, exemplars and triangles, seconds, bytes and
-memory are those of a few images of the batch that are really made (runs/probes.py), on this machine as it is now.
+memory are those of a few images of the batch that are really made on this machine as it is now (calibration_runs.py).
 Intervals are from the 10th to the 90th percentile of images, as if the logarithms of what they take were normal.
 """
 
@@ -122,12 +122,10 @@ def estimate(
 ) -> Estimate:
     """What `count` images of a recipe will take on this machine.
 
-    Parameters
-    ----------
-    workers : None: as many as its cores and its free memory allow.
-    threads : of each worker; None: the cores are shared out.
-    probe : whether to make images of a small batch too, which takes about as long as the batch itself.
-    budget_s : of the probes, about; at least one is made.
+    `workers`: None: as many as its cores and its free memory allow.
+    `threads`: of each worker; None: the cores are shared out.
+    `probe`: whether to make images of a small batch too, which takes about as long as the batch itself.
+    `budget_s`: of the probes, about; at least one is made.
     """
     counts, probed = count_images(loaded, count), CalibrationRuns(())
     here = threads or max(1, cores() // (workers or cores()))
@@ -143,7 +141,8 @@ def estimate(
     )
     disk = _range([one.disk_bytes for one in measured]) if measured else _guess(most_disk_bytes(drawn))
     image_s, start_s, stages = _times(measured, drawn, count)
-    chosen = workers or min(_chosen_workers(here, memory), max(1, count))
+    allowed = min(cores() // here, int(SHARE_OF_MEMORY * free_bytes() / max(memory.high, 1.0)))
+    chosen = workers or min(max(1, allowed), max(1, count))
     return Estimate(
         counts=counts,
         workers=chosen,
@@ -162,18 +161,34 @@ def estimate(
 def check_fits(expected: Estimate, storage: StorageBackend, *, workers_here: bool = True) -> None:
     """Refuse a batch that cannot fit.
 
-    Parameters
-    ----------
-    workers_here : whether the workers are processes of this machine.
+    `workers_here`: whether the workers are processes of this machine.
 
-    Raises
-    ------
-    ResourceError : too little memory for a worker, or for the workers that were asked for.
-    OutputError : the disk is too small.
+    Raises `ResourceError`: too little memory for a worker, or for the workers that were asked for.
+    Raises `OutputError`: the disk is too small.
     """
     if workers_here:
         _check_memory(expected)
     check_disk(storage, expected.counts.images, expected.disk_bytes.mean)
+
+
+def _check_memory(expected: Estimate) -> None:
+    free, need = SHARE_OF_MEMORY * free_bytes(), expected.worker_bytes
+    if need > free:
+        raise ResourceError(
+            "one worker would need more memory than is free",
+            expected=f"at most {show_bytes(free)}",
+            got=f"about {show_bytes(need)}",
+            hint="make the images or the site smaller, or lower plants.exemplars_per_species",
+        )
+    if expected.wanted is not None and need * expected.wanted > free:
+        fits = max(1, int(free / need))
+        raise ResourceError(
+            "so many workers would need more memory than is free",
+            parameter=f"workers={expected.wanted}",
+            expected=f"at most {show_bytes(free)} in all",
+            got=f"about {show_bytes(need * expected.wanted)}: {show_bytes(need)} for each",
+            hint=f"`workers={fits}`, or leave it out",
+        )
 
 
 def count_images(loaded: LoadedRecipe, count: int) -> Counts:
@@ -249,30 +264,6 @@ def _without_shared(probe: CalibrationRun, drawn: DrawnRecipe, count: int) -> di
     return stages
 
 
-def _chosen_workers(threads: int, memory: Range) -> int:
-    return max(1, min(cores() // threads, int(SHARE_OF_MEMORY * free_bytes() / max(memory.high, 1.0))))
-
-
-def _check_memory(expected: Estimate) -> None:
-    free, need = SHARE_OF_MEMORY * free_bytes(), expected.worker_bytes
-    if need > free:
-        raise ResourceError(
-            "one worker would need more memory than is free",
-            expected=f"at most {show_bytes(free)}",
-            got=f"about {show_bytes(need)}",
-            hint="make the images or the site smaller, or lower plants.exemplars_per_species",
-        )
-    if expected.wanted is not None and need * expected.wanted > free:
-        fits = max(1, int(free / need))
-        raise ResourceError(
-            "so many workers would need more memory than is free",
-            parameter=f"workers={expected.wanted}",
-            expected=f"at most {show_bytes(free)} in all",
-            got=f"about {show_bytes(need * expected.wanted)}: {show_bytes(need)} for each",
-            hint=f"`workers={fits}`, or leave it out",
-        )
-
-
 def check_disk(storage: StorageBackend, images: int, image_bytes: float) -> None:
     """Refuse images of which the disk might not hold all. Raises `OutputError`."""
     if not (isinstance(storage, LocalStorage) and images):
@@ -307,22 +298,18 @@ def _rows(expected: Estimate) -> Iterator[tuple[str, str]]:
         )
         yield "in each", f"{plants:,.0f} plants, {exemplars:,.0f} models of {_large(triangles)} triangles"
     yield "workers", f"{expected.workers}, of {counted(expected.threads, 'thread')} each"
-    yield from _time(expected)
+    total, each, pace = expected.seconds, expected.image_s, expected.images_per_hour
+    if total is None or each is None or pace is None:
+        yield "time", "not measured"
+    else:
+        yield "time", f"{_between(total, _span)}; {_between(each, _span)} an image and worker"
+        yield "images an hour", three_digits(pace)
+        shares = list(expected.stages.items())[:_MOST_STAGES]
+        yield "time goes to", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
     memory, disk = expected.memory_bytes, expected.disk_bytes
     yield "memory", f"{_between(memory, show_bytes)} a worker, {show_bytes(expected.workers * memory.high)} in all"
     yield "disk", f"{show_bytes(expected.total_disk_bytes)}; {_between(disk, show_bytes)} an image"
     yield "known from", _source(expected)
-
-
-def _time(expected: Estimate) -> Iterator[tuple[str, str]]:
-    total, each = expected.seconds, expected.image_s
-    if total is None or each is None or expected.images_per_hour is None:
-        yield "time", "not measured"
-        return
-    yield "time", f"{_between(total, _span)}; {_between(each, _span)} an image and worker"
-    yield "images an hour", three_digits(expected.images_per_hour)
-    shares = list(expected.stages.items())[:_MOST_STAGES]
-    yield "time goes to", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
 
 
 def _source(expected: Estimate) -> str:

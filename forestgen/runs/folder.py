@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Collection, Iterable
-from dataclasses import dataclass
 
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.png import THUMBNAILS
@@ -26,14 +25,6 @@ _SCHEMA = "forestgen-batch/1"
 # Without these folders a run would take finished images for unfinished ones.
 _FOLDERS = (HIDDEN, JOBS, STAGING, RUN, PREVIOUS, MOVING, BEGUN)
 _WHOLE = ("dataset.json", "SHA256SUMS")  # they say that the data set is complete: while a run works, it is not
-
-
-@dataclass
-class FinishedImages:
-    """Images whose records are there."""
-
-    keys: dict[int, str]  # image -> key
-    stale: frozenset[int]  # those of them that the recipe, or these versions, would make otherwise now
 
 
 def fingerprint(loaded: LoadedRecipe, versions: str) -> str:
@@ -109,8 +100,8 @@ def open_batch(
     note: Callable[[str], None],
     stale: frozenset[int] = frozenset(),
     damaged: Collection[int] = (),
-) -> FinishedImages:
-    """Which images are done; removes what does not belong, and what killed runs have left.
+) -> dict[int, str]:
+    """Key of each image that is done; removes what does not belong, and what killed runs have left.
 
     Parameters
     ----------
@@ -139,11 +130,14 @@ def open_batch(
             forget(storage, record)
             if record.image in keys:  # two records of one image: the frames were those of either, and are gone
                 storage.remove(record_path(keys.pop(record.image)))
-    _remove_unlisted(storage, listed, recorded)
+    for folder, names in {**listed, THUMBNAILS: set(storage.names(THUMBNAILS))}.items():
+        for name in sorted(names):  # frames and thumbnails of jobs that never came to their records
+            if is_frame(name.removesuffix(".jpg")) and f"{folder}/{name}" not in recorded:
+                storage.remove(f"{folder}/{name}")
     for split in set(before) - set(splits):
         storage.remove(split)
     settle_batch(storage, splits, "" if stale & keys.keys() else mark)
-    return FinishedImages(keys, stale & keys.keys())
+    return keys
 
 
 def settle_batch(storage: StorageBackend, splits: Iterable[str], mark: str) -> None:
@@ -173,14 +167,6 @@ def _frames(record: JobRecord) -> list[str]:
     """Names of a record's frames."""
     inside = (path.split("/") for path in record.files if path.startswith(f"{record.split}/"))
     return sorted({parts[1] for parts in inside if len(parts) > 2 and parts[1] != MAPS})
-
-
-def _remove_unlisted(storage: StorageBackend, listed: dict[str, set[str]], recorded: set[str]) -> None:
-    """Frames and thumbnails of jobs that never came to their records."""
-    for folder, names in {**listed, THUMBNAILS: set(storage.names(THUMBNAILS))}.items():
-        for name in sorted(names):
-            if is_frame(name.removesuffix(".jpg")) and f"{folder}/{name}" not in recorded:
-                storage.remove(f"{folder}/{name}")
 
 
 def _is_batch(storage: StorageBackend) -> bool:

@@ -7,7 +7,6 @@ two has the same number.
 
 from __future__ import annotations
 
-import hashlib
 import heapq
 import json
 import os
@@ -16,11 +15,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.core.progress import Progress, Silent
+from forestgen.dataset.manifest import file_sum
 from forestgen.dataset.files import make_folder, output_error
 from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
 from forestgen.dataset.manifest import is_run_folder
@@ -36,8 +35,6 @@ from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import JOBS, record_bytes, record_path, records_of
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify import open_data_set, refuse_address
-
-_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -59,18 +56,14 @@ class Piece:
 def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress: Progress | None = None) -> Finished:
     """Merge finished data sets into a new one, which appears whole or not at all.
 
-    Parameters
-    ----------
-    sources : folders of data sets; their order does not matter to the result.
-    target : absent, or an empty folder.
-    link : make hard links instead of copies, which are not read: files are shared with the sources. Copies are compared
-        with the images' records on their way.
+    `sources`: folders of data sets; their order does not matter to the result.
+    `target`: absent, or an empty folder.
+    `link`: make hard links instead of copies, which are not read: files are shared with the sources. Copies are
+    compared with the images' records on their way.
 
-    Raises
-    ------
-    RecipeError : a folder is no finished data set, or two cannot be one.
-    DatasetError : a piece is damaged, or two pieces have different images of one number.
-    OutputError : the target cannot be written.
+    Raises `RecipeError`: a folder is no finished data set, or two cannot be one.
+    Raises `DatasetError`: a piece is damaged, or two pieces have different images of one number.
+    Raises `OutputError`: the target cannot be written.
     """
     _check_target(target, sources)
     pieces = [_piece(root) for root in sources]
@@ -81,12 +74,9 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
     groups = [group for piece in pieces for group in piece.description["files"].values()]
     needed = 0 if link else sum(int(group["bytes"]) for group in groups)
     total = sum(int(piece.description["images"]) for piece in pieces)
-    with (
-        OutputFolder(target, required_bytes=needed) as folder,
-        TemporaryDirectory(prefix="forestgen-merge-") as scratch,
-    ):
+    with OutputFolder(target, required_bytes=needed) as folder:
         storage = LocalStorage(folder, str(target))
-        with RecordIndex(Path(scratch)) as record_index:
+        with RecordIndex() as record_index:
             with (progress or Silent()).stage("images", total) as advance:
                 for piece, record in _records(pieces):
                     advance(1)
@@ -290,10 +280,9 @@ def _take(piece: Piece, record: JobRecord, storage: LocalStorage, link: bool) ->
             continue
         make_folder(target.parent)
         try:
-            if link and source.size_bytes() >= 0 and _linked(source, target):
-                digest, size = entry["sha256"], target.stat().st_size  # a link is not read
-            else:
-                digest, size = _copied(source, target, int(entry["bytes"]))
+            size, digest = source.size_bytes(), entry["sha256"]  # a link is not read
+            if size == entry["bytes"] and not (link and _linked(source, target)):
+                digest = _copied(source, target)
         except OSError as error:
             raise unreadable(source, error, "forestgen verify names all such files") from error
         if size != entry["bytes"] or digest != entry["sha256"]:
@@ -316,17 +305,13 @@ def _linked(source: SafePath, target: Path) -> bool:
     return True
 
 
-def _copied(source: SafePath, target: Path, most_bytes: int) -> tuple[str, int]:
-    """SHA-256 and size of what was copied: of a file that is longer than `most_bytes` not all."""
-    digest, size = hashlib.sha256(), 0
+def _copied(source: SafePath, target: Path) -> str:
+    """SHA-256 of the copy."""
     with source.open() as stream:
         try:
             with target.open("wb") as copy:
-                while size <= most_bytes and (block := stream.read(_BLOCK_BYTES)):
-                    digest.update(block)
-                    copy.write(block)
-                    size += len(block)
+                shutil.copyfileobj(stream, copy)
+            shutil.copystat(source.located(), target)
         except OSError as error:
             raise output_error(error, target) from error
-    shutil.copystat(source.located(), target)
-    return digest.hexdigest(), size
+    return file_sum(target)

@@ -11,6 +11,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError
@@ -36,24 +37,18 @@ class FileSum:
 
 
 class RecordIndex:
-    """A context manager; a failure of the disk that the file lies on leaves its block as an `OutputError`.
+    """A context manager; a failure of the disk that the file lies on leaves its block as an `OutputError`."""
 
-    `folder`: where the file lies while it is needed.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._path = folder / "records.sqlite"
+    def __init__(self) -> None:
+        self._scratch = TemporaryDirectory(prefix="forestgen-records-")
         try:
-            self._base = sqlite3.connect(self._path, isolation_level=None)
-            for pragma in (
-                "journal_mode=OFF",
-                "synchronous=OFF",
-                "cache_size=-8000",
-            ):  # kB; a crash leaves none to read
+            self._base = sqlite3.connect(Path(self._scratch.name) / "records.sqlite", isolation_level=None)
+            for pragma in ("journal_mode=OFF", "synchronous=OFF", "cache_size=-8000"):  # kB; no crash leaves it
                 self._base.execute(f"PRAGMA {pragma}")
             self._base.executescript(_TABLES)
             self._base.execute("BEGIN")
         except sqlite3.OperationalError as error:
+            self._scratch.cleanup()
             raise self._failed(error) from error
 
     def __enter__(self) -> RecordIndex:
@@ -61,14 +56,14 @@ class RecordIndex:
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         self._base.close()
-        self._path.unlink(missing_ok=True)
+        self._scratch.cleanup()
         if isinstance(error, sqlite3.OperationalError):
             raise self._failed(error) from error
 
     def _failed(self, error: sqlite3.OperationalError) -> OutputError:
         return OutputError(
             f"cannot write the table of all files: {error}",
-            where=str(self._path.parent),
+            where=self._scratch.name,
             hint="free some space there, or name a folder on another disk in TMPDIR",
         )
 

@@ -30,7 +30,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
@@ -107,36 +107,23 @@ class RemoteStorage:
         put_checked(self._store, content, self._key(target), self._where(target))
 
     def read(self, path: str) -> bytes | None:
-        found: list[bytes] = []
-
-        def get() -> None:
-            with _none_if_absent():
-                found.append(bytes(self._store.cat_file(self._key(path))))
-
-        persistently(get, self._where(path))
-        return found[0] if found else None
+        content = persistently(lambda: _or_none(lambda: self._store.cat_file(self._key(path))), self._where(path))
+        return None if content is None else bytes(content)
 
     def exists(self, path: str) -> bool:
-        with storage_errors(self._where(path)):
-            return bool(self._store.exists(self._key(path)))
+        return bool(self._asked(self._store.exists, path))
 
     def size_bytes(self, path: str) -> int | None:
-        found = dict[str, Any]()
-        with storage_errors(self._where(path)), _none_if_absent():
-            found = self._store.info(self._key(path))
+        found = self._asked(self._store.info, path) or {}
         return int(found["size"]) if found.get("type") == "file" else None
 
     def names(self, folder: str) -> list[str]:
-        own, found = self._key(folder).rstrip("/"), []
-        with storage_errors(self._where(folder)), _none_if_absent():
-            found = self._store.ls(self._key(folder), detail=False)
+        own, found = self._key(folder).rstrip("/"), self._asked(self._store.ls, folder, detail=False) or []
         return sorted({PurePosixPath(path).name for path in found if path.rstrip("/") != own})
 
     def files(self, folder: str = "") -> dict[str, int]:
         """Path below the data set's folder -> size in bytes, of all files below a folder; by path."""
-        root, found = self._key("").rstrip("/") + "/", dict[str, Any]()
-        with storage_errors(self._where(folder)), _none_if_absent():
-            found = self._store.find(self._key(folder), detail=True)
+        root, found = self._key("").rstrip("/") + "/", self._asked(self._store.find, folder, detail=True) or {}
         return {path.removeprefix(root): int(one["size"]) for path, one in sorted(found.items())}
 
     def found(self, folder: str) -> Iterator[tuple[str, int, int]]:
@@ -157,8 +144,7 @@ class RemoteStorage:
         """Download files to ``folder/PATH``; `OutputError` if one is not there, or does not arrive whole."""
 
         def get(path: str) -> None:
-            target = folder / path
-            key = self._key(path)  # refuses a path that leads out of the folder
+            key, target = self._key(path), folder / path  # the former refuses a path that leads out of the folder
             with storage_errors(self._where(path)):
                 target.parent.mkdir(parents=True, exist_ok=True)
             persistently(lambda: self._store.get_file(key, str(target)), self._where(path))
@@ -184,9 +170,14 @@ class RemoteStorage:
     def _store(self) -> Any:
         return file_system(self.url.partition("://")[0])
 
+    def _asked(self, question: Callable[..., Any], path: str, **options: Any) -> Any:
+        """What the store answers about a path; None if nothing is there."""
+        with storage_errors(self._where(path)):
+            return _or_none(lambda: question(self._key(path), **options))
+
     def _key(self, path: str) -> str:
         """A path below the data set's folder as the store names it."""
-        if path and not _stays_inside(path):
+        if any(part in ("", ".", "..") for part in path.split("/") if path) or "\\" in path:
             raise OutputError("a path leads out of the data set's folder", where=self.url, got=path)
         root = str(self._store._strip_protocol(self.url)).rstrip("/")
         return f"{root}/{path}" if path else root
@@ -195,18 +186,14 @@ class RemoteStorage:
         return f"{self.url.rstrip('/')}/{path}" if path else self.url
 
 
-def _stays_inside(path: str) -> bool:
-    return not any(part in ("", ".", "..") for part in path.split("/")) and "\\" not in path
-
-
-@contextmanager
-def _none_if_absent() -> Iterator[None]:
-    """A block that ends where a file is missing: that is an answer; a missing bucket is a mistake."""
+def _or_none(answer: Callable[[], Any]) -> Any:
+    """An answer, None where a file is missing; a missing bucket is a mistake."""
     try:
-        yield
+        return answer()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
         if store_code(error) == "NoSuchBucket":
             raise
+        return None
 
 
 def _files_below(folder: Path) -> list[str]:
@@ -238,12 +225,10 @@ def _clear_leftovers(_process: int) -> None:
 class RemoteLock:
     """Holds the lock; see `contract.Lock`.
 
-    Parameters
-    ----------
-    store : fsspec's file system.
-    key : of the lock's object.
-    where : the data set's address, for messages.
-    say : takes a sentence when there is something to wait for.
+    `store`: fsspec's file system.
+    `key`: of the lock's object.
+    `where`: the data set's address, for messages.
+    `say`: takes a sentence when there is something to wait for.
     """
 
     beat_s, patience_s, settle_s = BEAT_S, PATIENCE_S, SETTLE_S

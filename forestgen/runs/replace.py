@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import chain, count
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.dataset.check import Finding
@@ -34,7 +33,7 @@ from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS, splits_before, writte
 from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import done_keys
 from forestgen.runs.storage import LOCK_FILES, STAGING, LocalStorage, unreadable_storage
-from forestgen.runs.verify_files import enter_records, enter_sums
+from forestgen.runs.verify_index import enter_records, enter_sums
 
 _MAP = rf"{MAPS}/[0-9a-f]{{16}}\.[^/]+"
 _OF_RUN = re.compile(rf"SHA256SUMS|report\.html|{RUN}/(log\.jsonl|jobs\.parquet|summary\.json)")  # not in SHA256SUMS
@@ -63,9 +62,7 @@ def recover(storage: StorageBackend, say: Callable[[str], None]) -> None:
 
     The previous data set is put back or, if the new one has a finished image, removed, but for users' files.
 
-    Raises
-    ------
-    OutputError : something cannot be moved.
+    Raises `OutputError`: something cannot be moved.
     """
     outcome = _settle(storage, say) if isinstance(storage, LocalStorage) else None
     if outcome is not None:
@@ -80,16 +77,12 @@ def replacing(
 
     What forestgen has not written moves from the previous data set into the new one.
 
-    Parameters
-    ----------
-    splits : names of the new data set's.
-    say : called with users' files that were kept, and with what could not be removed.
-    overwrite : replace the data set that is there; if the block fails before an image is finished, it is put back.
-    keep_begun : without `overwrite`, leave what a block has begun that fails before an image is finished: its log.
+    `splits`: names of the new data set's.
+    `say`: called with users' files that were kept, and with what could not be removed.
+    `overwrite`: replace the data set that is there; if the block fails before an image is finished, it is put back.
+    `keep_begun`: without `overwrite`, leave what a block has begun that fails before an image is finished: its log.
 
-    Raises
-    ------
-    OutputError : users' files lie where the new data set has its own, or something cannot be moved.
+    Raises `OutputError`: users' files lie where the new data set has its own, or something cannot be moved.
     """
     if overwrite:
         check_replaceable(storage, splits)
@@ -111,10 +104,8 @@ def replacing(
 def _settle(storage: LocalStorage, say: Callable[[str], None], *, drop_begun: bool = False) -> str | None:
     """What became of the previous data set: it is back, or removed; None if there was none, or it stays.
 
-    Parameters
-    ----------
-    say : called with users' files that were kept, and with what could not be removed.
-    drop_begun : remove a data set without a finished image also where there was no previous one.
+    `say`: called with users' files that were kept, and with what could not be removed.
+    `drop_begun`: remove a data set without a finished image also where there was no previous one.
     """
     root = storage.root
     outcome: str | None = None
@@ -204,11 +195,9 @@ def foreign_files(root: Path) -> list[str]:
     The sources are SHA256SUMS for a finished data set; else the images' records, the names that forestgen uses in any
     data set, and its list of the files over all images (`folder.note_written`).
 
-    Raises
-    ------
-    OutputError : the folder cannot be read, or the disk of temporary files is full.
+    Raises `OutputError`: the folder cannot be read, or the disk of temporary files is full.
     """
-    with TemporaryDirectory(prefix="forestgen-foreign-") as scratch, RecordIndex(Path(scratch)) as record_index:
+    with RecordIndex() as record_index:
         refused: list[Finding] = []
         is_whole = enter_sums(root, record_index, refused) and not refused
         splits = {*splits_before(LocalStorage(root)), *enter_records(root, record_index)}
@@ -266,13 +255,9 @@ def check_replaceable(storage: StorageBackend, splits: Iterable[str]) -> None:
 
     Files where only some formats have theirs are not refused: they are renamed when the new data set is there.
 
-    Parameters
-    ----------
-    splits : names of the new one's.
+    `splits`: names of the new one's.
 
-    Raises
-    ------
-    OutputError
+    Raises `OutputError`.
     """
     if not isinstance(storage, LocalStorage):
         hint = "remove it there, or choose another"
@@ -280,9 +265,22 @@ def check_replaceable(storage: StorageBackend, splits: Iterable[str]) -> None:
     if not storage.names(""):
         return
     root, names = storage.root, {*splits, *splits_before(storage)}
-    own = [path for path in foreign_files(root) if tool_of(path) is None]
-    used = [path for path in own if any(_name_is_used(root, one, names) for one in _files(root, path, names))]
-    if used:
+
+    def files(path: str) -> Iterator[str]:
+        """A path and, of a folder that the new data set has as well, what lies in it."""
+        yield path
+        if path.partition("/")[0] in (*names, *_FOLDERS) and not (root / path).is_symlink():
+            for folder, folders, inner in os.walk(root / path):
+                inside = Path(folder).relative_to(root).as_posix()
+                yield from (f"{inside}/{name}" for name in (*folders, *inner) if inside != ".")
+
+    def is_used(path: str) -> bool:
+        """Whether the new data set may have a file there, or a folder where this is none."""
+        is_folder = path in _FOLDERS or path in names
+        return _is_named(path, names) or (is_folder and not SafePath(root, path).is_folder())
+
+    own = (path for path in foreign_files(root) if tool_of(path) is None)
+    if used := [path for path in own if any(map(is_used, files(path)))]:
         raise OutputError(
             "files that forestgen has not written lie where the new data set has its own",
             where=storage.name,
@@ -292,29 +290,12 @@ def check_replaceable(storage: StorageBackend, splits: Iterable[str]) -> None:
         )
 
 
-def _files(root: Path, path: str, names: Iterable[str]) -> Iterator[str]:
-    """A path and, of a folder that the new data set has as well, what lies in it."""
-    yield path
-    if path.partition("/")[0] in (*names, *_FOLDERS) and not (root / path).is_symlink():
-        for folder, folders, files in os.walk(root / path):
-            inside = Path(folder).relative_to(root).as_posix()
-            yield from (f"{inside}/{name}" for name in (*folders, *files) if inside != ".")
-
-
-def _name_is_used(root: Path, path: str, splits: set[str]) -> bool:
-    """Whether the new data set may have a file there, or a folder where this is none."""
-    is_folder = path in _FOLDERS or path in splits
-    return _is_named(path, splits) or (is_folder and not SafePath(root, path).is_folder())
-
-
 def move_foreign(source: Path, target: Path) -> list[str]:
     """Move what is not forestgen's from one data set's folder into another's; the paths that it has there.
 
     Files of other tools go only into folders that are there, and not into frames.
 
-    Raises
-    ------
-    OSError : one cannot be moved; the others after it stay too.
+    Raises `OSError`: one cannot be moved; the others after it stay too.
     """
     splits = {*splits_before(LocalStorage(source)), *splits_before(LocalStorage(target))}
     kept: list[str] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -22,13 +22,13 @@ from forestgen.runs.contract import (
     Lock,
     Notice,
     Outcome,
+    RunOptions,
     StorageBackend,
     Work,
 )
-from forestgen.runs.finish import Finished, finish
+from forestgen.runs.finish import finish
 from forestgen.runs.folder import (
     TAKEN,
-    FinishedImages,
     check_ours,
     check_resume,
     fingerprint,
@@ -36,14 +36,21 @@ from forestgen.runs.folder import (
     open_batch,
     settle_batch,
 )
-from forestgen.runs.keys import job_key, versions_hash
-from forestgen.runs.records import done_keys, records_of
+from forestgen.runs.records import done_keys, job_key, records_of, versions_hash
 from forestgen.runs.remote_storage import storage_of
 from forestgen.runs.replace import check_replaceable, recover, replacing
 from forestgen.runs.stale_outputs import ResumeDiff, check_stale_outputs, damaged_images, resume_diff
 from forestgen.runs.storage import LocalStorage
-from forestgen.runs.summary import Log, RunSummary, done_fields, failed_fields, write_jobs_table, write_summary
-from forestgen.runs.tracker import Display, ProgressTracker, SilentDisplay
+from forestgen.runs.summary import (
+    Display,
+    Log,
+    ProgressTracker,
+    RunSummary,
+    SilentDisplay,
+    job_fields,
+    write_jobs_table,
+    write_summary,
+)
 from forestgen.scene.plan import check_plan
 
 _AHEAD = 2  # jobs that are drawn and handed on, for each worker; one by one where the first failure ends the run
@@ -84,51 +91,37 @@ class _Run:
 def run_batch(
     loaded: LoadedRecipe,
     target: str,
-    *,
-    count: int,
+    options: RunOptions,
     engine: Callable[[Work, Notice], Engine],
     prepare: Callable[[Work, int], Work] = lambda work, left: work,
-    resume: bool = False,
-    discard: bool = False,
-    overwrite: bool = False,
-    retries: int = 2,
+    *,
     strict: bool = False,
-    threads: int | None = None,
-    memory_bytes: int | None = None,
     display: Display | None = None,
 ) -> RunSummary:
-    """Make the first `count` images of a recipe into a data set: all of them, or those that it lacks.
+    """Make the first images of a recipe into a data set: all of them, or those that it lacks.
 
-    Parameters
-    ----------
-    target : a folder, or the address of an object store.
-    engine : makes what does the jobs, given what they need, and whom to tell which workers come and go.
-    prepare : given the work and the number of images that are to be made, before anything is changed: refuses what
-        cannot fit, and returns the work with the threads of each worker.
-    resume : go on in a data set that is there, and make its damaged images again; without it, it is refused.
-    discard : whether finished images may be thrown away that are too many, or that would be made otherwise now.
-    overwrite : replace a data set that is there, which comes back if no image of the new one is finished.
-    retries : attempts after the first, of jobs whose failure may pass.
-    strict : an image that cannot be drawn ends the run with its own error; the others before it are made. A run that
-        ends before an image is finished leaves nothing; so does one with `overwrite`.
-    threads, memory_bytes : of each worker; None: no bound.
+    `target`: a folder, or the address of an object store.
+    `engine`: makes what does the jobs, given what they need, and whom to tell which workers come and go.
+    `prepare`: given the work and the number of images that are to be made, before anything is changed: refuses what
+    cannot fit, and returns the work with the threads of each worker.
+    `strict`: an image that cannot be drawn or made ends the run with its own error; the others before it are made. A
+    run that ends before an image is finished leaves nothing; so does one with `options.overwrite`.
 
-    Raises
-    ------
-    RecipeError, ResourceError : see `check_recipe`, `check_stale_outputs` and `prepare`.
-    OutputError, DatasetError : the storage fails for good, or the first images all fail; what is done stays.
+    Raises `RecipeError`, `ResourceError`: see `check_recipe`, `check_stale_outputs` and `prepare`.
+    Raises `OutputError`, `DatasetError`: the storage fails for good, or the first images all fail; what is done stays.
     """
-    display = display or SilentDisplay()
+    display, overwrite = display or SilentDisplay(), options.overwrite
+    count = options.count or loaded.images
     storage, images = storage_of(target), images_of(loaded, count)
     check_ours(storage)
     settings, splits = check_recipe(loaded, images)
-    work = Work(loaded, settings, storage, versions_hash(), threads, memory_bytes)
+    work = Work(loaded, settings, storage, versions_hash(), options.threads, options.memory_bytes)
     with storage.lock(display.say) as lock:
-        check_resume(storage, resume=resume or overwrite)
+        check_resume(storage, resume=options.resume or overwrite)
         recover(storage, display.say)
         mark = fingerprint(loaded, work.versions)
         before = finished_images(work, images, splits, mark, display.say, overwrite=overwrite)
-        check_stale_outputs(before, storage.name, agreed=discard)
+        check_stale_outputs(before, storage.name, agreed=options.discard)
         work = prepare(work, count - before.kept)
         with replacing(storage, splits, display.say, overwrite=overwrite, keep_begun=not strict):
             storage.clear_staging()
@@ -137,8 +130,13 @@ def run_batch(
             with Log(storage) as log:
                 storage.discard(storage.staging())  # raises if nothing can be written, before anything is removed
                 known = open_batch(storage, images, used, mark, display.say, before.stale, damaged)
-                run = _Run(work, lock, log, JobQueue(work, images, splits, known), display, retries, strict)
-                _log_start(run, target, damaged)
+                retries = 0 if strict else options.retries
+                queue = JobQueue(work, images, splits, known, before.stale)
+                run = _Run(work, lock, log, queue, display, retries, strict)
+                about = {"images": len(images), "done": run.queue.done, "threads": work.threads}
+                log.event("start", target=target, recipe=str(loaded.path), **about)
+                for image, problem in damaged.items():
+                    log.event("image_damaged", image=image, message=problem)
                 return _make_and_finish(run, engine, images, used, mark)
 
 
@@ -152,15 +150,6 @@ def finished_images(
     return ResumeDiff(0, 0, frozenset())
 
 
-def _log_start(run: _Run, target: str, damaged: Mapping[int, str]) -> None:
-    loaded, images = run.work.loaded, run.tracker.total
-    run.log.event(
-        "start", target=target, recipe=str(loaded.path), images=images, done=run.queue.done, threads=run.work.threads
-    )
-    for image, problem in damaged.items():
-        run.log.event("image_damaged", image=image, message=problem)
-
-
 def _make_and_finish(
     run: _Run, engine: Callable[[Work, Notice], Engine], images: range, splits: list[str], mark: str
 ) -> RunSummary:
@@ -171,7 +160,6 @@ def _make_and_finish(
         settle_batch(work.storage, splits, mark)
         return _finish(run, images)
     except BaseException as error:
-        _count_made(run)
         _log_stop(run, error)
         raise
     finally:
@@ -187,14 +175,10 @@ def images_of(loaded: LoadedRecipe, count: int) -> range:
 def check_recipe(loaded: LoadedRecipe, images: range) -> tuple[DatasetSettings, dict[str, float]]:
     """Settings of the data set, and the splits with their shares, of a recipe that passes every check.
 
-    Parameters
-    ----------
-    images : numbers of those that are wanted.
+    `images`: numbers of those that are wanted.
 
-    Raises
-    ------
-    RecipeError : at an end of its distributions the recipe asks for the impossible, or for several data sets.
-    ResourceError : an image would need more memory than is free.
+    Raises `RecipeError`: at an end of its distributions the recipe asks for the impossible, or for several data sets.
+    Raises `ResourceError`: an image would need more memory than is free.
     """
     plan = check_plan(loaded)
     settings = data_set_of(plan.drawn)
@@ -228,7 +212,10 @@ def _make_all(run: _Run, engine: Engine) -> None:
                 in_flight -= 1
                 _account(run, outcome)
             run.lock.check()
-            _tell(run)
+            run.display.show(run.tracker)
+            if time.monotonic() - run.logged_s > _PROGRESS_EVERY_S:
+                run.logged_s = time.monotonic()
+                run.log.event("progress", **run.tracker.as_event())
 
 
 def _hand_out(run: _Run, engine: Engine, in_flight: int) -> int:
@@ -256,7 +243,7 @@ def _account(run: _Run, outcome: Outcome) -> None:
         run.last = outcome.record
         run.notes += outcome.record.notes
         run.peak_memory_bytes = max(run.peak_memory_bytes, outcome.run.peak_memory_bytes)
-        run.log.event("job_done", **done_fields(outcome))
+        run.log.event("job_done", **job_fields(outcome))
         return
     if outcome.kind == "worker":
         run.log.event("worker_lost", worker=outcome.worker, image=outcome.job.image, message=outcome.message)
@@ -264,7 +251,7 @@ def _account(run: _Run, outcome: Outcome) -> None:
         _give_up(run, outcome)
         return
     run.tracker.retried += 1
-    run.log.event("job_failed", **failed_fields(outcome), will_retry=True)
+    run.log.event("job_failed", **job_fields(outcome), will_retry=True)
     run.queue.again(outcome.job, outcome.attempt + 1)
 
 
@@ -272,7 +259,7 @@ def _give_up(run: _Run, failed: Failed) -> None:
     """An image that will not be made; the run goes on, unless the others would fail alike."""
     run.failed.append(failed)
     run.tracker.failed += 1
-    run.log.event("job_failed", **failed_fields(failed), will_retry=False)
+    run.log.event("job_failed", **job_fields(failed), will_retry=False)
     if run.strict and failed.error is not None:
         raise failed.error
     if failed.kind == "output":
@@ -291,14 +278,6 @@ def _give_up(run: _Run, failed: Failed) -> None:
         )
 
 
-def _tell(run: _Run) -> None:
-    run.display.show(run.tracker)
-    now = time.monotonic()
-    if now - run.logged_s > _PROGRESS_EVERY_S:
-        run.logged_s = now
-        run.log.event("progress", **run.tracker.as_event())
-
-
 def _finish(run: _Run, images: range) -> RunSummary:
     """The files over all images, the report, and the counts."""
     storage, tracker = run.work.storage, run.tracker
@@ -310,7 +289,24 @@ def _finish(run: _Run, images: range) -> RunSummary:
     run.log.upload()
     write_jobs_table(storage, run.log.lines(), images)
     report, why = _write_report(storage)
-    summary = _summary(run, whole, report, (*whole.notes, *why))
+    summary = RunSummary(
+        target=storage.name,
+        images=tracker.total,
+        already=tracker.already,
+        made=tracker.made,
+        failed=tuple(sorted(run.failed, key=lambda failed: failed.job.image)),
+        missing=whole.missing,
+        frames=whole.frames,
+        bytes=whole.bytes,
+        report=report,
+        seconds=time.monotonic() - tracker.started_s,
+        images_per_hour=tracker.images_per_hour,
+        stages_s=tracker.longest_stages_s,
+        peak_memory_bytes=run.peak_memory_bytes,
+        notes=(*whole.notes, *why),
+        image_notes=tuple(run.notes),
+        last=run.last,
+    )
     write_summary(storage, summary)
     return summary
 
@@ -331,65 +327,40 @@ def _write_report(storage: StorageBackend) -> tuple[str | None, list[str]]:
     return f"{storage.name}/{_REPORT}", []
 
 
-def _summary(run: _Run, whole: Finished, report: str | None, notes: tuple[str, ...]) -> RunSummary:
-    tracker = run.tracker
-    return RunSummary(
-        target=run.work.storage.name,
-        images=tracker.total,
-        already=tracker.already,
-        made=tracker.made,
-        failed=tuple(sorted(run.failed, key=lambda failed: failed.job.image)),
-        missing=whole.missing,
-        frames=whole.frames,
-        bytes=whole.bytes,
-        report=report,
-        seconds=time.monotonic() - tracker.started_s,
-        images_per_hour=tracker.images_per_hour,
-        stages_s=tracker.longest_stages_s,
-        peak_memory_bytes=run.peak_memory_bytes,
-        notes=notes,
-        image_notes=tuple(run.notes),
-        last=run.last,
-    )
-
-
-def _count_made(run: _Run) -> None:
-    """Count the images by their records: a run that is stopped may not have heard of the last ones."""
-    if run.submitted:
-        with suppress(ForestgenError):  # what has stopped the run matters more
-            run.tracker.made = len(run.submitted & done_keys(run.work.storage))
-
-
 def _log_stop(run: _Run, error: BaseException) -> None:
-    """Why the run ended early; the error itself matters more than that the log may fail too."""
+    """Count the images made, and log why the run ended early; the error itself matters more than that these may fail.
+
+    They are counted by their records: a run that is stopped may not have heard of the last ones.
+    """
     if isinstance(error, ForestgenError):
         reason = str(error)
     else:
         reason = f"{type(error).__name__}: {error}" if isinstance(error, Exception) else "interrupted"
-    try:
+    with suppress(ForestgenError):
+        if run.submitted:
+            run.tracker.made = len(run.submitted & done_keys(run.work.storage))
+    with suppress(ForestgenError):
         run.log.event("stop", reason=reason, **run.tracker.as_event())
         run.log.upload()
-    except ForestgenError:
-        return
 
 
 class JobQueue:
     """Jobs with their attempts; those that are tried again come first.
 
-    Parameters
-    ----------
-    images : numbers of the images that are wanted.
-    splits : name -> share.
-    known : the images whose records are there. A stale one is forgotten when its turn comes.
+    `images`: numbers of the images that are wanted.
+    `splits`: name -> share.
+    `known`: the images whose records are there. A stale one is forgotten when its turn comes.
     """
 
-    def __init__(self, work: Work, images: range, splits: Mapping[str, float], known: FinishedImages) -> None:
+    def __init__(
+        self, work: Work, images: range, splits: Mapping[str, float], known: Mapping[int, str], stale: Collection[int]
+    ) -> None:
         self._loaded, self._versions = work.loaded, work.versions
         self._storage = work.storage
-        self.images, self._splits, self._known = images, splits, known
+        self.images, self._splits, self._known, self._stale = images, splits, known, stale
         self._again: deque[tuple[Job, int]] = deque()
         self._fresh = self._draw_all()
-        self.done = len(known.keys) - len(known.stale)
+        self.done = sum(image not in stale for image in known)
         self.keys: dict[int, str] = {}  # image -> key, of all images that have had their turn
 
     def next(self) -> tuple[Job, int] | Failed | None:
@@ -408,22 +379,19 @@ class JobQueue:
 
     def _draw_all(self) -> Iterator[tuple[Job, int] | Failed]:
         for image in self.images:
-            known = self._known.keys.get(image)
-            if known is not None and image not in self._known.stale:
+            known = self._known.get(image)
+            if known is not None and image not in self._stale:
                 self.keys[image] = known
                 continue
             if known is not None:
                 forget_key(self._storage, known)
-            drawn = self._draw(image)
-            self.keys[image] = "" if isinstance(drawn, Failed) else drawn.key
-            yield drawn if isinstance(drawn, Failed) else (drawn, 1)
-
-    def _draw(self, image: int) -> Job | Failed:
-        try:
-            drawn = self._loaded.draw(image - self.images.start)
-        except ForestgenError as error:  # a drawn value that the schema rejects
-            return Failed(self._job(image, ""), 1, "recipe", str(error), error=error)
-        return self._job(image, job_key(drawn, self._versions))
+            self.keys[image] = ""
+            try:
+                self.keys[image] = job_key(self._loaded.draw(image - self.images.start), self._versions)
+            except ForestgenError as error:  # a drawn value that the schema rejects
+                yield Failed(self._job(image, ""), 1, "recipe", str(error), error=error)
+            else:
+                yield self._job(image, self.keys[image]), 1
 
     def _job(self, image: int, key: str) -> Job:
         return Job(image - self.images.start, image, split_of(self._splits, image), key)

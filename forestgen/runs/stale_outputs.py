@@ -32,8 +32,7 @@ from forestgen.recipe.load import LoadedRecipe
 from forestgen.runs.contract import JobRecord, StorageBackend
 from forestgen.runs.finish import recipe_part
 from forestgen.runs.folder import images_in_frames, is_made_from
-from forestgen.runs.keys import image_of_key, job_key
-from forestgen.runs.records import done_keys, in_order, records_of
+from forestgen.runs.records import done_keys, image_of_key, in_order, job_key, records_of
 from forestgen.runs.storage import LocalStorage, unreadable_storage
 from forestgen.runs.verify_index import plain_yaml
 
@@ -76,11 +75,9 @@ def resume_diff(
 ) -> ResumeDiff:
     """Compare the finished images with what is wanted now; removes nothing.
 
-    Parameters
-    ----------
-    images : numbers of the images that are wanted.
-    mark, versions : see `folder.fingerprint`.
-    say : called if it takes a while: of a recipe that has changed, each finished image is drawn again.
+    `images`: numbers of the images that are wanted.
+    `mark`, `versions`: see `folder.fingerprint`.
+    `say`: called if it takes a while: of a recipe that has changed, each finished image is drawn again.
     """
     keys = done_keys(storage)
     mine = {image: key for key in keys if (image := image_of_key(key)) in images}
@@ -91,7 +88,15 @@ def resume_diff(
         return ResumeDiff(len(mine), beyond, frozenset(), len(unrecorded.difference(images)))
     if len(mine) >= _MANY:
         say(f"comparing {len(mine):,} finished images with the recipe, which has changed")
-    stale = frozenset(image for image in mine if _key(loaded, image - images.start, versions) not in keys)
+
+    def key(image: int) -> str:
+        """Of an image as it would be made now; "" if it cannot be drawn."""
+        try:
+            return job_key(loaded.draw(image - images.start), versions)
+        except ForestgenError:
+            return ""
+
+    stale = frozenset(image for image in mine if key(image) not in keys)
     changes = _changes(storage, loaded) if stale else ""
     return ResumeDiff(len(mine) - len(stale), beyond, stale, len(unrecorded), changes)
 
@@ -109,14 +114,6 @@ def check_stale_outputs(found: ResumeDiff, where: str, *, agreed: bool) -> None:
             got=found.reasons(),
             hint="`discard=True` agrees to it; or choose another folder",
         )
-
-
-def _key(loaded: LoadedRecipe, index: int, versions: str) -> str:
-    """Of an image as it would be made now; "" if it cannot be drawn."""
-    try:
-        return job_key(loaded.draw(index), versions)
-    except ForestgenError:
-        return ""
 
 
 def _changes(storage: StorageBackend, loaded: LoadedRecipe) -> str:
@@ -151,15 +148,11 @@ def damaged_images(
 ) -> dict[int, str]:
     """Image -> the first file that is damaged and how, of finished images; what can be restored is restored.
 
-    Parameters
-    ----------
-    images : numbers of the images that are wanted.
-    stale : those that are made again in any case: they are not checked.
-    say : takes progress, and a sentence about each of the first damaged images.
+    `images`: numbers of the images that are wanted.
+    `stale`: those that are made again in any case: they are not checked.
+    `say`: takes progress, and a sentence about each of the first damaged images.
 
-    Raises
-    ------
-    OutputError : a file is there and must not be read.
+    Raises `OutputError`: a file is there and must not be read.
     """
     total = len(done_keys(storage))
     if not total:
@@ -193,46 +186,42 @@ class _Checker:
 
     def check(self, record: JobRecord) -> tuple[int, str | None]:
         """An image and its first problem."""
-        return record.image, next(self._problems(record), None)
-
-    def _problems(self, record: JobRecord) -> Iterator[str]:
         for path, listed in record.files.items():
             key = path, str(listed["sha256"])
+            is_map = path.startswith(f"{record.split}/{MAPS}/")
             if key in self._shared:
                 problem = self._shared[key]
             else:
                 problem = self._problem(path, listed)
-                if problem is not None and self._restored(record, path, listed):
+                if problem is not None and self._restored(record, path, listed, is_map):
                     problem = None
-                if _is_map(record, path):
+                if is_map:
                     if problem is not None:
                         self._storage.remove(path)  # a worker writes it again only where there is none
                     self._shared[key] = problem
             if problem is not None:
-                yield f"{path} {problem}"
+                return record.image, f"{path} {problem}"
+        return record.image, None
 
     def _problem(self, path: str, listed: Mapping[str, Any]) -> str | None:
         """What is wrong with a file; None if it is as it was written."""
         if isinstance(self._storage, LocalStorage):
             return _local_problem(SafePath(self._storage.root, path), listed)
-        size = self._sizes_of(path.partition("/")[0]).get(path)
+        folder = path.partition("/")[0]
+        with self._listing:
+            if folder not in self._sizes:
+                self._sizes[folder] = {found: size for found, size, _ in self._storage.found(folder)}
+        size = self._sizes[folder].get(path)
         if size is None:
             return "is missing"
         return None if size == listed["bytes"] else f"has {size:,} bytes instead of {listed['bytes']:,}"
 
-    def _sizes_of(self, folder: str) -> dict[str, int]:
-        with self._listing:
-            if folder not in self._sizes:
-                remote: Any = self._storage
-                self._sizes[folder] = remote.files(folder)
-            return self._sizes[folder]
-
-    def _restored(self, record: JobRecord, path: str, listed: Mapping[str, Any]) -> bool:
+    def _restored(self, record: JobRecord, path: str, listed: Mapping[str, Any], is_map: bool) -> bool:
         """Whether the file could be written again without rendering."""
         content = None
         if path.startswith(f"{THUMBNAILS}/"):
             content = self._thumbnail(record, Path(path).stem)
-        elif _is_map(record, path):
+        elif is_map:
             content = self._maps.get(str(listed["sha256"]))
         if content is None or hashlib.sha256(content).hexdigest() != listed["sha256"]:
             return False
@@ -260,10 +249,6 @@ class _Checker:
         except ForestgenError:  # a map has changed: the images' own jobs report that
             return {}
         return {hashlib.sha256(content).hexdigest(): content for content in maps}
-
-
-def _is_map(record: JobRecord, path: str) -> bool:
-    return path.startswith(f"{record.split}/{MAPS}/")
 
 
 def _local_problem(file: SafePath, listed: Mapping[str, Any]) -> str | None:

@@ -180,13 +180,13 @@ def unreadable_storage(error: OSError, where: object) -> OutputError:
 
 def _sync(files: Sequence[Path]) -> None:
     """Wait until files are on the disk: many at a time, or each would wait for a turn of its own."""
+
+    def sync(file: Path) -> None:
+        with file.open("rb+") as stream:
+            os.fsync(stream.fileno())
+
     with ThreadPoolExecutor(min(_SYNCED_AT_ONCE, max(1, len(files)))) as threads:
-        list(threads.map(_sync_one, files))
-
-
-def _sync_one(file: Path) -> None:
-    with file.open("rb+") as stream:
-        os.fsync(stream.fileno())
+        list(threads.map(sync, files))
 
 
 class LocalLock:
@@ -205,13 +205,14 @@ class LocalLock:
 
         self._made = [folder for folder in (self._folder, *self._folder.parents) if not os.path.lexists(folder)]
         make_folder(self._folder)
-        for name in (_LOCK, _HOLDER):
-            _refuse_link(self._folder / name)
+        for name in LOCK_FILES:  # the data set may be untrusted: its links and pipes are not written through
+            if os.path.lexists(self._folder / name) and not SafePath(self._folder, name).is_file():
+                raise OutputError("this is no plain file", where=str(self._folder / name), hint="remove it")
         self._lock = FileLock(self._folder / _LOCK, timeout=0)
         try:
             self._lock.acquire()
         except Timeout:
-            raise refusal(self._where, _holder(self._folder)) from None
+            raise refusal(self._where, self._holder()) from None
         except NotImplementedError:
             self._lock = None
             self._say(f"{self._where}: this file system keeps no locks: see that no other run writes there")
@@ -234,11 +235,12 @@ class LocalLock:
     def check(self) -> None:
         """Nothing to do: a lock of the operating system cannot be lost."""
 
-
-def _refuse_link(path: Path) -> None:
-    """Refuse to write through a link or into a pipe: the data set may be untrusted."""
-    if os.path.lexists(path) and not SafePath(path.parent, path.name).is_file():
-        raise OutputError("this is no plain file", where=str(path), hint="remove it")
+    def _holder(self) -> str:
+        try:
+            content = SafePath(self._folder, _HOLDER).read_json()
+            return f"{content['owner']}, since {content['since']}"
+        except (OSError, ValueError, KeyError, TypeError):  # it is just being written
+            return "a run that has just begun"
 
 
 def refusal(where: str, holder: str) -> OutputError:
@@ -257,11 +259,3 @@ def this_process() -> dict[str, str]:
         user = "?"
     since = datetime.fromtimestamp(psutil.Process().create_time(), UTC).isoformat(timespec="seconds")
     return {"owner": f"{user} on {platform.node()}, process {os.getpid()}", "since": since}
-
-
-def _holder(folder: Path) -> str:
-    try:
-        content = SafePath(folder, _HOLDER).read_json()
-        return f"{content['owner']}, since {content['since']}"
-    except (OSError, ValueError, KeyError, TypeError):  # it is just being written
-        return "a run that has just begun"

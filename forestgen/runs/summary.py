@@ -1,4 +1,4 @@
-"""The report of a run: text, and the files run/log.jsonl, run/summary.json and run/jobs.parquet.
+"""How far a run is, and its report: text, and the files run/log.jsonl, run/summary.json and run/jobs.parquet.
 
 The log has one JSON object a line, each on the disk when it has happened. Every line has `time` (ISO 8601, UTC) and
 `event`: start, image_damaged, job_done, job_failed, worker_lost, progress, finish, stop; of a cluster also
@@ -13,19 +13,21 @@ import math
 import os
 import tempfile
 import time
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Annotated, Any
+from typing import IO, Annotated, Any, Protocol
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from forestgen.core.figures import count, seconds, table_lines
+from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import make_folder, output_error
 from forestgen.dataset.safe_path import load_json
-from forestgen.runs.contract import RUN, Done, Failed, JobRecord, StorageBackend
+from forestgen.runs.contract import RUN, Done, Failed, JobRecord, Outcome, StorageBackend
 from forestgen.runs.storage import LocalStorage
 
 LOG = f"{RUN}/log.jsonl"
@@ -33,6 +35,8 @@ JOBS_TABLE = f"{RUN}/jobs.parquet"
 SUMMARY = f"{RUN}/summary.json"
 _UPLOAD_EVERY_S = 120.0  # to an object store, which appends to nothing
 _MOST_NOTES, _MOST_STAGES = 5, 5
+_WINDOW = 200  # the latest images, whose pace is reported
+_SETTLED = 8  # images from which on that pace is worth more than the whole run's
 
 
 @dataclass(frozen=True, repr=False)
@@ -124,19 +128,10 @@ def _size_errors(errors: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def write_summary(storage: StorageBackend, summary: RunSummary) -> None:
     """Write run/summary.json."""
-    plain = {
-        "images": summary.images,
-        "already": summary.already,
-        "made": summary.made,
-        "failed": [one.job.image for one in summary.failed],
-        "missing": list(summary.missing),
-        "frames": summary.frames,
-        "bytes": summary.bytes,
-        "total_s": summary.seconds,
-        "timings_s": dict(summary.stages_s),
-        "peak_memory_bytes": summary.peak_memory_bytes,
-        "notes": list(summary.notes),
-    }
+    names = ("images", "already", "made", "failed", "missing", "frames", "bytes", "peak_memory_bytes", "notes")
+    plain = {name: getattr(summary, name) for name in names}
+    plain |= {"failed": [one.job.image for one in summary.failed], "total_s": summary.seconds}
+    plain["timings_s"] = dict(summary.stages_s)
     storage.write(SUMMARY, (json.dumps(plain, indent=1) + "\n").encode())
 
 
@@ -209,32 +204,15 @@ class Log:
                     yield line
 
 
-def done_fields(done: Done) -> dict[str, Any]:
-    """The fields of a `job_done`."""
-    run = done.run
-    return {
-        "image": done.job.image,
-        "split": done.job.split,
-        "attempt": run.attempt,
-        "seconds": round(run.seconds, 4),
-        "timings_s": {name: round(seconds, 4) for name, seconds in run.timings_s.items()},
-        "peak_memory_bytes": run.peak_memory_bytes,
-        "worker": run.worker,
-        "frames": len(done.record.rows),
-    }
-
-
-def failed_fields(failed: Failed) -> dict[str, Any]:
-    """The fields of a `job_failed`, but `will_retry`."""
-    return {
-        "image": failed.job.image,
-        "split": failed.job.split,
-        "attempt": failed.attempt,
-        "kind": failed.kind,
-        "message": failed.message,
-        "seconds": round(failed.seconds, 4),
-        "worker": failed.worker,
-    }
+def job_fields(outcome: Outcome) -> dict[str, Any]:
+    """The fields of a `job_done`, or of a `job_failed` but for `will_retry`."""
+    fields: dict[str, Any] = {"image": outcome.job.image, "split": outcome.job.split}
+    if isinstance(outcome, Done):
+        fields |= {**vars(outcome.run), "frames": len(outcome.record.rows)}
+        fields["timings_s"] = {name: round(spent, 4) for name, spent in outcome.run.timings_s.items()}
+    else:
+        fields |= {name: getattr(outcome, name) for name in ("attempt", "kind", "message", "seconds", "worker")}
+    return {**fields, "seconds": round(fields["seconds"], 4)}
 
 
 Count = Annotated[int, Field(ge=0, lt=2**63)]
@@ -259,10 +237,8 @@ class _JobDone(BaseModel):
 def write_jobs_table(storage: StorageBackend, lines: Iterable[Mapping[str, Any]], images: range) -> None:
     """Write run/jobs.parquet: a row an image, what the log's last sound `job_done` says of it.
 
-    Parameters
-    ----------
-    lines : of the log.
-    images : numbers of the batch's images.
+    `lines`: of the log.
+    `images`: numbers of the batch's images.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -282,3 +258,99 @@ def write_jobs_table(storage: StorageBackend, lines: Iterable[Mapping[str, Any]]
     buffer = io.BytesIO()
     pq.write_table(pa.Table.from_pylist([last[image] for image in sorted(last)], columns), buffer)
     storage.write(JOBS_TABLE, buffer.getvalue())
+
+
+@dataclass
+class ProgressTracker:
+    """Counts of a run. Images that an earlier run has made are done, but say nothing about the pace."""
+
+    total: int  # images of the batch
+    workers: int = 0
+    already: int = 0  # done before this run
+    made: int = 0  # by this run
+    failed: int = 0  # given up
+    retried: int = 0  # attempts that failed and were followed by another
+    stages_s: dict[str, float] = field(default_factory=dict)  # of the images made, by stage
+    started_s: float = field(default_factory=time.monotonic)
+    _times: deque[float] = field(default_factory=lambda: deque(maxlen=_WINDOW))
+
+    @property
+    def done(self) -> int:
+        return self.already + self.made
+
+    @property
+    def left(self) -> int:
+        return self.total - self.done - self.failed
+
+    def count(self, timings_s: Mapping[str, float]) -> None:
+        """An image was made."""
+        self.made += 1
+        self._times.append(time.monotonic())
+        for stage, spent in timings_s.items():
+            self.stages_s[stage] = self.stages_s.get(stage, 0.0) + spent
+
+    @property
+    def images_per_hour(self) -> float | None:
+        """Pace of the latest images; None before the first one."""
+        if not self._times:
+            return None
+        if len(self._times) >= _SETTLED and self._times[-1] > self._times[0]:
+            return 3600 * (len(self._times) - 1) / (self._times[-1] - self._times[0])
+        return 3600 * self.made / max(1e-3, self._times[-1] - self.started_s)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """At this pace; None before the first image."""
+        pace = self.images_per_hour
+        return None if pace is None else 3600 * self.left / pace
+
+    @property
+    def longest_stages_s(self) -> dict[str, float]:
+        """Seconds of each stage, the longest first."""
+        return dict(sorted(self.stages_s.items(), key=lambda stage: -stage[1]))
+
+    def shares(self) -> dict[str, float]:
+        """Part of the workers' time that each stage takes, the largest first."""
+        total = sum(self.stages_s.values())
+        return {name: seconds / total for name, seconds in self.longest_stages_s.items() if total > 0}
+
+    def as_event(self) -> dict[str, Any]:
+        """The fields of a log's `progress`."""
+        return {
+            "done": self.done,
+            "total": self.total,
+            "failed": self.failed,
+            "images_per_hour": self.images_per_hour,
+            "seconds_left": self.seconds_left,
+            "stage_shares": self.shares(),
+        }
+
+
+class Display(Progress, Protocol):
+    """What shows a call's progress: the stages of the image in work, the counts of a run, and lines that stay."""
+
+    tracker: ProgressTracker | None  # of the run that is shown, None before it has begun
+
+    def running(self) -> AbstractContextManager[object]:
+        """What is shown while its block runs."""
+
+    def say(self, text: str) -> None:
+        """A sentence worth a line."""
+
+    def show(self, tracker: ProgressTracker) -> None:
+        """The counts, every second or so; the same object every time."""
+
+
+class SilentDisplay(Silent):
+    """Shows nothing."""
+
+    tracker: ProgressTracker | None = None
+
+    def running(self) -> AbstractContextManager[object]:
+        return nullcontext(self)
+
+    def say(self, text: str) -> None:
+        pass
+
+    def show(self, tracker: ProgressTracker) -> None:
+        self.tracker = tracker

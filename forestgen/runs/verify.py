@@ -28,7 +28,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import perf_counter
 from typing import Any
 
@@ -40,7 +39,7 @@ from forestgen.dataset.check import MOST_NAMED, Finding, check_dataset
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, check_folder, unreadable
 from forestgen.recipe.registries import DATASET_FORMATS
-from forestgen.runs import verify_files as files
+from forestgen.runs import verify_index as checks
 from forestgen.runs.description import DATASET_NAME, read_description, settings_of
 from forestgen.runs.folder import BATCH
 from forestgen.runs.record_index import RecordIndex
@@ -48,14 +47,6 @@ from forestgen.runs.records import JOBS
 from forestgen.runs.replace import previous_note
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify_frames import check_frames, check_renders
-from forestgen.runs.verify_index import (
-    OpenDataSet,
-    group_findings,
-    index_findings,
-    manifest_findings,
-    recipe_findings,
-    record_findings,
-)
 
 
 @dataclass(frozen=True)
@@ -136,23 +127,15 @@ class VerificationReport:
 
 
 def _finding(one: Finding) -> dict[str, Any]:
-    return {
-        "check": one.check,
-        "where": one.where,
-        "problem": one.problem,
-        "expected": one.expected,
-        "got": one.got,
-        "file": one.file,
-        "frame": one.image or None,
-        "plant_id": one.plant_id,
-        "pixel": None if one.pixel is None else list(one.pixel),
-    }
+    names = ("check", "where", "problem", "expected", "got", "file", "plant_id")
+    pixel = None if one.pixel is None else list(one.pixel)
+    return {**{name: getattr(one, name) for name in names}, "frame": one.image or None, "pixel": pixel}
 
 
 class _Verifier:
     """A data set, and what the checks found in it."""
 
-    def __init__(self, data_set: OpenDataSet, workers: int | None, progress: Progress) -> None:
+    def __init__(self, data_set: checks.OpenDataSet, workers: int | None, progress: Progress) -> None:
         self.data_set, self.workers, self.progress = data_set, workers, progress
         self.checks: list[CheckResult] = []
         self.findings: list[Finding] = []
@@ -182,17 +165,13 @@ def verify(
 ) -> VerificationReport:
     """Check a data set's folder.
 
-    Parameters
-    ----------
-    rerender : how many images to render again.
-    seed : draws these.
-    workers : processes and threads that check; by default the cores. No result depends on it.
-    hashes : read all files and compare their sums; otherwise only that they are there.
-    labels : check the labels of each split.
+    `rerender`: how many images to render again.
+    `seed`: draws these.
+    `workers`: processes and threads that check; by default the cores. No result depends on it.
+    `hashes`: read all files and compare their sums; otherwise only that they are there.
+    `labels`: check the labels of each split.
 
-    Raises
-    ------
-    RecipeError : the folder is no data set of forestgen, or a number is out of bounds.
+    Raises `RecipeError`: the folder is no data set of forestgen, or a number is out of bounds.
     """
     whole_of(rerender, "rerender", 0, 10**9)
     whole_of(seed, "seed", 0, MOST_SEEDS)
@@ -200,8 +179,8 @@ def verify(
         whole_of(workers, "workers", 1, 1024)
     start = perf_counter()
     description = open_data_set(root)
-    with TemporaryDirectory(prefix="forestgen-verify-") as scratch, RecordIndex(Path(scratch)) as record_index:
-        data_set = OpenDataSet(root, description, record_index)
+    with RecordIndex() as record_index:
+        data_set = checks.OpenDataSet(root, description, record_index)
         verifier = _Verifier(data_set, workers, progress or Silent())
         verifier.notes += filter(None, [previous_note(root)])
         _check_files(verifier, hashes)
@@ -229,10 +208,8 @@ def verify(
 def open_data_set(root: Path) -> dict[str, Any]:
     """dataset.json of a finished data set.
 
-    Raises
-    ------
-    RecipeError : the folder holds something else: what it seems to be, and what to do.
-    DatasetError : dataset.json is damaged.
+    Raises `RecipeError`: the folder holds something else: what it seems to be, and what to do.
+    Raises `DatasetError`: dataset.json is damaged.
     """
     refuse_address(root)
     check_folder(root, "a folder that forestgen render or batch made")
@@ -272,17 +249,17 @@ def refuse_address(path: Path) -> None:
 def _check_files(verifier: _Verifier, hashes: bool) -> None:
     """Enter the listed files and those that are there, and compare them."""
     root, record_index = verifier.data_set.root, verifier.data_set.record_index
-    record_index.note_found(files.found(root))
+    record_index.note_found(checks.found(root))
     refused: list[Finding] = []
-    is_listed = files.enter_sums(root, record_index, refused)
+    is_listed = checks.enter_sums(root, record_index, refused)
     if not is_listed:
-        files.enter_other_sums(root, record_index, verifier.data_set.description["splits"])
+        checks.enter_other_sums(root, record_index, verifier.data_set.description["splits"])
     count = sum(1 for _ in record_index.files())
-    changed = files.changed(root, record_index, verifier.workers, verifier.progress) if hashes else ()
-    found = chain(refused, files.lost(record_index), changed)
+    changed = checks.changed(root, record_index, verifier.workers, verifier.progress) if hashes else ()
+    found = chain(refused, checks.lost(record_index), changed)
     verifier.run("sums", "files are those that SHA256SUMS lists", max(count, 1), found)
-    unlisted = files.unlisted(record_index, verifier.notes.append) if is_listed else ()
-    verifier.run("listing", "nothing else lies in the folder", count, chain(unlisted, files.empty_folders(root)))
+    unlisted = checks.unlisted(record_index, verifier.notes.append) if is_listed else ()
+    verifier.run("listing", "nothing else lies in the folder", count, chain(unlisted, checks.empty_folders(root)))
 
 
 def _check_descriptions(verifier: _Verifier) -> None:
@@ -291,17 +268,17 @@ def _check_descriptions(verifier: _Verifier) -> None:
     is_complete = not any(check.found for check in verifier.checks)
     if LocalStorage(data_set.root).names(JOBS):
         verifier.run(
-            "records", "images' records agree with the files", description["images"], record_findings(data_set)
+            "records", "images' records agree with the files", description["images"], checks.record_findings(data_set)
         )
     else:
         note = f"there are no records in {JOBS}: this copy can be verified, but neither resumed nor merged"
         verifier.notes.append(note)
-    verifier.run("index", "it has a row for each frame", description["frames"], index_findings(data_set))
-    manifests = chain.from_iterable(manifest_findings(data_set, split) for split in description["splits"])
-    groups = group_findings(data_set) if is_complete else ()
+    verifier.run("index", "it has a row for each frame", description["frames"], checks.index_findings(data_set))
+    manifests = chain.from_iterable(checks.manifest_findings(data_set, split) for split in description["splits"])
+    groups = checks.group_findings(data_set) if is_complete else ()
     holds = "they list the files, the recipes and the seeds"
     verifier.run("manifests", holds, len(description["splits"]), chain(manifests, groups))
-    verifier.run("recipes", "recipes have their hashes", len(description["recipes"]), recipe_findings(data_set))
+    verifier.run("recipes", "recipes have their hashes", len(description["recipes"]), checks.recipe_findings(data_set))
 
 
 def _check_labels(verifier: _Verifier) -> None:

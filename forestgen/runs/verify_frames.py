@@ -51,25 +51,25 @@ class FrameFacts:
 def check_frames(root: Path, description: Mapping[str, Any], jobs: int | None, progress: Progress) -> list[Check]:
     """The checks that open every frame.
 
-    Parameters
-    ----------
-    description : dataset.json.
-    jobs : threads; by default the cores.
+    `description`: dataset.json.
+    `jobs`: threads; by default the cores.
     """
     class_names = description["settings"]["class_names"]
     frames: list[Finding] = []
-    seeds, communities = _Shared("seed"), _Shared("plant community")
+    first: dict[tuple[str, bytes], tuple[str, str]] = {}  # what and its mark -> split and frame that had it first
+    seeds: list[Finding] = []
+    communities: list[Finding] = []
     with ThreadPoolExecutor(jobs) as pool, progress.stage("frames", int(description["frames"])) as advance:
         for facts in in_order(pool, partial(_facts, root, class_names), _rows(root)):
             advance(1)
             frames += facts.findings
-            seeds.add(str(facts.row.get("image_seed")).encode(), facts.row)
-            communities.add(facts.community, facts.row)
+            seeds += _shared(first, "seed", str(facts.row.get("image_seed")).encode(), facts.row)
+            communities += _shared(first, "plant community", facts.community, facts.row)
     images = int(description["images"])
     return [
         ("frames", "the index tells of frames what their files show", int(description["frames"]), frames),
-        ("seeds", "no image's seed is in two splits", images, seeds.findings),
-        ("communities", "no plant community is in two splits", images, communities.findings),
+        ("seeds", "no image's seed is in two splits", images, seeds),
+        ("communities", "no plant community is in two splits", images, communities),
     ]
 
 
@@ -81,37 +81,21 @@ def _rows(root: Path) -> Iterator[dict[str, Any]]:
         return
 
 
-class _Shared:
-    """What only one split may have."""
-
-    def __init__(self, what: str) -> None:
-        self._what = what
-        self._first: dict[bytes, tuple[str, str]] = {}  # what -> split and frame that had it first
-        self.findings: list[Finding] = []
-
-    def add(self, mark: bytes, row: Mapping[str, Any]) -> None:
-        if not mark:
-            return
-        split, frame = self._first.setdefault(mark, (row["split"], row["folder"]))
-        if split != row["split"]:
-            problem = f"two splits share a {self._what}"
-            expected = f"another than that of {frame} ({_HINT})"
-            self.findings.append(Finding(str(row["folder"]), problem, expected, f"the same in {row['split']}"))
+def _shared(
+    first: dict[tuple[str, bytes], tuple[str, str]], what: str, mark: bytes, row: Mapping[str, Any]
+) -> Iterator[Finding]:
+    """A finding if another split has had what only one may have."""
+    split, frame = first.setdefault((what, mark), (row["split"], row["folder"]))
+    if mark and split != row["split"]:
+        expected = f"another than that of {frame} ({_HINT})"
+        problem = f"two splits share a {what}"
+        yield Finding(str(row["folder"]), problem, expected, f"the same in {row['split']}")
 
 
 def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> FrameFacts:
     """Compare each file of a frame with the row; one that cannot be read leaves the others."""
     folder = str(row["folder"])
     findings: list[Finding] = []
-
-    def compared(read: Callable[[], Mapping[str, Any]]) -> None:
-        try:
-            shown = read()
-            findings.extend(_wrong(row, key, value) for key, value in shown.items() if row[key] != value)
-        except UnreadableError as error:
-            findings.append(error.finding)
-        except MISUNDERSTOOD as error:
-            findings.append(misunderstood(folder, error, str(row["frame"])))
 
     def plants() -> dict[str, Any]:
         table = read_table(root, f"{folder}/plants.parquet")
@@ -121,7 +105,9 @@ def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> Fr
     def classes() -> dict[str, Any]:
         semantic = read_picture(root, f"{folder}/semantic.png")
         height, width = semantic.shape
-        return {"class_pixels": _counts(semantic, class_names), "height_px": height, "width_px": width}
+        counts = np.bincount(semantic.ravel(), minlength=len(class_names))
+        pixels = {class_names[number]: int(counts[number]) for number in np.flatnonzero(counts).tolist()}
+        return {"class_pixels": pixels, "height_px": height, "width_px": width}
 
     def camera() -> dict[str, Any]:
         content = read_json(root, f"{folder}/camera.json")
@@ -137,13 +123,17 @@ def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> Fr
 
     community: list[bytes] = []
     for read in (plants, classes, camera, recipe):
-        compared(read)
+        try:
+            findings.extend(_wrong(row, key, value) for key, value in read().items() if row[key] != value)
+        except UnreadableError as error:
+            findings.append(error.finding)
+        except MISUNDERSTOOD as error:
+            findings.append(misunderstood(folder, error, str(row["frame"])))
     return FrameFacts(row, community[0] if community else b"", tuple(findings))
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=64)  # all frames of an image share a drawn recipe
 def _hash_of(text: str) -> str:
-    """Hash of a drawn recipe, which all frames of an image share."""
     return recipe_hash(plain_yaml(text, ""))
 
 
@@ -166,11 +156,6 @@ def _plants_shown(plants: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _counts(semantic: Any, class_names: Sequence[str]) -> dict[str, int]:
-    counts = np.bincount(semantic.ravel(), minlength=len(class_names))
-    return {class_names[number]: int(counts[number]) for number in np.flatnonzero(counts).tolist()}
-
-
 def _community(plants: Mapping[str, Any]) -> bytes:
     """Hash of species and places."""
     if not len(plants["species"]):
@@ -186,11 +171,9 @@ def check_renders(
 ) -> Iterator[Finding]:
     """Files that have other bytes than those that are rendered now.
 
-    Parameters
-    ----------
-    description : dataset.json.
-    count, seed : how many images; which ones.
-    note : called if other versions than those of this machine made the data set.
+    `description`: dataset.json.
+    `count`, `seed`: how many images; which ones.
+    `note`: called if other versions than those of this machine made the data set.
     """
     moved = _moved(description)
     if moved:

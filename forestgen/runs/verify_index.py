@@ -1,18 +1,25 @@
-"""The files that describe others: records, index.parquet, dataset.json, the splits' manifest.json, the recipe."""
+"""Files against SHA256SUMS, and those that describe others: records, index, dataset.json, manifest.json, recipe."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.errors import DatasetError, ForestgenError
+from forestgen.core.progress import Progress
 from forestgen.dataset.card import CARD_NAME
 from forestgen.dataset.check import Finding
-from forestgen.dataset.check.files import MISUNDERSTOOD, UnreadableError, misunderstood, read_json, read_text
+from forestgen.dataset.check.files import read_json, read_text
+from forestgen.dataset.check.files import MISUNDERSTOOD, UnreadableError, misunderstood
+from forestgen.dataset.manifest import SUMS_NAME, file_sum, read_sums
+from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.index import COLUMNS, INDEX_NAME, open_index, read_index
 from forestgen.dataset.manifest import MANIFEST_NAME
 from forestgen.dataset.png import thumbnail_name
@@ -21,13 +28,15 @@ from forestgen.dataset.settings import DRAW
 from forestgen.recipe.dataset import split_of
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.map_files import recipe_hash
-from forestgen.runs.contract import JobRecord
+from forestgen.runs.contract import RUN_DEPENDENT, JobRecord
 from forestgen.runs.description import DATASET_NAME, file_groups
-from forestgen.runs.record_index import RecordIndex
-from forestgen.runs.records import JOBS, record_path, records_of
-from forestgen.runs.storage import LocalStorage
+from forestgen.runs.record_index import FileSum, RecordIndex
+from forestgen.runs.records import JOBS, in_order, record_path, records_of
+from forestgen.runs.storage import LocalStorage, files_below
 
 _NOT_COUNTED = (DATASET_NAME, INDEX_NAME, CARD_NAME)  # in dataset.json's groups of files: they are written after it
+
+_MOST_IN_A_NOTE = 20
 
 
 @dataclass
@@ -128,7 +137,10 @@ def index_findings(data_set: OpenDataSet) -> Iterator[Finding]:
         yield Finding(
             DATASET_NAME, "the images' seeds are not the index'", digest, str(description["image_seeds_sha256"])
         )
-    yield from _frames_without_rows(root, {*frames, *description["splits"]}, frames)
+    for split in sorted({*frames, *description["splits"]}):
+        for name in LocalStorage(root).names(split):
+            if is_frame(name) and name not in frames.get(split, ()) and (root / split / name).is_dir():
+                yield Finding(f"{split}/{name}", "the index has no row of this frame", "a row", "none", image=name)
     try:
         yield from _description_findings(description, data_set.splits)
     except (KeyError, TypeError, ValueError) as error:
@@ -154,14 +166,6 @@ def _row_findings(data_set: OpenDataSet, row: Mapping[str, Any], frames: dict[st
     if first != (seed, split):
         expected = f"{first[0]}, {first[1]}"
         yield Finding(INDEX_NAME, "rows of one image differ in seed or split", expected, f"{seed}, {split}", image=name)
-
-
-def _frames_without_rows(root: Path, splits: Iterable[str], frames: Mapping[str, set[str]]) -> Iterator[Finding]:
-    storage = LocalStorage(root)
-    for split in sorted(splits):
-        for name in storage.names(split):
-            if is_frame(name) and name not in frames.get(split, ()) and (root / split / name).is_dir():
-                yield Finding(f"{split}/{name}", "the index has no row of this frame", "a row", "none", image=name)
 
 
 def _column_findings(root: Path, description: Mapping[str, Any]) -> Iterator[Finding]:
@@ -211,7 +215,8 @@ def _description_findings(description: Mapping[str, Any], split_of_image: Mappin
             yield Finding(DATASET_NAME, f"{key} is not the sum over the splits", str(total), str(description[key]))
     made = dict.fromkeys(range(len(description["recipes"])), 0)
     for image, split in split_of_image.items():
-        number = next((at for at, one in enumerate(description["recipes"]) if _holds(one["asked"], image)), None)
+        holds = (any(first <= image <= last for first, last in one["asked"]) for one in description["recipes"])
+        number = next((at for at, held in enumerate(holds) if held), None)
         if number is None:
             yield Finding(DATASET_NAME, f"image {image} of the index is of no recipe", "one that asked for it", "none")
             continue
@@ -277,5 +282,111 @@ def _identity(complete: Mapping[str, Any]) -> str:
     return recipe_hash({key: value for key, value in complete.items() if key not in ("images", "first_image")})
 
 
-def _holds(ranges: Any, image: int) -> bool:
-    return any(first <= image <= last for first, last in ranges)
+def found(root: Path) -> Iterator[tuple[str, int, int]]:
+    """What lies in the folder and belongs to the data set."""
+    for name in sorted(path.name for path in root.iterdir()):
+        if name in RUN_DEPENDENT or name == SUMS_NAME:
+            continue
+        if SafePath(root, name).is_folder():
+            yield from files_below(root, name)
+        else:
+            yield name, (root / name).lstat().st_size, 0
+
+
+def enter_sums(root: Path, record_index: RecordIndex, refused: list[Finding]) -> bool:
+    """Enter the lines of SHA256SUMS, and in `refused` what is wrong with it; whether all of it could be read."""
+
+    def refuse(error: DatasetError) -> None:
+        line = (error.where or "").rpartition(":")[2]
+        refused.append(Finding(SUMS_NAME, f"line {line}: {error.problem}", error.expected or "", error.got or ""))
+
+    try:
+        for path, digest in read_sums(root / SUMS_NAME, refuse):
+            try:
+                record_index.add_file(FileSum(path, 0, digest))
+            except DatasetError:
+                refused.append(Finding(SUMS_NAME, f"{path} is listed twice, with different sums"))
+    except DatasetError as error:
+        refused.append(Finding(SUMS_NAME, error.problem, error.expected or "", error.got or error.where or ""))
+        return False
+    return True
+
+
+def enter_records(root: Path, record_index: RecordIndex) -> set[str]:
+    """Enter the sums of the images' records; the splits that have images."""
+    splits = set()
+    for record in records_of(LocalStorage(root)):
+        splits.add(record.split)
+        for path, entry in record.files.items():
+            with suppress(DatasetError):  # two records, or a record and SHA256SUMS, disagree: a check names it
+                record_index.add_file(FileSum(path, 0, str(entry["sha256"])))
+    return splits
+
+
+def enter_other_sums(root: Path, record_index: RecordIndex, splits: Iterable[str]) -> None:
+    """Where SHA256SUMS cannot be read: enter the sums of the records and of the splits' manifests."""
+    enter_records(root, record_index)
+    for split in splits:
+        with suppress(UnreadableError, KeyError, TypeError, AttributeError, DatasetError):
+            for path, entry in read_json(root, f"{split}/{MANIFEST_NAME}")["files"].items():
+                record_index.add_file(FileSum(f"{split}/{path}", 0, str(entry["sha256"])))
+
+
+def lost(record_index: RecordIndex) -> Iterator[Finding]:
+    """Listed files that are not there."""
+    for path in record_index.lost():
+        yield Finding(path, "the file is missing", "a file, as SHA256SUMS lists it", "none")
+
+
+def changed(root: Path, record_index: RecordIndex, threads: int | None, progress: Progress) -> Iterator[Finding]:
+    """Listed files that are there with another sum."""
+    count = sum(1 for _ in record_index.present())
+    with ThreadPoolExecutor(threads) as pool, progress.stage("sums", count) as advance:
+        for finding in in_order(pool, partial(_sum_finding, root), record_index.present()):
+            advance(1)
+            if finding is not None:
+                yield finding
+
+
+def _sum_finding(root: Path, file: FileSum) -> Finding | None:
+    try:
+        digest = file_sum(SafePath(root, file.path))
+    except OSError as error:
+        return Finding(file.path, "the file cannot be read", got=error.strerror or str(error))
+    if digest == file.sha256:
+        return None
+    return Finding(file.path, "the file has changed since it was made", f"sha256 {file.sha256}", f"sha256 {digest}")
+
+
+def unlisted(record_index: RecordIndex, note: Callable[[str], None]) -> Iterator[Finding]:
+    """Files that SHA256SUMS does not list; those of other tools are a note."""
+    foreign: list[str] = []
+    count = 0
+    for path in record_index.unlisted():
+        tool = tool_of(path)
+        if tool is None:
+            yield Finding(path, "SHA256SUMS does not list this file", "nothing")
+            continue
+        count += 1
+        if count <= _MOST_IN_A_NOTE:
+            foreign.append(f"{path} ({tool})")
+    if foreign:
+        more = f" and {count - len(foreign):,} more" if count > len(foreign) else ""
+        note(f"files of other tools are left out: {', '.join(foreign)}{more}")
+
+
+def empty_folders(root: Path) -> Iterator[Finding]:
+    """Folders without a file, the topmost of each."""
+    filled: set[Path] = set()
+    empty: list[Path] = []
+    for name, folders, names in os.walk(root, topdown=False):
+        folder = Path(name)
+        if names or any(folder / one in filled or (folder / one).is_symlink() for one in folders):
+            filled.add(folder)
+        else:
+            empty.append(folder)
+    for folder in sorted(empty):
+        path = folder.relative_to(root)
+        is_top = folder.parent in filled
+        if is_top and path.parts and path.parts[0] not in RUN_DEPENDENT and tool_of(path.as_posix()) is None:
+            yield Finding(path.as_posix(), "this folder is empty", "no such folder")

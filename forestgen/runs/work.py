@@ -8,6 +8,7 @@ import time
 import traceback
 from collections import deque
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -29,13 +30,12 @@ from forestgen.dataset.png import thumbnail_name, write_thumbnail
 from forestgen.dataset.settings import check_one_data_set
 from forestgen.pipeline import assemble_image, write_image
 from forestgen.recipe.assets import MAPS
-from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.variant import mitsuba
 from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, StorageBackend, Work
-from forestgen.runs.keys import job_key
-from forestgen.runs.records import record_bytes, record_path
-from forestgen.scene.plan import check_memory, make_plan
+from forestgen.runs.records import job_key, record_bytes, record_path
+from forestgen.scene.plan import check_memory
+from forestgen.scene.plan import make_plan
 
 _FRAMES = "frames"  # of a staging folder: what belongs into the split's folder
 
@@ -47,20 +47,17 @@ class _StorageFailedError(Exception):
 def make_job(work: Work, job: Job, attempt: int) -> Outcome:
     """Do a job: draw, check, render, label, put into place. Its failure is an outcome, never an exception."""
     start = time.perf_counter()
-    timings = Timings()
     try:
         # What is free now says nothing: the estimate is an upper one, and the other workers hold their part already.
-        record = complete(work, job, Silent(), timings, memory_budget_bytes=whole_bytes())
+        return complete(work, job, attempt, Silent(), memory_budget_bytes=whole_bytes())
     except Exception as error:  # noqa: BLE001 - whatever an image breaks on, the other images go on
-        return Failed(job, attempt, failure_kind(error), explained(error), time.perf_counter() - start, worker_name())
-    return done(job, attempt, record, timings)
+        return failed(job, attempt, error, start)
 
 
 def make_here(work: Work, job: Job, attempt: int, progress: Progress) -> Done:
     """Do a job in this process. Its failure is the error that it raised; one of the storage is an `OutputError`."""
-    timings = Timings()
     try:
-        return done(job, attempt, complete(work, job, progress, timings), timings)
+        return complete(work, job, attempt, progress)
     except _StorageFailedError as error:
         cause = error.__cause__
         if not isinstance(cause, OutputError):
@@ -108,17 +105,15 @@ class InProcessEngine:
         try:
             return [make_here(self._work, job, attempt, self._progress)]
         except Exception as error:  # noqa: BLE001 - the run logs it, and raises it
-            seconds = time.perf_counter() - began_s
-            return [Failed(job, attempt, failure_kind(error), explained(error), seconds, worker_name(), error)]
+            return [replace(failed(job, attempt, error, began_s), error=error)]
 
 
-def done(job: Job, attempt: int, record: JobRecord, timings: Timings) -> Done:
-    """The outcome of a job that this process has completed; `timings` began with it."""
-    run = JobRun(job.image, attempt, worker_name(), timings.total(), dict(timings.seconds), peak_memory_bytes())
-    return Done(job, record, run)
+def failed(job: Job, attempt: int, error: Exception, start_s: float) -> Failed:
+    """The outcome of a job that this process has failed at, begun at `start_s` of the performance counter."""
+    return Failed(job, attempt, failure_kind(error), explained(error), time.perf_counter() - start_s, _worker_name())
 
 
-def worker_name() -> str:
+def _worker_name() -> str:
     """Who this process is, in logs."""
     return f"{platform.node()}:{os.getpid()}"
 
@@ -160,20 +155,25 @@ def explained(error: BaseException) -> str:
     return f"a bug in forestgen: {type(error).__name__}: {error}{place}"
 
 
-def complete(
-    work: Work, job: Job, progress: Progress, timings: Timings, *, memory_budget_bytes: int | None = None
-) -> JobRecord:
+def complete(work: Work, job: Job, attempt: int, progress: Progress, *, memory_budget_bytes: int | None = None) -> Done:
     """Do a job: draw, check, render, label, put into place. Any failure is an exception, and leaves no frame.
 
     `memory_budget_bytes` is the memory that the image may take; None: what is free now.
     """
+    timings = Timings()
     if work.threads is not None:
         limit_cores(work.threads)
     with timings("load Mitsuba"):  # at once from the second job on
         mitsuba(work.threads)
     with timings("recipe"):
         drawn = work.loaded.draw(job.index)
-        _check_unchanged(drawn, job, work)
+        if job_key(drawn, work.versions) != job.key:
+            raise AssetError(
+                "a file that the recipe names has changed since the batch was started",
+                where=str(work.loaded.path),
+                expected=f"a drawn recipe of the key {job.key}",
+                hint="start the batch again with `resume=True`: what has changed is made anew",
+            )
         check_one_data_set(drawn, work.settings)
         plan = make_plan(drawn)
         check_memory(plan, memory_budget_bytes=memory_budget_bytes)
@@ -200,17 +200,8 @@ def complete(
             _put_into_place(work.storage, staging, job, record)
     finally:
         work.storage.discard(staging)
-    return record
-
-
-def _check_unchanged(drawn: DrawnRecipe, job: Job, work: Work) -> None:
-    if job_key(drawn, work.versions) != job.key:
-        raise AssetError(
-            "a file that the recipe names has changed since the batch was started",
-            where=str(work.loaded.path),
-            expected=f"a drawn recipe of the key {job.key}",
-            hint="start the batch again with `resume=True`: what has changed is made anew",
-        )
+    run = JobRun(job.image, attempt, _worker_name(), timings.total(), dict(timings.seconds), peak_memory_bytes())
+    return Done(job, record, run)
 
 
 def _staged_files(staging: Path, split: str) -> dict[str, dict[str, Any]]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from forestgen.runs.tracker import ProgressTracker
+from forestgen.runs.summary import ProgressTracker
 
 
 class RecordingDisplay:

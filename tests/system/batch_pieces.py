@@ -14,8 +14,7 @@ from forestgen.dataset.settings import data_set_of
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.runs.contract import Job, JobRecord, Work
 from forestgen.runs.finish import Finished, finish
-from forestgen.runs.keys import job_key, versions_hash
-from forestgen.runs.records import record_bytes, record_path, records_of
+from forestgen.runs.records import job_key, record_bytes, record_path, records_of, versions_hash
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from forestgen.recipe.load import load_recipe
-from forestgen.runs.contract import Job, Outcome, Work
+from forestgen.runs.contract import Job, Outcome, RunOptions, Work
 from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.records import records_of
 from forestgen.runs.run import run_batch
@@ -99,11 +99,8 @@ def serial(
     return run_batch(
         load_recipe(path, overrides),
         str(target),
-        count=count,
-        resume=resume,
-        discard=discard,
-        retries=retries,
-        engine=lambda work, notice: SerialEngine(work, make, **engine),  # type: ignore[arg-type]
+        RunOptions(count=count, resume=resume, discard=discard, retries=retries),
+        lambda work, notice: SerialEngine(work, make, **engine),  # type: ignore[arg-type]
     )
 
 
@@ -123,11 +120,8 @@ def local(
     return run_batch(
         load_recipe(path),
         target,
-        count=count,
-        resume=resume,
-        retries=retries,
-        memory_bytes=memory_bytes,
-        engine=lambda work, notice: LocalEngine(work, workers, make, timeout_s=timeout_s),
+        RunOptions(count=count, resume=resume, retries=retries, worker_memory=memory_bytes),
+        lambda work, notice: LocalEngine(work, workers, make, timeout_s=timeout_s),
     )
 
 

@@ -24,9 +24,9 @@ from pretend_jobs import FAULTS, begun, make
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.recipe.load import load_recipe
-from forestgen.runs.contract import Job, Notice, Outcome, Work
+from forestgen.runs.contract import Job, Notice, Outcome, RunOptions, Work
 from forestgen.runs.run import run_batch
-from forestgen.runs.tracker import SilentDisplay
+from forestgen.runs.summary import SilentDisplay
 from forestgen.runs.work import make_job
 
 
@@ -288,7 +288,7 @@ def test_what_an_engine_tells_of_its_workers_is_in_the_log(tmp_path: Path, fault
         notice("worker_refused", {"worker": "far", "message": "worker far is refused: other versions"})
         return SerialEngine(work, make)
 
-    run_batch(load_recipe(recipe(tmp_path)), str(target), count=1, engine=engine, display=told)
+    run_batch(load_recipe(recipe(tmp_path)), str(target), RunOptions(count=1), engine, display=told)
     assert any("far is refused" in text for text in said)
     events = [json.loads(line) for line in (target / "run/log.jsonl").read_text().splitlines()]
     refused = next(event for event in events if event["event"] == "worker_refused")

@@ -321,7 +321,7 @@ def test_frames_are_one_tree_that_moves(tmp_path: Path) -> None:
 
 
 def test_the_list_of_species_grows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    from forestgen.runs import single_plant
+    from forestgen.api import plants as single_plant
 
     monkeypatch.delattr(single_plant, "grow_exemplar")
     answer = run("plant", "--list")

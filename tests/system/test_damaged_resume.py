@@ -21,7 +21,7 @@ from pretend_jobs import FAULTS, begun, make
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.png import write_png
 from forestgen.recipe.load import load_recipe
-from forestgen.runs.contract import Job, JobRecord, Outcome, Work
+from forestgen.runs.contract import Job, JobRecord, Outcome, RunOptions, Work
 from forestgen.runs.records import record_bytes, record_path
 from forestgen.runs.run import run_batch
 from forestgen.runs.stale_outputs import damaged_images
@@ -138,7 +138,7 @@ def refuse_to_make(work: Work, job: Job, attempt: int) -> Outcome:
 
 def resumed(whole: Path, root: Path, make_one: Callable[[Work, Job, int], Outcome]):
     loaded = load_recipe(whole.parent / "fireweed.yaml")
-    return run_batch(loaded, str(root), count=4, resume=True, engine=lambda work, _: SerialEngine(work, make_one))
+    return run_batch(loaded, str(root), RunOptions(count=4, resume=True), lambda work, _: SerialEngine(work, make_one))
 
 
 def test_files_over_all_images_are_written_again(whole: Path, tmp_path: Path) -> None:

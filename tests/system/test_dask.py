@@ -22,7 +22,7 @@ from forestgen.core.errors import ForestgenError, ResourceError
 from forestgen.dataset.settings import data_set_of
 from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
 from forestgen.runs.engines.dask import DaskEngine
-from forestgen.runs.keys import versions_hash
+from forestgen.runs.records import versions_hash
 from forestgen.runs.storage import LocalStorage
 
 _BOUND_S = 240.0  # of anything here

@@ -201,7 +201,7 @@ def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatc
 def test_a_full_temporary_folder_is_told(whole, loaded, tmp_path, monkeypatch):
     """By the table of all files, which SQLite keeps there."""
     monkeypatch.setattr("forestgen.runs.record_index._TABLES", record_index._TABLES + "PRAGMA max_page_count = 12;")
-    with pytest.raises(OutputError, match=r"forestgen-finish-[\s\S]*full[\s\S]*TMPDIR"):
+    with pytest.raises(OutputError, match=r"forestgen-records-[\s\S]*full[\s\S]*TMPDIR"):
         finished(loaded, known_jobs(whole, loaded), copied(whole, tmp_path / "set"))
 
 

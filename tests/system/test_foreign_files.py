@@ -13,7 +13,7 @@ from forestgen.dataset.check import check_dataset
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.settings import data_set_of
 from forestgen.recipe.load import load_recipe
-from forestgen.runs.contract import Job, Outcome, Work
+from forestgen.runs.contract import Job, Outcome, RunOptions, Work
 from forestgen.runs.finish import finish
 from forestgen.runs.records import records_of
 from forestgen.runs.run import run_batch
@@ -84,7 +84,7 @@ def refuse_to_make(work: Work, job: Job, attempt: int) -> Outcome:
 def test_resume_keeps_them(whole: Path, used: Path) -> None:
     loaded = load_recipe(whole.parent / "fireweed.yaml")
     summary = run_batch(
-        loaded, str(used), count=4, resume=True, engine=lambda work, _: SerialEngine(work, refuse_to_make)
+        loaded, str(used), RunOptions(count=4, resume=True), lambda work, _: SerialEngine(work, refuse_to_make)
     )
     assert summary.missing == ()
     assert {path: (used / path).read_text() for path in FOREIGN} == dict.fromkeys(FOREIGN, "of another tool")

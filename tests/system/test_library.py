@@ -8,7 +8,7 @@ import pytest
 
 import forestgen as fg
 from forestgen.recipe.load import load_recipe
-from forestgen.runs.contract import RUN_DEPENDENT, Engine, Notice, Work
+from forestgen.runs.contract import RUN_DEPENDENT, Engine, Notice, RunOptions, Work
 from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.run import run_batch
 from forestgen.runs.work import make_job
@@ -32,7 +32,7 @@ def _batch(recipe: Path, target: Path, workers: int) -> dict[str, bytes]:
     def engine(work: Work, notice: Notice) -> Engine:
         return LocalEngine(work, workers, make_job)
 
-    summary = run_batch(load_recipe(recipe), str(target), count=6, engine=engine, threads=1)
+    summary = run_batch(load_recipe(recipe), str(target), RunOptions(count=6, threads=1), engine)
     assert not summary.failed
     files = (path for path in sorted(target.rglob("*")) if path.is_file())
     return {

@@ -15,7 +15,7 @@ import pytest
 from forestgen.core.errors import ForestgenError, OutputError
 from forestgen.recipe.load import load_recipe
 from forestgen.runs import remote_storage, remote_store
-from forestgen.runs.contract import Done, Job, JobRun, Notice, Outcome, StorageBackend, Work
+from forestgen.runs.contract import Done, Job, JobRun, Notice, Outcome, RunOptions, StorageBackend, Work
 from forestgen.runs.records import records_of
 from forestgen.runs.remote_storage import RemoteLock, RemoteStorage, storage_of
 from forestgen.runs.run import run_batch
@@ -329,14 +329,14 @@ def test_a_batch_in_s3_has_the_bytes_of_one_in_a_folder(whole: Path, bucket: str
 
     loaded, target = load_recipe(whole.parent / "fireweed.yaml"), f"{bucket}/batch"
     with pytest.raises(KeyboardInterrupt):
-        run_batch(loaded, target, count=4, engine=lambda work, notice: HereEngine(work, make, stop_before=3))
+        run_batch(loaded, target, RunOptions(count=4), lambda work, notice: HereEngine(work, make, stop_before=3))
     engines: list[HereEngine] = []
 
     def resumed(work: Work, notice: Notice) -> HereEngine:
         engines.append(HereEngine(work, make))
         return engines[-1]
 
-    run_batch(loaded, target, count=4, engine=resumed, resume=True)
+    run_batch(loaded, target, RunOptions(count=4, resume=True), resumed)
     assert engines[0].images == [3], "what was done is not done again"
 
     place = RemoteStorage(target)
@@ -349,7 +349,7 @@ def test_a_batch_in_s3_has_the_bytes_of_one_in_a_folder(whole: Path, bucket: str
     place.write("train/000000-near/preview.png", b"cut")
     place.remove("val/000001-high/camera.json")
     place.remove("thumbnails/000002-near.jpg")
-    summary = run_batch(loaded, target, count=4, engine=resumed, resume=True)
+    summary = run_batch(loaded, target, RunOptions(count=4, resume=True), resumed)
     assert engines[1].images == [0, 1], "what a listing shows to be damaged is made again"
     assert summary.missing == ()
     place.fetch(place.files(), tmp_path / "again")

@@ -45,12 +45,10 @@ class _Worker:
 class LocalEngine:
     """See `contract.Engine`.
 
-    Parameters
-    ----------
-    work : sent to each worker once.
-    workers : processes.
-    make : what does a job, `runs.work.make_job`; must be importable by name, as workers are processes of their own.
-    timeout_s : that a job may take; its worker is killed then, even if it hangs. None: no bound.
+    `work`: sent to each worker once.
+    `workers`: processes.
+    `make`: what does a job, `runs.work.make_job`; must be importable by name, as workers are processes of their own.
+    `timeout_s`: that a job may take; its worker is killed then, even if it hangs. None: no bound.
     """
 
     def __init__(

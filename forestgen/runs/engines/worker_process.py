@@ -24,11 +24,9 @@ _PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 def serve(pipe: Connection, packed: bytes, threads: int | None) -> None:
     """Do the jobs that come through the pipe, one at a time, until it closes.
 
-    Parameters
-    ----------
-    packed : the pickled parts that other packages have registered, the function ``(work, job, attempt) -> Outcome``,
-        and its work.
-    threads : of the libraries; None: as they choose.
+    `packed`: the pickled parts that other packages have registered, the function ``(work, job, attempt) -> Outcome``,
+    and its work.
+    `threads`: of the libraries; None: as they choose.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes of a terminal; the run stops this one
     _die_with_the_run()

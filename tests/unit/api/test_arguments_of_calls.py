@@ -14,7 +14,7 @@ import forestgen as fg
 from forestgen.api.plants import grow_files
 from forestgen.community.models.uniform import MODEL as UNIFORM
 from forestgen.render.studio import PictureSettings
-from forestgen.runs.start import RunOptions
+from forestgen.runs.contract import RunOptions
 
 Call = Callable[[Any], Any]
 

@@ -13,7 +13,7 @@ import pytest
 
 from forestgen.api import display
 from forestgen.api.display import Bars, Lines, NotebookDisplay, SilentDisplay, display_of
-from forestgen.runs.tracker import ProgressTracker
+from forestgen.runs.summary import ProgressTracker
 
 
 class _Terminal(io.StringIO):

@@ -10,19 +10,19 @@ import typer
 from typer.testing import CliRunner
 
 from forestgen.cli import app
-from forestgen.cli.arguments import Overrides, RecipePath
+from forestgen.cli.arguments import with_options
 from forestgen.cli.parsing import _MEANT, options_suggested, suggestion
 
 
 def command_of(*options: str, recipe: bool = True) -> Any:
     """A command with flags of these names, and with a recipe and `--set`."""
 
-    def with_recipe(recipe: RecipePath, overrides: Overrides = None) -> None: ...
+    def with_recipe(recipe: str, set_: list[str] | None = None) -> None: ...
 
     def without() -> None: ...
 
     one = typer.Typer()
-    one.command()(with_recipe if recipe else without)
+    one.command()(with_options(with_recipe if recipe else without))
     made = typer.main.get_command(one)
     made.params += [SimpleNamespace(name=option, opts=[option]) for option in options]
     return made

@@ -12,7 +12,7 @@ from forestgen.api.display import SilentDisplay
 from forestgen.cli import app
 from forestgen.cli.render import _amounts, kept
 from forestgen.recipe.assets import recipes_dir
-from forestgen.runs.tracker import ProgressTracker
+from forestgen.runs.summary import ProgressTracker
 
 
 def test_resources() -> None:

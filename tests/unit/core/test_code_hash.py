@@ -108,7 +108,7 @@ def test_every_user_of_it_names_parts_that_exist() -> None:
     from forestgen.community import simulation
     from forestgen.plants import growing
     from forestgen.render import radiance
-    from forestgen.runs import keys
+    from forestgen.runs import records as keys
 
     root = module.PACKAGE
     for parts in (simulate.SOURCES, *(one._SOURCES for one in (keys, growing, radiance, simulation))):
@@ -118,7 +118,7 @@ def test_every_user_of_it_names_parts_that_exist() -> None:
 
 def test_jobs_are_known_by_all_code_that_makes_their_files() -> None:
     """What a batch's key counts, and what a worker calls, imports nothing of forestgen's that it does not count."""
-    from forestgen.runs import keys
+    from forestgen.runs import records as keys
 
     root = module.PACKAGE
     counted = set(module.source_files(keys._SOURCES, keys._WITHOUT))

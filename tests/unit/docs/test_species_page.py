@@ -10,8 +10,8 @@ from types import ModuleType
 
 import pytest
 
+from forestgen.api.plants import plan_of
 from forestgen.recipe.assets import list_assets
-from forestgen.runs.single_plant import plan_of
 
 DOCS = Path(__file__).parents[3] / "docs"
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.api.plants import plant
+from forestgen.api.plants import plan_of, plant
 from forestgen.plants.generators.branch_modules import GENERATOR
 from forestgen.plants.growing import ExemplarRequest
 from forestgen.recipe.assets import list_assets
-from forestgen.runs.single_plant import plan_of
 
 
 @pytest.mark.parametrize(("name", "height_m"), [("redgrass", 0.9), ("rosemary", 1.0), ("larch", 4.0)])

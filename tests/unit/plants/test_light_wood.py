@@ -8,12 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from forestgen.api.plants import grow, grow_files, model_of, plan_of, radius_of_m
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.core.progress import Silent
 from forestgen.geometry import simplify
 from forestgen.geometry.simplify import with_light_wood
-from forestgen.runs.single_plant import Order, grow, grow_plants, model_of, plan_of, radius_of_m
 from forestgen.scene.surfaces import materials_of
 
 
@@ -52,4 +51,4 @@ def test_a_plant_without_bark_stays() -> None:
 
 def test_too_few_triangles_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RecipeError, match="wood_triangles"):
-        grow_plants(Order("birch", (tmp_path / "b.glb",), wood_triangles=3), Silent())
+        grow_files("birch", [tmp_path / "b.glb"], wood_triangles=3, progress=False)

@@ -26,7 +26,7 @@ from forestgen.runs.calibration_runs import (
     lightened,
     probe_images,
 )
-from forestgen.runs.contract import Engine, Notice, Work
+from forestgen.runs.contract import Engine, Notice, RunOptions, Work
 from forestgen.runs.engines.local import LocalEngine
 from forestgen.runs.estimate import Estimate, check_fits, count_images, estimate
 from forestgen.runs.run import check_recipe, run_batch
@@ -306,7 +306,7 @@ def test_what_comes_is_within_a_factor_of_two(
         return LocalEngine(work, 1, make_job)
 
     target = tmp_path / "set"
-    summary = run_batch(loaded, str(target), count=8, engine=engine, threads=1)
+    summary = run_batch(loaded, str(target), RunOptions(count=8, threads=1), engine)
     assert not summary.failed
     assert 0.5 < made.seconds.mean / summary.seconds < 2
     bytes_made = sum(path.stat().st_size for path in target.rglob("*") if path.is_file() and "run" not in path.parts)

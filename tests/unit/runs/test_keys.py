@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from forestgen.core.cache import source_files
-from forestgen.runs.keys import _SOURCES, _WITHOUT
+from forestgen.runs.records import _SOURCES, _WITHOUT
 
 
 def test_the_words_of_summaries_are_no_part_of_an_images_key() -> None:

@@ -395,7 +395,7 @@ def test_what_a_killed_run_has_left_is_named_and_kept_until_a_run_may_go_on(
         begin(loaded, str(root), start.RunOptions(), told)
     assert (previous / "dataset.json").read_text() == "old"  # a run that is refused removes nothing
     with pytest.raises(KilledError):  # when it is known how many images are left
-        run_batch(loaded, str(root), count=1, engine=nobody, prepare=dies, overwrite=True, display=told)
+        run_batch(loaded, str(root), start.RunOptions(count=1, overwrite=True), nobody, dies, display=told)
     assert (root / "dataset.json").exists() != bool(images)
     assert (root / "photo.jpg").exists()
     assert ("is removed" if images else "is back") in told.said[-1]

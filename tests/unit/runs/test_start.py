@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,8 +14,7 @@ from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.figures import parse_bytes
 from forestgen.recipe.assets import recipes_dir
 from forestgen.runs import start
-from forestgen.runs.contract import Failed, FailureKind, Job
-from forestgen.runs.start import RunOptions, seconds_of
+from forestgen.runs.contract import Failed, FailureKind, Job, RunOptions, seconds_of
 from forestgen.runs.summary import RunSummary
 from support.displays import RecordingDisplay
 
@@ -25,9 +25,9 @@ def test_measuring_takes_a_minute_and_is_announced(
 ) -> None:
     given: dict[str, Any] = {}
     monkeypatch.setattr(start, "estimate", lambda *_, **named: given.update(named))
-    nothing: Any = None
+    nothing: Any = SimpleNamespace(loaded=None, settings=None)
     told = RecordingDisplay()
-    start._estimate(nothing, nothing, count, RunOptions(), told, probe=probe)
+    start._estimate(nothing, count, RunOptions(), told, probe=probe)
     assert ("making some images to measure them" in "".join(told.said)) == said
     assert (given["workers"], given["threads"]) == (None, None)  # the estimate shares the cores out
     assert given["count"] == count

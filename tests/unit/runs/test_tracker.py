@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from forestgen.api.display import line, span
-from forestgen.runs import tracker as module
-from forestgen.runs.tracker import ProgressTracker
+from forestgen.runs import summary as module
+from forestgen.runs.summary import ProgressTracker
 
 
 @pytest.fixture

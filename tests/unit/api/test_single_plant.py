@@ -9,21 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from forestgen.api.plants import (
+    default_outputs,
+    described,
+    grow,
+    model_of,
+    name_of,
+    numbered,
+    plan_of,
+    radius_of_m,
+)
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.parts import Part
 from forestgen.dataset.files import FileSet
 from forestgen.plants.bark.texture import texture_images
-from forestgen.runs.single_plant import (
-    Order,
-    default_outputs,
-    described,
-    grow,
-    mature_size_m,
-    model_of,
-    name_of,
-    plan_of,
-    radius_of_m,
-)
+from forestgen.plants.build import size_m
 from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import materials_of
 
@@ -37,7 +37,7 @@ def fireweed():
 def test_numbers_follow_from_the_geometry(fireweed) -> None:
     plan, exemplar = fireweed
     species = plan.drawn.species["fireweed"]
-    one = described(exemplar, species, 3, {})
+    one = described(exemplar, species, 3)
     leaves = [organ.mesh for organ in exemplar.organs if organ.part == Part.LEAF]
     corners = np.concatenate([mesh.vertices_m[mesh.faces].astype(float) for mesh in leaves])
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
@@ -54,7 +54,7 @@ def test_height_and_radius_are_each_others_inverse(fireweed) -> None:
     for height_m in (0.1, 1.0, 1.5):
         assert species.allometry.height(radius_of_m(species, height_m)) == pytest.approx(height_m)
     assert radius_of_m(species, None) == species.ecology.max_radius_m
-    assert mature_size_m(species)[0] == pytest.approx(species.mature_height_m)
+    assert size_m(species, species.ecology.max_radius_m)[0] == pytest.approx(species.mature_height_m)
 
 
 def test_a_species_of_one_height_refuses_others(fireweed) -> None:
@@ -88,9 +88,9 @@ def test_a_models_surfaces_take_textures_where_the_mesh_has_uv(fireweed) -> None
 
 def test_names_of_several_are_numbered() -> None:
     outputs = (Path("a/x.glb"), Path("x.y.png"))
-    assert Order("spruce", outputs).paths(1) == list(outputs)
-    assert Order("spruce", outputs, count=3).paths(2) == [Path("a/x-0002.glb"), Path("x.y-0002.png")]
-    assert Order("beech", outputs, frames=1).paths(1) == [Path("a/x-0001.glb"), Path("x.y-0001.png")]
+    assert list(numbered(outputs, 1, several=False)) == [list(outputs)]
+    assert list(numbered(outputs, 2, several=True))[1] == [Path("a/x-0002.glb"), Path("x.y-0002.png")]
+    assert list(numbered(outputs, 1, several=True)) == [[Path("a/x-0001.glb"), Path("x.y-0001.png")]]
 
 
 @pytest.mark.parametrize(
