@@ -18,7 +18,6 @@ import hashlib
 import math
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
@@ -30,7 +29,7 @@ from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
-from forestgen.core.array_serialization import UnreadableError, pack, unpack
+from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -55,15 +54,8 @@ def weather_store() -> DiskCache | None:
 
 def read_weather(store: DiskCache, key: str) -> Weather | None:
     """What is kept under a key; None where there is nothing, or nothing that can be read, which is dropped."""
-    data = store.read(key)
-    if data is None:
-        return None
-    with suppress(UnreadableError):
-        found = unpack(data, (Weather, AirGrid))
-        if isinstance(found, Weather):
-            return found
-    store.drop(key)
-    return None
+    found: Weather | None = read_packed(store, key, (Weather, AirGrid))
+    return found
 
 
 def regridded(weather: Weather, fresh: Weather) -> Weather:

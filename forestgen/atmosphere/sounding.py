@@ -155,31 +155,12 @@ def saturation_ratio(temperature_k: Floats | float, pressure_pa: Floats | float)
     return np.asarray(380.16 / np.asarray(pressure_pa) * np.exp(17.67 * celsius / (celsius + 243.5)))
 
 
-@dataclass(frozen=True)
-class SoundingFault:
-    """What is wrong with a sounding, in words, and at which level."""
-
-    what: str  # the quantity, in a recipe's or a table's words
-    expected: str
-    got: str
-    level: int | None = None  # index of the height; None: the sounding as a whole
-
-
-def first_fault(sounding: Sounding) -> SoundingFault | None:
+def first_fault(sounding: Sounding) -> FieldError | None:
     """The first thing that is wrong with a sounding, from the form of the table to the physics; None: nothing."""
-    return _fault_of_form(sounding) or _fault_of_values(sounding) or _fault_of_physics(sounding)
-
-
-def _fault_of_form(sounding: Sounding) -> SoundingFault | None:
     if len(sounding.height_m) < 2:
-        return SoundingFault("levels", "at least two heights", str(len(sounding.height_m)))
+        return FieldError("levels", "at least two heights", str(len(sounding.height_m)))
     if not 30_000.0 <= sounding.ground_pressure_pa <= 120_000.0:
-        expected = "300 to 1200 hPa"
-        return SoundingFault("pressure at the ground", expected, f"{sounding.ground_pressure_pa / 100:g} hPa")
-    return None
-
-
-def _fault_of_values(sounding: Sounding) -> SoundingFault | None:
+        return FieldError("pressure at the ground", "300 to 1200 hPa", f"{sounding.ground_pressure_pa / 100:g} hPa")
     speed = np.hypot(*sounding.wind_m_per_s.T)
     ranges = (
         ("height", sounding.height_m, 0.0, 100_000.0, "m"),
@@ -190,23 +171,19 @@ def _fault_of_values(sounding: Sounding) -> SoundingFault | None:
     for name, values, low, high, unit in ranges:
         # not (inside): a NaN is outside of every range.
         if (bad := _first(~((values >= low) & (values <= high)))) is not None:
-            return SoundingFault(name, f"{low:g} to {high:g} {unit}", f"{values[bad]:g} {unit}", bad)
+            return FieldError(name, f"{low:g} to {high:g} {unit}", f"{values[bad]:g} {unit}", bad)
     if sounding.height_m[0] != 0.0:
-        return SoundingFault("first height", "0 m, the ground", f"{sounding.height_m[0]:g} m", 0)
+        return FieldError("first height", "0 m, the ground", f"{sounding.height_m[0]:g} m", 0)
     if (bad := _first(np.diff(sounding.height_m) <= 0.0)) is not None:
         above = f"more than the {sounding.height_m[bad]:g} m of the level before"
-        return SoundingFault("height", above, f"{sounding.height_m[bad + 1]:g} m", bad + 1)
-    return None
-
-
-def _fault_of_physics(sounding: Sounding) -> SoundingFault | None:
+        return FieldError("height", above, f"{sounding.height_m[bad + 1]:g} m", bad + 1)
     humidity = sounding.relative_humidity_at(sounding.height_m)
     if (bad := _first(humidity > 1.0 + 1e-6)) is not None:
-        return SoundingFault("relative humidity", "at most 1", f"{humidity[bad]:.4g}: supersaturated", bad)
+        return FieldError("relative humidity", "at most 1", f"{humidity[bad]:.4g}: supersaturated", bad)
     lapse = np.diff(sounding.temperature_k) / np.diff(geopotential_m(sounding.height_m))
     if (bad := _first(lapse < AUTOCONVECTION_K_PER_M)) is not None:
         expected = f"at least {1000 * AUTOCONVECTION_K_PER_M:.1f} K/km (steeper, air is heavier above than below)"
-        return SoundingFault("lapse rate dT/dz up to the next level", expected, f"{1000 * lapse[bad]:.4g} K/km", bad)
+        return FieldError("lapse rate dT/dz up to the next level", expected, f"{1000 * lapse[bad]:.4g} K/km", bad)
     return None
 
 
@@ -309,9 +286,8 @@ def _wind(columns: dict[str, Floats], still: Floats) -> Floats:
 
 def _check(sounding: Sounding, lines: list[int], columns: dict[str, Floats]) -> None:
     fault = first_fault(sounding)
-    if fault is None:
-        return
-    place = "" if fault.level is None else f"line {lines[fault.level]}, "
-    named = next((name for name in _COLUMN_OF.get(fault.what, ()) if name in columns), None)
-    what = fault.what if named is None or fault.what.startswith(named) else f"column {named}: {fault.what}"
-    raise FieldError(f"{place}{what}", fault.expected, fault.got)
+    if fault is not None:
+        place = "" if fault.level is None else f"line {lines[fault.level]}, "
+        named = next((name for name in _COLUMN_OF.get(fault.what, ()) if name in columns), None)
+        what = fault.what if named is None or fault.what.startswith(named) else f"column {named}: {fault.what}"
+        raise FieldError(f"{place}{what}", fault.expected, fault.got)

@@ -27,7 +27,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.render.build import load, to_mesh
 from forestgen.render.frame import Amodal
 from forestgen.render.identity.tracer import SceneTracer, pixel_rays, sample_offsets
-from forestgen.render.variant import drjit, mitsuba, using
+from forestgen.render.variant import dr, mi, using
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
@@ -163,7 +163,7 @@ def trace_amodal(
                     window[chunk], counts = _cut_to_hits(window[chunk], counts)
                     parts.append((chunk, counts))
                     advance(len(chunk))
-        drjit().flush_malloc_cache()
+        dr.flush_malloc_cache()
     first, hits = _in_order(window, parts)
     return Amodal(plant_id=ids, samples=samples, window_px=window, first=first, hits=hits, full_box_px=box)
 
@@ -213,7 +213,6 @@ def _trace(
     offsets: NDArray[np.float64],
 ) -> NDArray[np.uint16]:
     """Counts of the windows of plants of one exemplar, one window after another."""
-    mi, dr = mitsuba(), drjit()
     samples = len(offsets)
     first = _first(window)
     counts = np.zeros(first[-1], dtype=np.uint16)
@@ -246,7 +245,6 @@ def alone_rays(
 
     `frame` is a device array of `frames_of_plants`, `plant` (P,) its rows.
     """
-    mi, dr = mitsuba(), drjit()
     samples = len(offsets)
     index = dr.arange(mi.UInt32, len(plant) * samples)
     pixel = index // samples

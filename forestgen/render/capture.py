@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import RenderError
 from forestgen.core.randomness import child_seed
-from forestgen.render.variant import BLOCK_PX, SAMPLER, interruptible, mitsuba
+from forestgen.render.variant import BLOCK_PX, SAMPLER, interruptible, mi
 from forestgen.scene.projection import project, projection_of, rays
 from forestgen.scene.spec import Camera
 
@@ -97,7 +97,6 @@ def _square_view(world_from_view: Floats, size_px: int, window: FilmWindow) -> A
 
 
 def _sensor(plugin: Mapping[str, Any], world_from_camera: Floats, film: dict[str, Any], sampler: dict[str, Any]) -> Any:
-    mi = mitsuba()
     matrix = np.eye(4)
     matrix[:3, :3] = world_from_camera * [-1.0, -1.0, 1.0]  # the renderer's x points left and its y up
     place = {"near_clip": _NEAR_M, "far_clip": _FAR_M, "to_world": mi.ScalarTransform4f(matrix)}
@@ -318,7 +317,6 @@ def ray_places(cells: int, seed: int) -> Floats:
 @lru_cache(maxsize=64)
 def _cell_numbers(cells: int) -> NDArray[np.uint64]:
     """(cells, cells) the renderer's number of each cell: blocks in a spiral, and along Morton's curve in each."""
-    mi = mitsuba()
     spiral = mi.Spiral(mi.ScalarVector2u(cells, cells), mi.ScalarVector2u(0, 0), BLOCK_PX, 1)
     x, y = np.meshgrid(np.arange(BLOCK_PX), np.arange(BLOCK_PX))
     morton = np.zeros((BLOCK_PX, BLOCK_PX), dtype=np.uint64)
@@ -335,7 +333,6 @@ def _cell_numbers(cells: int) -> NDArray[np.uint64]:
 @lru_cache(maxsize=1)
 def check_ray_places() -> None:
     """Compare `ray_places` with where rays of the renderer meet a plane; `RenderError` if its version draws others."""
-    mi = mitsuba()
     cells, seed = 2 * BLOCK_PX + 5, 12345
     plane = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 1]).rotate([0, 1, 0], 180)}
     scene = mi.load_dict({"type": "scene", "plane": {**plane, "to_world": plane["to_world"].scale([2, 2, 1])}})

@@ -27,7 +27,7 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.errors import RenderError
 from forestgen.render.build import ray_corners_m
 from forestgen.render.sky import phase_function
-from forestgen.render.variant import mitsuba
+from forestgen.render.variant import mi
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
@@ -89,7 +89,7 @@ def brick_shapes(
     `albedo` is in place of the clouds' own; with 0 they only take light away.
     """
     media = _media(clouds, bricks, origin_m, clouds.albedo if albedo is None else albedo)
-    null = mitsuba().load_dict({"type": "null"})
+    null = mi.load_dict({"type": "null"})
     shapes: dict[str, Any] = {}
     edges = [
         low + np.asarray(cuts) * size - shift
@@ -122,11 +122,10 @@ def _rectangle(edges: list[Floats], axis: int, place: tuple[int, int, int]) -> A
     for column, other in enumerate(((axis + 1) % 3, (axis + 2) % 3)):
         low, high = edges[other][place[other]], edges[other][place[other] + 1]
         matrix[other, column], matrix[other, 3] = (high - low) / 2, (high + low) / 2
-    return mitsuba().ScalarTransform4f(matrix)
+    return mi.ScalarTransform4f(matrix)
 
 
 def _media(clouds: CloudGrid, bricks: Bricks, origin_m: Floats, albedo: float) -> list[Any]:
-    mi = mitsuba()
     phase = mi.load_dict(phase_function(clouds.phase))
     padded = np.pad(clouds.extinction_per_m, 1, mode="edge")
     low, size = np.asarray(clouds.low_m) - origin_m, np.asarray(clouds.cell_m)
@@ -171,6 +170,6 @@ def camera_shell(clouds: CloudGrid, bricks: Bricks, media: list[Any], camera: Ca
         return {}
     radius = _SHELL_M + (0.0 if camera.lens is None else camera.lens.aperture_radius_m)
     radius = min(radius, max(float(np.min([place - low_m, high_m - place])) / 2, 1e-4))
-    null = mitsuba().load_dict({"type": "null"})
+    null = mi.load_dict({"type": "null"})
     shell = {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": radius, "bsdf": null}
     return {"camera-shell": shell | {"exterior": media[number]}}

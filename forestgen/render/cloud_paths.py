@@ -143,7 +143,7 @@ def gather(
 @compiled
 def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, samples, disc, first, end, out):  # type: ignore[no-untyped-def]
     """Add the light of rays `first` to `end` to `out` (N, 3, C + 1); lengths are from the grid's low corner."""
-    value, most = unowned_view(value), unowned_view(most)
+    value, most = unowned_view((value, most))
     per_x, per_y, per_z = per_m
     albedo, forward, backward, share = scattering
     sun_x, sun_y, sun_z, sun_cos = sun

@@ -43,7 +43,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.render.build import ray_corners_m
 from forestgen.render.job import CloudTransport
 from forestgen.render.light import SUN_RADIUS_DEG
-from forestgen.render.variant import mitsuba
+from forestgen.render.variant import mi
 from forestgen.scene.spec import Camera, SceneSpec
 
 THICKEST_RAIN_PER_M = 0.01  # heavy rain, of 4 to 5 g/m^3; in the thinnest fog one sees as far
@@ -277,7 +277,6 @@ def shadow_rectangle(spec: SceneSpec, origin_m: Floats) -> dict[str, Any] | None
     plane = shadow_plane_of(spec, origin_m)
     if plane is None:
         return None
-    mi = mitsuba()
     centre, half = (plane.low_m + plane.high_m) / 2 - origin_m[:2], (plane.high_m - plane.low_m) / 2
     place = mi.ScalarTransform4f().translate([centre[0], centre[1], plane.height_m - origin_m[2]])
     bitmap = mi.Bitmap(np.ascontiguousarray((1.0 - plane.transmittance)[..., None].astype(np.float32)))

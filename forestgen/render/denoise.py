@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from forestgen.render.identity.surface import albedo, shading_normal, sun_visible
 from forestgen.render.identity.tracer import SceneTracer, sample_offsets
 from forestgen.render.skies.model import sky_model_of
-from forestgen.render.variant import drjit, mitsuba, using
+from forestgen.render.variant import dr, mi, mitsuba, using
 from forestgen.scene.spec import Camera
 
 SAMPLES = 64  # a pixel
@@ -40,13 +40,12 @@ def trace_guides(tracer: SceneTracer, camera: Camera, *, timer: Callable[[str], 
     rows = max(1, _RAYS_AT_ONCE // (width * SAMPLES))
     with using(tracer.variant), timer("identity: guides"):
         blocks = [_trace_rows(tracer, camera, first, min(rows, height - first)) for first in range(0, height, rows)]
-        drjit().flush_malloc_cache()
+        dr.flush_malloc_cache()
     colour, normal = (np.concatenate(parts).reshape(height, width, 3) for parts in zip(*blocks, strict=True))
     return Guides(colour, normal)
 
 
 def _trace_rows(tracer: SceneTracer, camera: Camera, first: int, count: int) -> list[NDArray[np.float32]]:
-    mi, dr = mitsuba(), drjit()
     hits = tracer.trace(camera, sample_offsets(SAMPLES), first, count)
     facing = tracer.geometric_normal(hits)
     smooth = shading_normal(tracer, hits, facing)

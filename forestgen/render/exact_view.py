@@ -33,7 +33,7 @@ from forestgen.render.capture import FilmWindow, capture, is_assembled
 from forestgen.render.job import RenderJob, Timer
 from forestgen.render.light import along, emitters_of, has_sun, sky_map, sun_disc, sun_radiance
 from forestgen.render.surfaces import SpectralBsdfs
-from forestgen.render.variant import CLOUD_ROULETTE_DEPTH, SCALAR, mitsuba, path_tracer, using
+from forestgen.render.variant import CLOUD_ROULETTE_DEPTH, SCALAR, mi, path_tracer, using
 from forestgen.render.volume_random_walk import WalkField, disc_parameters
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.spec import SceneSpec
@@ -85,7 +85,7 @@ class EscapeScene:
         # everything and shines upwards: from below it has no light to give, which costs no shadow ray.
         lamp = {
             "type": "rectangle",
-            "to_world": mitsuba().ScalarTransform4f().translate([0.0, 0.0, top_m + 2 * _MARGIN_M]),
+            "to_world": mi.ScalarTransform4f().translate([0.0, 0.0, top_m + 2 * _MARGIN_M]),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1.0}},
         }
         self._scenes = [load({**scene, "lamp": lamp, "box": box}) for box in self._boxes]
@@ -102,7 +102,7 @@ class EscapeScene:
 
     def _image(self, tracer: Any, which: int, order: tuple[int, ...] | None, film: tuple[Any, ...]) -> Floats:
         """(pixels, 3) of the inner or outer box, which shines with its coordinates in an order or with 1."""
-        parameters = mitsuba().traverse(self._boxes[which])
+        parameters = mi.traverse(self._boxes[which])
         vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
         code = np.ones_like(vertices) if order is None else vertices[:, list(order)]
         parameters[_CODE] = np.ascontiguousarray(code, dtype=np.float32).ravel()
@@ -133,7 +133,6 @@ class EscapeScene:
 
 def _box(top_m: float, half_m: float, bottom_m: float) -> Any:
     """A black box that shines inwards."""
-    mi = mitsuba()
     middle, reach = (top_m + bottom_m) / 2, (top_m - bottom_m) / 2
     code = {"type": "mesh_attribute", "name": _CODE}
     box = mi.load_dict(
@@ -185,7 +184,6 @@ class ExactView:
 
     def _followed(self, place_m: Floats, direction: Floats, seed: int) -> Floats:
         """(N, 3) radiance that comes from the scene with its clouds to (N, 3) places, one path each."""
-        mi = mitsuba()
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed)
         result = np.empty((len(place_m), 3))

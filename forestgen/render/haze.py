@@ -69,7 +69,7 @@ from forestgen.render.identity.tracer import SceneTracer, sample_offsets
 from forestgen.render.light import along, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map_directions
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
-from forestgen.render.variant import SCALAR, drjit, mitsuba, using
+from forestgen.render.variant import SCALAR, dr, mi, using
 from forestgen.render.wavelengths import ColourAtOnce, Mode, Quadrature, quadrature_of
 from forestgen.scene.channels import Channels
 from forestgen.scene.projection import world_rays
@@ -288,7 +288,7 @@ def trace_seen(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, *,
             last = min(first + rows, height)
             found = _trace_rows(tracer, camera, extinction_per_m, first, last - first)
             sums[:, first:last] = found.reshape(len(sums), last - first, width)
-        drjit().flush_malloc_cache()
+        dr.flush_malloc_cache()
     rays, surfaces, through = sums[0], sums[1], np.moveaxis(sums[2:], 0, -1)
     some = (surfaces > 0)[..., None]
     mean = np.where(some, through / np.maximum(surfaces, 1.0)[..., None], 1.0)
@@ -297,7 +297,6 @@ def trace_seen(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, *,
 
 def _trace_rows(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, first: int, count: int) -> Floats:
     """(2 + C, R) by pixel: rays, those that see a surface, and the sums of their transmittances."""
-    mi, dr = mitsuba(), drjit()
     hits = tracer.trace(camera, sample_offsets(SAMPLES), first, count)
     good = mi.Bool(True) if hits.rays.valid is None else hits.rays.valid
     surface = hits.valid | (good & (hits.rays.direction.z < 0))

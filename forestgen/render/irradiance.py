@@ -39,16 +39,7 @@ from forestgen.render.cloud_shadow import shadow_rectangle
 from forestgen.render.light import has_sun, sky_light, sun_disc
 from forestgen.render.skies.model import daylight_of
 from forestgen.render.surfaces import SpectralBsdfs
-from forestgen.render.variant import (
-    BLOCK_PX,
-    ROULETTE_DEPTH,
-    SAMPLER,
-    SCALAR,
-    interruptible,
-    mitsuba,
-    path_tracer,
-    using,
-)
+from forestgen.render.variant import BLOCK_PX, ROULETTE_DEPTH, SAMPLER, SCALAR, interruptible, mi, path_tracer, using
 from forestgen.render.wavelengths import ColourBySpectrum
 from forestgen.scene.channels import RGB, Channels
 from forestgen.scene.colour_checker import axes_of
@@ -210,12 +201,11 @@ def _patch(normal: Floats) -> dict[str, Any]:
     matrix = np.eye(4)
     matrix[:3, :3] = axes_of(normal) * _PATCH_M
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
-    return {"type": "rectangle", "to_world": mitsuba().ScalarTransform4f(matrix), "bsdf": white}
+    return {"type": "rectangle", "to_world": mi.ScalarTransform4f(matrix), "bsdf": white}
 
 
 def _sensor(normal: Floats, spp: int) -> Any:
     """A camera that sees the patch and nothing else."""
-    mi = mitsuba()
     right, up, towards = axes_of(normal).T
     matrix = np.eye(4)
     matrix[:3] = np.stack([-right, up, -towards, 2 * _PATCH_M * towards], axis=1)

@@ -21,7 +21,6 @@ of the mean.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -65,15 +64,6 @@ class SliceSum:
         if self.slices < 2:
             return Estimate(self.mean, np.full_like(self.mean, np.nan))
         return Estimate(self.mean, self.scatter / (self.samples * (self.slices - 1)))
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        """Arrays from which `restored` makes the same sum, to the last bit."""
-        return {"counts": np.array([self.samples, self.slices]), "mean": self.mean, "scatter": self.scatter}
-
-    @classmethod
-    def restored(cls, state: Mapping[str, NDArray[Any]]) -> SliceSum:
-        samples, slices = (int(value) for value in state["counts"])
-        return cls(samples, slices, state["mean"], state["scatter"])
 
 
 def slice_sizes(samples: int) -> list[int]:

@@ -14,16 +14,14 @@ continued has the bytes of what was never interrupted: a replicate's seeds belon
 from __future__ import annotations
 
 import hashlib
-import io
 import time
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -48,6 +46,14 @@ _COMPUTE_WITH = ("numpy", "scipy", "numba", "pvlib", "mitsuba", "drjit")
 _STEPS = 1000  # of the progress of an image
 
 
+@dataclass(frozen=True)
+class _Sum:
+    """A running sum and the seconds spent on it."""
+
+    total: SliceSum
+    elapsed_s: float
+
+
 @dataclass
 class Unfinished:
     """The place of one image's running sum. It is used in one thread."""
@@ -59,24 +65,14 @@ class Unfinished:
     def read(self) -> tuple[SliceSum, float]:
         """The sum so far and the seconds spent on it; an empty one if there is none that can be read."""
         self._written_s = time.monotonic()
-        data = self.store.read(self.key)
-        if data is None:
-            return SliceSum(), 0.0
-        try:
-            with np.load(io.BytesIO(data.tobytes()), allow_pickle=False) as state:
-                return SliceSum.restored(state), float(state["elapsed_s"])
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-            self.store.drop(self.key)
-            return SliceSum(), 0.0
+        found = read_packed(self.store, self.key, (_Sum, SliceSum))
+        return (SliceSum(), 0.0) if found is None else (found.total, found.elapsed_s)
 
     def write(self, total: SliceSum, elapsed_s: float, *, now: bool = False) -> None:
         """Keep the sum; unless it must be `now`, at most every `EVERY_S` seconds."""
         if not total.slices or not (now or time.monotonic() - self._written_s >= EVERY_S):
             return
-        file = io.BytesIO()
-        arrays: dict[str, Any] = {"elapsed_s": np.array(elapsed_s), **total.state()}
-        np.savez(file, **arrays)
-        self.store.write(self.key, file.getvalue())
+        self.store.write(self.key, pack(_Sum(total, elapsed_s)))
         self.store.trim()
         self._written_s = time.monotonic()
 

@@ -98,7 +98,7 @@ class WalkField:
 
 @compiled
 def _walk(value, most, low, cell, optics, disc, seed, first_ray, end_ray, leaves, heading, light, weight):  # type: ignore[no-untyped-def]
-    value, most = unowned_view(value), unowned_view(most)
+    value, most = unowned_view((value, most))
     albedo, g1, g2, share = optics[0], optics[1], optics[2], optics[3]
     scale_x, scale_y, scale_z = 1.0 / cell[0], 1.0 / cell[1], 1.0 / cell[2]
     state = np.zeros(1, dtype=np.uint64)

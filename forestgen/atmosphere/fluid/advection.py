@@ -81,13 +81,7 @@ def _squeeze(out, u, v, cx, cy, first, end):  # type: ignore[no-untyped-def]
 @unchecked
 def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
     """Half a step along x and then y, or along y and then x."""
-    ratio, out, u, v, squeeze = (
-        unowned_view(ratio),
-        unowned_view(out),
-        unowned_view(u),
-        unowned_view(v),
-        unowned_view(squeeze),
-    )
+    ratio, out, u, v, squeeze = unowned_view((ratio, out, u, v, squeeze))
     rows = ratio.shape[1]
     plane, work = np.empty(ratio.shape[1:], np.float32), np.empty((6, ratio.shape[2]), np.float32)
     x, y = _HALF * cx, _HALF * cy
@@ -108,7 +102,7 @@ def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first
 @unchecked
 def _sweep_x(plane, u, squeeze, before, after, per_m, opened, least, first, end, work):  # type: ignore[no-untyped-def]
     """Rows of a plane, each along itself. A cell's air is 1 + before x squeeze, and then 1 + after x squeeze."""
-    plane, u, squeeze = unowned_view(plane), unowned_view(u), unowned_view(squeeze)
+    plane, u, squeeze = unowned_view((plane, u, squeeze))
     m = plane.shape[1]
     courant, rest, flux, air = work[0], work[1], work[2], work[3]
     for j in range(first, end):
@@ -128,12 +122,7 @@ def _sweep_x(plane, u, squeeze, before, after, per_m, opened, least, first, end,
 @unchecked
 def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work):  # type: ignore[no-untyped-def]
     """Columns of a plane, all at once, row by row. A cell's air is 1 + sign x squeeze, before and after."""
-    plane, v, squeeze, squeeze_after = (
-        unowned_view(plane),
-        unowned_view(v),
-        unowned_view(squeeze),
-        unowned_view(squeeze_after),
-    )
+    plane, v, squeeze, squeeze_after = unowned_view((plane, v, squeeze, squeeze_after))
     rows = plane.shape[0]
     before, air = np.empty_like(plane), np.empty_like(plane)
     south, north = work[0], work[1]
@@ -160,7 +149,7 @@ def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work)
 @unchecked
 def _along_z(field, w, squeeze, per_m, opened, least, first, end):  # type: ignore[no-untyped-def]
     """Columns upwards, for rows [first, end). Nothing passes the ground or the ceiling."""
-    field, w, squeeze = unowned_view(field), unowned_view(w), unowned_view(squeeze)
+    field, w, squeeze = unowned_view((field, w, squeeze))
     layers, m = field.shape[0], field.shape[2]
     before, air = np.empty((layers, m), np.float32), np.empty((layers, m), np.float32)
     work = np.zeros((6, m), np.float32)

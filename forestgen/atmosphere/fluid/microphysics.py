@@ -52,13 +52,7 @@ def lift(out: Field, heat: Field, vapour: Field, cloud: Field, rain: Field, air:
 
 @unchecked
 def _lift(out, heat, vapour, cloud, rain, per_k, rest, light, gravity, new, old, first, end):  # type: ignore[no-untyped-def]
-    out, heat, vapour, cloud, rain = (
-        unowned_view(out),
-        unowned_view(heat),
-        unowned_view(vapour),
-        unowned_view(cloud),
-        unowned_view(rain),
-    )
+    out, heat, vapour, cloud, rain = unowned_view((out, heat, vapour, cloud, rain))
     rows, columns = out.shape[1], out.shape[2]
     water = np.empty(columns, np.float32)
     for k in range(first, end):
@@ -94,7 +88,7 @@ def carry_rest(heat: Field, up: Field, air: Background, step_s: float, thickness
 
 @unchecked
 def _carry_rest(heat, up, slope, first, end):  # type: ignore[no-untyped-def]
-    heat, up = unowned_view(heat), unowned_view(up)
+    heat, up = unowned_view((heat, up))
     rows, columns = heat.shape[1], heat.shape[2]
     for k in range(first, end):
         below, above = slope[k - 2], slope[k - 1]
@@ -122,7 +116,7 @@ def change_phases(
 
 @unchecked
 def _change(heat, vapour, cloud, rain, rest, exner, pressure, density, gone, threshold, swept, drying, first, end):  # type: ignore[no-untyped-def]
-    heat, vapour, cloud, rain = unowned_view(heat), unowned_view(vapour), unowned_view(cloud), unowned_view(rain)
+    heat, vapour, cloud, rain = unowned_view((heat, vapour, cloud, rain))
     rows, columns = heat.shape[1], heat.shape[2]
     for k in range(first, end):
         ratio, per_pa, warming = exner[k], _SCALE_PA / pressure[k], _LATENT_K / exner[k]
@@ -199,7 +193,7 @@ def fall(
 
 @unchecked
 def _fall(rain, fallen, ground, cells, share, mass, first, end):  # type: ignore[no-untyped-def]
-    rain, fallen = unowned_view(rain), unowned_view(fallen)
+    rain, fallen = unowned_view((rain, fallen))
     layers, columns = rain.shape[0] - 4, rain.shape[2] - 4
     column = np.zeros(layers + 4, np.float32)  # shifted by whole cells, two of nothing on each side
     flux = np.zeros(layers + 1, np.float32)  # through the bottom of each; nothing enters at the top

@@ -59,14 +59,7 @@ def advance_velocity(
 @unchecked
 def _advance(q, base, out, u, v, w, back, step, per_m, smooth, first, end):  # type: ignore[no-untyped-def]
     """One component in layers [first, end). `back` points from a face to the one before it along the component."""
-    q, base, out, u, v, w = (
-        unowned_view(q),
-        unowned_view(base),
-        unowned_view(out),
-        unowned_view(u),
-        unowned_view(v),
-        unowned_view(w),
-    )
+    q, base, out, u, v, w = unowned_view((q, base, out, u, v, w))
     rows, columns = q.shape[1], q.shape[2]
     n = columns - 4
     below, above = np.empty((rows, n), np.float32), np.empty((rows, n), np.float32)
@@ -184,7 +177,7 @@ def _away_from(solid: NDArray[np.bool_]) -> Field:
 @unchecked
 def _vorticity(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
     """At the cells' centres, from a cell before the first to one after the last, along each axis."""
-    out, u, v, w = unowned_view(out), unowned_view(u), unowned_view(v), unowned_view(w)
+    out, u, v, w = unowned_view((out, u, v, w))
     rows, columns = out.shape[2], out.shape[3]
     x, y, z = _QUARTER * x_per_m, _QUARTER * y_per_m, _QUARTER * z_per_m
     for a in range(first, end):
@@ -247,7 +240,7 @@ def _turn_flat(out, v, x, u_north, u_south, y):  # type: ignore[no-untyped-def]
 
 @unchecked
 def _push(vorticity, u, v, up, push, x_per_m, y_per_m, z_per_m, away, first, end):  # type: ignore[no-untyped-def]
-    vorticity, u, v, up = unowned_view(vorticity), unowned_view(u), unowned_view(v), unowned_view(up)
+    vorticity, u, v, up = unowned_view((vorticity, u, v, up))
     rows, columns = up.shape[1], up.shape[2]
     east, north = np.empty(columns, np.float32), np.empty(columns, np.float32)
     for k in range(first, end):

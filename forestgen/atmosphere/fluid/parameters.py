@@ -125,7 +125,7 @@ def crossing_per_s(velocity: Velocity, cell_m: tuple[float, float, float]) -> fl
 
 @unchecked
 def _crossing(most, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
-    u, v, w = unowned_view(u), unowned_view(v), unowned_view(w)
+    u, v, w = unowned_view((u, v, w))
     rows, columns = u.shape[1], u.shape[2]
     rate = np.zeros(columns, np.float32)
     for layer in range(first, end):

@@ -168,7 +168,7 @@ def _size(a: Field) -> float:
 
 @unchecked
 def _divergence(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
-    out, u, v, w = unowned_view(out), unowned_view(u), unowned_view(v), unowned_view(w)
+    out, u, v, w = unowned_view((out, u, v, w))
     rows, columns = out.shape[1], out.shape[2]
     for k in range(first, end):
         for j in range(rows):
@@ -184,7 +184,7 @@ def _divergence(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: i
 
 @unchecked
 def _subtract(p, u, v, w, x_per_m, y_per_m, z_per_m, opened, first, end):  # type: ignore[no-untyped-def]
-    p, u, v, w = unowned_view(p), unowned_view(u), unowned_view(v), unowned_view(w)
+    p, u, v, w = unowned_view((p, u, v, w))
     rows, columns = p.shape[1], p.shape[2]
     for k in range(first, end):
         for j in range(rows):
@@ -211,7 +211,7 @@ def _slope(velocity, before, after, per_m):  # type: ignore[no-untyped-def]
 @unchecked
 def _laplacian(out, p, x_per_m, y_per_m, z_per_m, opened, first, end):  # type: ignore[no-untyped-def]
     """Divergence of the gradient through open faces."""
-    out, p = unowned_view(out), unowned_view(p)
+    out, p = unowned_view((out, p))
     opened_x, opened_y, opened_z = unowned_view(opened[0]), unowned_view(opened[1]), unowned_view(opened[2])
     layers, rows, columns = p.shape
     xx, yy, zz = x_per_m * x_per_m, y_per_m * y_per_m, z_per_m * z_per_m

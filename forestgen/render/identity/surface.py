@@ -13,7 +13,7 @@ from forestgen.render.build import origin_of
 from forestgen.render.frame import Identity, Surface
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, sample_offsets
 from forestgen.render.skies.model import sky_model_of
-from forestgen.render.variant import drjit, mitsuba, using
+from forestgen.render.variant import dr, mi, using
 from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
 
@@ -55,7 +55,7 @@ def trace_identity(
             block = max(1, _RAYS_AT_ONCE // width)
             for first in range(0, height, block):
                 trace_rows(tracer, camera, slice(first, min(first + block, height)), surface)
-        drjit().flush_malloc_cache()
+        dr.flush_malloc_cache()
     return identity, surface
 
 
@@ -68,7 +68,6 @@ def _trace_samples(tracer: SceneTracer, camera: Camera, samples: int, rows: slic
 
 def _ids(tracer: SceneTracer, hits: Hits) -> dict[str, Any]:
     """What is hit, by the names of the fields of `Identity` and `Surface`."""
-    mi, dr = mitsuba(), drjit()
     return {
         "plant_id": dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid),
         "part": dr.uint8_array_t(mi.UInt32)(dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)),
@@ -78,7 +77,7 @@ def _ids(tracer: SceneTracer, hits: Hits) -> dict[str, Any]:
 
 
 def _fill(target: Identity | Surface, rows: slice, found: dict[str, Any]) -> None:
-    drjit().eval(found)
+    dr.eval(found)
     for name, values in found.items():
         field = getattr(target, name)
         field[rows] = np.array(values).reshape(field[rows].shape)
@@ -104,7 +103,6 @@ def empty_surface(height: int, width: int) -> Surface:
 
 def trace_rows(tracer: SceneTracer, camera: Camera, rows: slice, surface: Surface) -> None:
     """Fill `rows` of `surface`."""
-    mi, dr = mitsuba(), drjit()
     hits = tracer.trace(camera, np.array([0.5, 0.5]), rows.start, rows.stop - rows.start)
     normal = tracer.geometric_normal(hits)
     found = _ids(tracer, hits) | {
@@ -138,7 +136,6 @@ def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> N
 
 def corners_of(tracer: SceneTracer, hits: Hits, active: Any) -> list[Any]:
     """The triangle's three vertices, counted within the organ's mesh."""
-    mi, dr = mitsuba(), drjit()
     return [dr.gather(mi.UInt32, tracer.table.corner, hits.face * 3 + k, active) for k in range(3)]
 
 
@@ -157,7 +154,6 @@ def interpolated_normal(
     tracer: SceneTracer, hits: Hits, corners: Sequence[Any], weights: Sequence[Any], normal: Any
 ) -> Any:
     """`shading_normal` of hits whose corners and weights are known."""
-    mi, dr = mitsuba(), drjit()
     first = dr.gather(mi.UInt32, tracer.table.first_normal, hits.organ, hits.valid)
     smooth = hits.valid & (first != NONE)
     local = mi.Vector3f(0.0)
@@ -171,7 +167,6 @@ def interpolated_normal(
 
 def albedo(tracer: SceneTracer, hits: Hits) -> Any:
     """Reflectance + transmittance at the hits, textures and the ground's distant colour included; 0 for the sky."""
-    mi, dr = mitsuba(), drjit()
     mean = dr.gather(mi.Color3f, tracer.table.albedo, hits.organ, hits.valid)
     first = dr.gather(mi.UInt32, tracer.table.first_uv, hits.organ, hits.valid)
     textured = hits.valid & (first != NONE)
@@ -195,7 +190,6 @@ def ground_colour(
 
     `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factor of a film of water.
     """
-    mi, dr = mitsuba(), drjit()
     ground = hits.valid & (hits.instance == 0)
     far_colour, film_factor = of_ground
 
@@ -218,7 +212,6 @@ def vertex_uv(
     tracer: SceneTracer, hits: Hits, corners: Sequence[Any], weights: Sequence[Any], textured: Any
 ) -> tuple[Any, Any]:
     """u and v of hits on textured meshes."""
-    mi, dr = mitsuba(), drjit()
     first = dr.gather(mi.UInt32, tracer.table.first_uv, hits.organ, textured)
     u, v = (
         sum(
@@ -232,7 +225,6 @@ def vertex_uv(
 
 def bilinear(texel: Any, first: Any, width: Any, height: Any, u: Any, v: Any, active: Any) -> Any:
     """Colours of repeating textures as in Mitsuba's `bitmap`: texel centres at (i + 0.5) / width, row 0 at v = 0."""
-    mi, dr = mitsuba(), drjit()
     result = mi.Color3f(0.0)
     for weight, index in bilinear_places(first, width, height, u, v):
         result += weight * dr.gather(mi.Color3f, texel, index, active)
@@ -241,7 +233,6 @@ def bilinear(texel: Any, first: Any, width: Any, height: Any, u: Any, v: Any, ac
 
 def bilinear_places(first: Any, width: Any, height: Any, u: Any, v: Any) -> list[tuple[Any, Any]]:
     """Weights and rows of the four texels around a place of a repeating texture."""
-    mi, dr = mitsuba(), drjit()
     x, y = ((t - dr.floor(t)) * mi.Float(size) - 0.5 for t, size in ((u, width), (v, height)))
     left, low = mi.Int32(dr.floor(x)), mi.Int32(dr.floor(y))
     columns, rows = mi.Int32(width), mi.Int32(height)
@@ -255,7 +246,6 @@ def bilinear_places(first: Any, width: Any, height: Any, u: Any, v: Any) -> list
 
 def _wrapped(index: Any, size: Any) -> Any:
     """Index of -1 to `size`, into a row that repeats."""
-    dr = drjit()
     return dr.select(index < 0, index + size, dr.select(index >= size, index - size, index))
 
 
@@ -264,7 +254,6 @@ def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) ->
 
     False everywhere under a sky without a sun.
     """
-    mi, dr = mitsuba(), drjit()
     point = tracer.start_of(camera, hits.rays) + hits.rays.direction * hits.distance_m
     sunny = dr.select(dr.dot(normal, tracer.to_sun) < 0, -normal, normal)  # leaves are lit through from below, too
     lift = LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
