@@ -32,11 +32,10 @@ from forestgen.core.progress import Silent, Timings
 from forestgen.render import sky
 from forestgen.render.capture import sensor_of
 from forestgen.render.cloud_shadow import base_of, cloud_transport_of, shadow_of
-from forestgen.render.frame import Radiance
+from forestgen.render.frame import CloudTransport, Radiance, RenderJob, StoppingCriterion
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.job import CloudTransport, RenderJob, StoppingCriterion
 from forestgen.render.light import sky_light, sun_disc
-from forestgen.render.radiance import render_radiance
+from forestgen.render.rendering import render_radiance
 from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import build_view, sky_pixels
 from forestgen.scene.channels import RGB

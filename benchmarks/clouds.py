@@ -25,7 +25,7 @@ from forestgen.core.progress import Timings
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.exact_view import ExactView
-from forestgen.render.job import RenderJob, StoppingCriterion
+from forestgen.render.frame import RenderJob, StoppingCriterion
 from forestgen.render.light import emitters_of
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, drjit, mitsuba, path_tracer, using

@@ -33,10 +33,9 @@ from forestgen.labels.classes import ClassMap
 from forestgen.labels.masks import PixelLabels, amodal_masks, pixel_labels
 from forestgen.labels.plants_table import plant_views
 from forestgen.render.amodal import trace_amodal
-from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
+from forestgen.render.frame import Amodal, Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface
 from forestgen.render.identity import SceneTracer, hit_tables, trace_identity
-from forestgen.render.job import RenderJob, StoppingCriterion
-from forestgen.render.radiance import render_radiance
+from forestgen.render.rendering import render_radiance
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.scene.plant_measures import PlantMeasures, PlantMeter
 from forestgen.scene.projection import world_rays

@@ -41,7 +41,7 @@ from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import RecipeError
 from forestgen.render.build import ray_corners_m
-from forestgen.render.job import CloudTransport
+from forestgen.render.frame import CloudTransport
 from forestgen.render.light import SUN_RADIUS_DEG
 from forestgen.render.variant import mi
 from forestgen.scene.spec import Camera, SceneSpec

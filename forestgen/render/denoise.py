@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.identity.surface import albedo, shading_normal, sun_visible
-from forestgen.render.identity.tracer import SceneTracer, sample_offsets
+from forestgen.render.identity.surface import albedo, corners_of, shading_normal, sun_visible
+from forestgen.render.identity.tracer import Hits, SceneTracer, sample_offsets
 from forestgen.render.skies.model import sky_model_of
-from forestgen.render.variant import dr, mi, mitsuba, using
+from forestgen.render.variant import dr, mi, mitsuba
 from forestgen.scene.spec import Camera
 
 SAMPLES = 64  # a pixel
@@ -37,23 +37,22 @@ class Guides:
 def trace_guides(tracer: SceneTracer, camera: Camera, *, timer: Callable[[str], Any]) -> Guides:
     """Guides of what `camera` sees of the tracer's scene."""
     width, height = camera.size_px
-    rows = max(1, _RAYS_AT_ONCE // (width * SAMPLES))
-    with using(tracer.variant), timer("identity: guides"):
-        blocks = [_trace_rows(tracer, camera, first, min(rows, height - first)) for first in range(0, height, rows)]
-        dr.flush_malloc_cache()
-    colour, normal = (np.concatenate(parts).reshape(height, width, 3) for parts in zip(*blocks, strict=True))
+    with timer("identity: guides"):
+        parts = tracer.by_rows(camera, sample_offsets(SAMPLES), _RAYS_AT_ONCE)
+        blocks = [_means(tracer, camera, hits) for _, hits in parts]
+    colour, normal = (np.concatenate(one).reshape(height, width, 3) for one in zip(*blocks, strict=True))
     return Guides(colour, normal)
 
 
-def _trace_rows(tracer: SceneTracer, camera: Camera, first: int, count: int) -> list[NDArray[np.float32]]:
-    hits = tracer.trace(camera, sample_offsets(SAMPLES), first, count)
-    facing = tracer.geometric_normal(hits)
-    smooth = shading_normal(tracer, hits, facing)
+def _means(tracer: SceneTracer, camera: Camera, hits: Hits) -> list[NDArray[np.float32]]:
+    """(3 R,) colours and normals of pixels, one after another."""
+    facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
+    smooth = shading_normal(tracer, hits, corners, facing)
     shade = mi.Float(1.0)
     if sky_model_of(tracer.spec.sky).has_sun:
         lit = sun_visible(tracer, camera, hits, facing)
         shade = _SHADE + (1.0 - _SHADE) * dr.select(lit, dr.abs(dr.dot(smooth, tracer.to_sun)), 0.0)
-    colour = dr.select(hits.valid, albedo(tracer, hits) * shade, 1.0)
+    colour = dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
     smooth = dr.select(hits.valid, smooth, 0.0)
     dr.eval(colour, smooth)
     means = [

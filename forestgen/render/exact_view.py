@@ -30,7 +30,7 @@ from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render import cloud_bricks
 from forestgen.render.build import load, origin_of, ray_corners_m, scene_dict
 from forestgen.render.capture import FilmWindow, capture, is_assembled
-from forestgen.render.job import RenderJob, Timer
+from forestgen.render.frame import RenderJob, Timer
 from forestgen.render.light import along, emitters_of, has_sun, sky_map, sun_disc, sun_radiance
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import CLOUD_ROULETTE_DEPTH, SCALAR, mi, path_tracer, using

@@ -65,7 +65,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
 from forestgen.render.cloud_shadow import base_of, shadow_of
 from forestgen.render.frame import Radiance
-from forestgen.render.identity.tracer import SceneTracer, sample_offsets
+from forestgen.render.identity.tracer import Hits, SceneTracer, sample_offsets
 from forestgen.render.light import along, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map_directions
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
@@ -282,22 +282,17 @@ def trace_seen(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, *,
     """What `camera` sees of the tracer's scene through a haze of an extinction (C,)."""
     width, height = camera.size_px
     sums = np.zeros((2 + len(extinction_per_m), height, width))
-    rows = max(1, _RAYS_AT_ONCE // (width * SAMPLES))
-    with using(tracer.variant), timer("haze: distances"):
-        for first in range(0, height, rows):
-            last = min(first + rows, height)
-            found = _trace_rows(tracer, camera, extinction_per_m, first, last - first)
-            sums[:, first:last] = found.reshape(len(sums), last - first, width)
-        dr.flush_malloc_cache()
+    with timer("haze: distances"):
+        for rows, hits in tracer.by_rows(camera, sample_offsets(SAMPLES), _RAYS_AT_ONCE):
+            sums[:, rows] = _sums(hits, extinction_per_m).reshape(len(sums), -1, width)
     rays, surfaces, through = sums[0], sums[1], np.moveaxis(sums[2:], 0, -1)
     some = (surfaces > 0)[..., None]
     mean = np.where(some, through / np.maximum(surfaces, 1.0)[..., None], 1.0)
     return Seen(rays / SAMPLES, surfaces / np.maximum(rays, 1.0), mean)
 
 
-def _trace_rows(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, first: int, count: int) -> Floats:
+def _sums(hits: Hits, extinction_per_m: Floats) -> Floats:
     """(2 + C, R) by pixel: rays, those that see a surface, and the sums of their transmittances."""
-    hits = tracer.trace(camera, sample_offsets(SAMPLES), first, count)
     good = mi.Bool(True) if hits.rays.valid is None else hits.rays.valid
     surface = hits.valid | (good & (hits.rays.direction.z < 0))
     ray = dr.zeros(mi.Float, dr.width(hits.distance_m))

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.job import StoppingCriterion
+from forestgen.render.frame import StoppingCriterion
 from forestgen.render.variant import MOST_SLICE_SAMPLES, SLICES
 
 _FLOOR = 0.1

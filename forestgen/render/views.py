@@ -26,8 +26,8 @@ from forestgen.render import sky
 from forestgen.render.build import origin_of
 from forestgen.render.cloud_paths import gather
 from forestgen.render.cloud_shadow import base_of, shadow_plane_of
+from forestgen.render.frame import RenderJob, Timer, View
 from forestgen.render.identity import SceneTracer
-from forestgen.render.job import RenderJob, Timer, View
 from forestgen.render.light import has_sun, sky_map, sun_irradiance
 from forestgen.render.paths.tracer import PathTracer
 from forestgen.render.variant import SCALAR, using

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from forestgen.core.progress import Silent, Timings
-from forestgen.render.frame import Identity, Radiance, Surface
+from forestgen.render.frame import Identity, Radiance, RenderJob, StoppingCriterion, Surface
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.light import sky_map
 from forestgen.render.paths.tracer import PathTracer
-from forestgen.render.radiance import render_radiance
+from forestgen.render.rendering import render_radiance
 from forestgen.render.variant import cuda_devices
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.channels import RGB

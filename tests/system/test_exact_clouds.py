@@ -16,7 +16,7 @@ from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.cloud_bricks import Bricks, brick_shapes, camera_shell, divide
 from forestgen.render.exact_view import ExactView, clear_air_m, endless_tracer
-from forestgen.render.job import RenderJob, StoppingCriterion
+from forestgen.render.frame import RenderJob, StoppingCriterion
 from forestgen.render.light import along, emitters_of, sky_light, sky_map
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, path_tracer, using

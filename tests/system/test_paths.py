@@ -23,7 +23,7 @@ from forestgen.render.capture import capture
 from forestgen.render.cloud_shadow import ShadowPlane
 from forestgen.render.identity import SceneTracer
 from forestgen.render.light import along, sky_map
-from forestgen.render.paths.scattering import Local, Surfaces, face_tangents, paint_of
+from forestgen.render.paths.scattering import Local, face_tangents, paint_of
 from forestgen.render.paths.tracer import PathTracer, Sun, sequence_of
 from forestgen.render.paths.tracer import Sky as SkyOnDevice
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of

@@ -285,6 +285,16 @@ class SceneTracer:
         ray = mi.Ray3f(self.start_of(camera, rays), rays.direction)
         return self.looked_up(rays, self.scene.ray_intersect_preliminary(ray, coherent=True, active=active), active)
 
+    def by_rows(self, camera: Camera, offset: NDArray[np.float64], most_rays: int) -> Iterator[tuple[slice, Hits]]:
+        """Rows of the whole image, as many at a time as have so many rays, and their hits; in the tracer's variant."""
+        (width, height), samples = camera.size_px, len(np.atleast_2d(offset))
+        step = max(1, most_rays // (width * samples))
+        with using(self.variant):
+            for first in range(0, height, step):
+                last = min(first + step, height)
+                yield slice(first, last), self.trace(camera, offset, first, last - first)
+            dr.flush_malloc_cache()
+
     def looked_up(self, rays: DeviceRays, hit: Any, active: Any) -> Hits:
         """The hits that a `PreliminaryIntersection3f` of rays stands for."""
         valid = hit.is_valid() & active

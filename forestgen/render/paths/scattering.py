@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.identity.surface import (
-    barycentric_weights,
     bilinear_places,
     corners_of,
     ground_colour,
-    interpolated_normal,
+    shading_normal,
     vertex_uv,
+    weighted_sum,
 )
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, organs_of, uploaded
 from forestgen.render.surfaces import is_textured, relief_colour, surface_of
@@ -234,21 +234,19 @@ class Surfaces:
         tracer, valid = self._tracer, hits.valid
         towards = -hits.rays.direction
         geometric = tracer.geometric_normal(hits)
-        corners, weights = corners_of(tracer, hits, valid), barycentric_weights(hits)
-        normal = interpolated_normal(tracer, hits, corners, weights, geometric)
+        corners = corners_of(tracer, hits)
+        normal = shading_normal(tracer, hits, corners, geometric)
         normal = dr.select(dr.dot(normal, towards) < 0, -normal, normal)
         matt = dr.gather(mi.Color3f, self._paint.matt, hits.organ, valid)
         offset, width, height = (
             dr.gather(mi.UInt32, self._relief.texture, hits.organ * 3 + k, valid) for k in range(3)
         )
         textured = valid & (width > 0)
-        u, v = vertex_uv(tracer, hits, corners, weights, textured)
+        u, v = vertex_uv(tracer, hits, corners, textured)
         places = bilinear_places(offset, width, height, u, v)
-        colour, relief = mi.Color3f(0.0), mi.Vector3f(0.0)
-        for weight, texel in places:
-            colour += weight * dr.gather(mi.Color3f, self._paint.texel, texel, textured)
-            relief += weight * dr.gather(mi.Vector3f, self._relief.normal, texel, textured)
-        colour = ground_colour(tracer, hits, corners, weights, colour, (self._paint.far, self._paint.film_factor))
+        colour = weighted_sum(mi.Color3f, self._paint.texel, places, textured)
+        relief = weighted_sum(mi.Vector3f, self._relief.normal, places, textured)
+        colour = ground_colour(tracer, hits, corners, colour, (self._paint.far, self._paint.film_factor))
         matt = dr.select(textured, colour, matt)
         return Local(
             towards,
