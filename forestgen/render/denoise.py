@@ -15,15 +15,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.identity.surface import albedo, corners_of, shading_normal, sun_visible
-from forestgen.render.identity.tracer import Hits, SceneTracer, sample_offsets
+from forestgen.render.identity.surface import (
+    SAMPLES,
+    Values,
+    albedo,
+    corners_of,
+    pixel_sums,
+    shading_normal,
+    sun_visible,
+)
+from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.skies.model import sky_model_of
 from forestgen.render.variant import dr, mi, mitsuba
 from forestgen.scene.spec import Camera
 
-SAMPLES = 64  # a pixel
 _SHADE = 0.15  # light in the shade, by that of a surface that faces the sun
-_RAYS_AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -36,31 +42,30 @@ class Guides:
 
 def trace_guides(tracer: SceneTracer, camera: Camera, *, timer: Callable[[str], Any]) -> Guides:
     """Guides of what `camera` sees of the tracer's scene."""
-    width, height = camera.size_px
     with timer("identity: guides"):
-        parts = tracer.by_rows(camera, sample_offsets(SAMPLES), _RAYS_AT_ONCE)
-        blocks = [_means(tracer, camera, hits) for _, hits in parts]
-    colour, normal = (np.concatenate(one).reshape(height, width, 3) for one in zip(*blocks, strict=True))
-    return Guides(colour, normal)
+        return guides_of(*pixel_sums(tracer, camera, [guide_values(tracer, camera)]))
 
 
-def _means(tracer: SceneTracer, camera: Camera, hits: Hits) -> list[NDArray[np.float32]]:
-    """(3 R,) colours and normals of pixels, one after another."""
-    facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
-    smooth = shading_normal(tracer, hits, corners, facing)
-    shade = mi.Float(1.0)
-    if sky_model_of(tracer.spec.sky).has_sun:
-        lit = sun_visible(tracer, camera, hits, facing)
-        shade = _SHADE + (1.0 - _SHADE) * dr.select(lit, dr.abs(dr.dot(smooth, tracer.to_sun)), 0.0)
-    colour = dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
-    smooth = dr.select(hits.valid, smooth, 0.0)
-    dr.eval(colour, smooth)
-    means = [
-        dr.ravel(type(value)(*[dr.block_sum(channel, SAMPLES) / SAMPLES for channel in value]))
-        for value in (colour, smooth)
-    ]
-    dr.eval(means)
-    return [np.array(mean) for mean in means]
+def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
+    """The rays' colours and shading normals, three channels each."""
+
+    def values(hits: Hits) -> list[Any]:
+        facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
+        smooth = shading_normal(tracer, hits, corners, facing)
+        shade = mi.Float(1.0)
+        if sky_model_of(tracer.spec.sky).has_sun:
+            lit = sun_visible(tracer, camera, hits, facing)
+            shade = _SHADE + (1.0 - _SHADE) * dr.select(lit, dr.abs(dr.dot(smooth, tracer.to_sun)), 0.0)
+        colour = dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
+        return [*colour, *dr.select(hits.valid, smooth, 0.0)]
+
+    return values
+
+
+def guides_of(sums: NDArray[np.float32]) -> Guides:
+    """Of the sums (6, H, W) of `guide_values`."""
+    mean = np.moveaxis(sums / np.float32(SAMPLES), 0, -1)
+    return Guides(mean[..., :3], mean[..., 3:])
 
 
 def denoise(

@@ -65,7 +65,8 @@ from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
 from forestgen.render.cloud_shadow import base_of, shadow_of
 from forestgen.render.frame import Radiance
-from forestgen.render.identity.tracer import Hits, SceneTracer, sample_offsets
+from forestgen.render.identity.surface import SAMPLES, Values, pixel_sums
+from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.light import along, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map_directions
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
@@ -81,8 +82,6 @@ ASYMMETRY = 0.65
 _MOLECULAR_PER_M = 1.16e-5
 _ANGSTROM, _KRUSE, _MURKY_M = 1.3, 0.585, 6000.0
 Floats = NDArray[np.float64]
-SAMPLES = 64  # a pixel
-_RAYS_AT_ONCE = 1_000_000
 _VIEW_ROWS, _VIEW_COLUMNS = 33, 64  # of the airlight's map, the sun's part left out
 _DRAWS = 8  # of wavelengths
 _LEVEL_SINE = 0.17  # of the elevation at which airlight has nearly left the horizon's colour
@@ -178,21 +177,38 @@ def under_clouds(spec: SceneSpec) -> UnderClouds | None:
 
 
 def through_haze(
-    radiance: Radiance, tracer: SceneTracer, camera: Camera, *, mode: Mode, timer: Callable[[str], Any]
+    radiance: Radiance,
+    tracer: SceneTracer,
+    camera: Camera,
+    *,
+    mode: Mode,
+    timer: Callable[[str], Any],
+    seen: Seen | None = None,
 ) -> Radiance:
-    """The image as the sky's haze shows it; the very same where there is none."""
+    """The image as the sky's haze shows it; the very same where there is none.
+
+    `seen` is what the camera sees through the haze's `extinction_towards`; None: it is traced.
+    """
     sky = tracer.spec.sky
-    if sky.visibility_m is None:
+    extinction = extinction_towards(camera, sky, mode)
+    if extinction is None or sky.visibility_m is None:
         return radiance
+    if seen is None:
+        seen = trace_seen(tracer, camera, extinction, timer=timer)
     haze, quadrature = Haze(sky.visibility_m), quadrature_of(camera, mode, daylight_of(sky).on_level)
-    extinction = extinction_of(haze, quadrature, sky)
-    seen = trace_seen(tracer, camera, extinction, timer=timer)
     with timer("haze: airlight"):
         with using(SCALAR):
             light = airlight_of(haze, quadrature, sky, under_clouds(tracer.spec))
         clouds = tracer.spec.clouds
         veil = None if clouds is None else cloud_veil(clouds, camera, extinction)
         return hazed(radiance, seen, light, camera, veil)
+
+
+def extinction_towards(camera: Camera, sky: Sky, mode: Mode) -> Floats | None:
+    """(C,) per metre by the channels of the camera's image; None: the sky has no haze."""
+    if sky.visibility_m is None:
+        return None
+    return extinction_of(Haze(sky.visibility_m), quadrature_of(camera, mode, daylight_of(sky).on_level), sky)
 
 
 def extinction_of(haze: Haze, quadrature: Quadrature, sky: Sky) -> Floats:
@@ -280,30 +296,32 @@ def _kernels() -> tuple[Floats, Floats]:
 
 def trace_seen(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, *, timer: Callable[[str], Any]) -> Seen:
     """What `camera` sees of the tracer's scene through a haze of an extinction (C,)."""
-    width, height = camera.size_px
-    sums = np.zeros((2 + len(extinction_per_m), height, width))
     with timer("haze: distances"):
-        for rows, hits in tracer.by_rows(camera, sample_offsets(SAMPLES), _RAYS_AT_ONCE):
-            sums[:, rows] = _sums(hits, extinction_per_m).reshape(len(sums), -1, width)
-    rays, surfaces, through = sums[0], sums[1], np.moveaxis(sums[2:], 0, -1)
+        return seen_of(*pixel_sums(tracer, camera, [seen_values(extinction_per_m)]))
+
+
+def seen_values(extinction_per_m: Floats) -> Values:
+    """Whether a ray sees anything, whether a surface, and the transmittances (C,) of the haze before that."""
+
+    def values(hits: Hits) -> list[Any]:
+        good = mi.Bool(True) if hits.rays.valid is None else hits.rays.valid
+        surface = hits.valid | (good & (hits.rays.direction.z < 0))
+        ray = dr.zeros(mi.Float, dr.width(hits.distance_m))
+        through = [dr.exp(-dr.opaque(mi.Float, float(value)) * hits.distance_m) for value in extinction_per_m]
+        seen = [dr.select(good, 1.0, 0.0) + ray, dr.select(surface, 1.0, 0.0) + ray]
+        return seen + [dr.select(hits.valid, one, 0.0) for one in through]
+
+    return values
+
+
+def seen_of(sums: NDArray[np.float32]) -> Seen:
+    """Of the sums (2 + C, H, W) of `seen_values`."""
+    rays, surfaces, through = (
+        np.asarray(one, dtype=np.float64) for one in (sums[0], sums[1], np.moveaxis(sums[2:], 0, -1))
+    )
     some = (surfaces > 0)[..., None]
     mean = np.where(some, through / np.maximum(surfaces, 1.0)[..., None], 1.0)
     return Seen(rays / SAMPLES, surfaces / np.maximum(rays, 1.0), mean)
-
-
-def _sums(hits: Hits, extinction_per_m: Floats) -> Floats:
-    """(2 + C, R) by pixel: rays, those that see a surface, and the sums of their transmittances."""
-    good = mi.Bool(True) if hits.rays.valid is None else hits.rays.valid
-    surface = hits.valid | (good & (hits.rays.direction.z < 0))
-    ray = dr.zeros(mi.Float, dr.width(hits.distance_m))
-    parts = [dr.select(good, 1.0, 0.0) + ray, dr.select(surface, 1.0, 0.0) + ray]
-    for value in extinction_per_m:
-        through = dr.exp(-dr.opaque(mi.Float, float(value)) * hits.distance_m)
-        parts.append(dr.select(hits.valid, through, 0.0))
-    dr.eval(parts)  # together: each sum alone would trace all the rays again
-    sums = [dr.block_sum(part, SAMPLES) for part in parts]
-    dr.eval(sums)
-    return np.stack([np.array(one, dtype=np.float64) for one in sums])
 
 
 def cloud_veil(clouds: CloudGrid, camera: Camera, extinction_per_m: Floats) -> Floats:

@@ -29,10 +29,11 @@ from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.schema import Recipe
 from forestgen.render.capture import least_samples
 from forestgen.render.cloud_shadow import cloud_transport_of
-from forestgen.render.denoise import denoise, denoise_bands, trace_guides
+from forestgen.render.denoise import denoise, denoise_bands, guide_values, guides_of
 from forestgen.render.frame import Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface, Timer, View
-from forestgen.render.haze import KOSCHMIEDER, through_haze
+from forestgen.render.haze import KOSCHMIEDER, extinction_towards, seen_of, seen_values, through_haze
 from forestgen.render.identity import SceneTracer, trace_identity
+from forestgen.render.identity.surface import pixel_sums
 from forestgen.render.noise import Noise, Schedule, SliceSum, noise_of
 from forestgen.render.skies.model import daylight_of
 from forestgen.render.views import build_view
@@ -111,9 +112,14 @@ def _radiance(
     )
     kept = None if key is None else unfinished(key, seed, camera.name)
     radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept, tracer=tracer)
-    radiance = through_haze(radiance, tracer, camera, mode=settings.mode, timer=timings)
+    extinction, guides, seen = extinction_towards(camera, tracer.spec.sky, settings.mode), None, None
     if settings.denoise:
-        guides = trace_guides(tracer, camera, timer=timings)
+        wanted = [guide_values(tracer, camera)] + ([] if extinction is None else [seen_values(extinction)])
+        with timings("identity: guides"):  # and the haze's distances, along the same rays
+            sums = pixel_sums(tracer, camera, wanted)
+        guides, seen = guides_of(sums[0]), None if extinction is None else seen_of(sums[1])
+    radiance = through_haze(radiance, tracer, camera, mode=settings.mode, timer=timings, seen=seen)
+    if guides is not None:
         with timings("denoise"):
             clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)

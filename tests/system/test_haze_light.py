@@ -13,9 +13,21 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Band, Spectrum
+from forestgen.render.denoise import guide_values, guides_of, trace_guides
 from forestgen.render.frame import Radiance
-from forestgen.render.haze import ASYMMETRY, Haze, airlight_of, extinction_of, through_haze, trace_seen, under_clouds
+from forestgen.render.haze import (
+    ASYMMETRY,
+    Haze,
+    airlight_of,
+    extinction_of,
+    seen_of,
+    seen_values,
+    through_haze,
+    trace_seen,
+    under_clouds,
+)
 from forestgen.render.identity import SceneTracer
+from forestgen.render.identity.surface import pixel_sums
 from forestgen.render.identity.tracer import sample_offsets
 from forestgen.render.skies.model import MAP_ROWS, daylight_of
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using
@@ -152,6 +164,21 @@ def test_the_rays_are_traced_once_for_all_channels():
         trace_seen(tracer, camera, np.array([1e-3, 2e-3, 4e-3]), timer=Timings())
         launched = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
     assert len(launched) == 1
+
+
+def test_guides_and_haze_share_their_rays():
+    """One launch finds both, equal to the last bit to what each finds alone."""
+    camera, dr = views()["perspective"], drjit()
+    tracer, extinction = SceneTracer(stand(camera, 2000.0), Timings()), np.array([1e-3, 4e-3])
+    alone = trace_guides(tracer, camera, timer=Timings()), trace_seen(tracer, camera, extinction, timer=Timings())
+    with using(tracer.variant), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        sums = pixel_sums(tracer, camera, [guide_values(tracer, camera), seen_values(extinction)])
+        launched = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+    assert len(launched) == 1
+    for ours, theirs in zip((guides_of(sums[0]), seen_of(sums[1])), alone, strict=True):
+        for name, value in vars(ours).items():
+            np.testing.assert_array_equal(value, getattr(theirs, name))
 
 
 def ground_distance(camera: Camera, dx: float, dy: float):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +18,9 @@ from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
 
 Places = list[tuple[Any, Any]]  # weights, Float, and rows of a table, UInt32
-_RAYS_AT_ONCE = 2_000_000
+Values = Callable[[Hits], Sequence[Any]]
+SAMPLES = 64  # a pixel, of `pixel_sums`: what the denoiser's guides and the haze need to know of a view
+_RAYS_AT_ONCE, _SUMMED_AT_ONCE = 2_000_000, 1_000_000
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
 # a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
 LIFT = 1e-5
@@ -73,6 +75,21 @@ def _fill(target: Identity | Surface, rows: slice, found: dict[str, Any]) -> Non
     for name, values in found.items():
         field = getattr(target, name)
         field[rows] = np.array(values).reshape(field[rows].shape)
+
+
+def pixel_sums(tracer: SceneTracer, camera: Camera, wanted: Sequence[Values]) -> list[NDArray[np.float32]]:
+    """(C, H, W) for each of `wanted`: its C values, Float by ray, summed over a pixel's `SAMPLES` rays.
+
+    All of them are found in one launch: tracing the rays is what takes long.
+    """
+    blocks = []
+    for _, hits in tracer.by_rows(camera, sample_offsets(SAMPLES), _SUMMED_AT_ONCE):
+        values = [list(one(hits)) for one in wanted]
+        dr.eval(values)  # together, and before the sums: each sum alone would trace all the rays again
+        sums = [[dr.block_sum(one, SAMPLES) for one in group] for group in values]
+        dr.eval(sums)
+        blocks.append([np.array(group).reshape(len(group), -1, camera.size_px[0]) for group in sums])
+    return [np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True)]
 
 
 def empty_surface(height: int, width: int) -> Surface:
