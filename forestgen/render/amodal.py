@@ -1,14 +1,14 @@
 """Amodal counts: which samples of the image hit a plant when it stands alone.
 
-Each exemplar has a scene of its own, in which it stands unmoved, and each plant's rays are brought into the
-exemplar's frame. So all plants of an exemplar are traced in one launch, whatever hides whatever, and the number of
-scenes is that of exemplars. Rays run only through the pixels that the plant's projected hull can touch: `outlines`.
+Each exemplar has a scene of its own, in which it stands unmoved, and each plant's rays are brought into the exemplar's
+frame. So all plants of an exemplar are traced in one launch, and the number of scenes is that of exemplars. Rays run
+only through the pixels that the plant's projected hull can touch: `outlines`.
 
 A sample that hits a plant in the identity pass must hit it here. The rays of the two passes are equal to the last bit
 because the frames change as Embree changes them for an instance: the inverse is the adjoint over the determinant in
-single precision, each operation rounded; rays are then transformed with fused multiply-adds. In tests/system distances
-and barycentric coordinates of the two are compared bit by bit. OptiX does not tell how it transforms rays: on
-CUDA, samples within rounding error of an edge may differ.
+single precision, each operation rounded; rays are then transformed with fused multiply-adds. Tests in tests/system
+compare distances and barycentric coordinates bit by bit. OptiX does not tell how it transforms rays: on CUDA, samples
+within rounding error of an edge may differ.
 """
 
 from __future__ import annotations

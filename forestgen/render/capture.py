@@ -1,26 +1,23 @@
 """Images taken with a camera of any kind.
 
 Some projections are the renderer's own, as `Projection.sensor` says. Images of the others, such as fisheyes and
-panoramas, are assembled from views that it has:
-
-The faces of a cube around the camera are cut into square tiles. Each tile is rendered by a pinhole whose pixels, here
-called cells, are so small that an image pixel holds as many of them as it shall have samples, with one random ray
-through each cell. The ray's place in its cell depends on the seed alone, neither on the scene nor on other rays, and
-`ray_places` repeats the renderer's draw. So the direction of each sample is known exactly, and it is counted in the
-image pixel that `scene/projection.py` gives for this direction: edges are as sharp as by rays through the image's own
-pixels, and faces have no seams. A pixel is the mean of its samples, each weighted by the solid angle of its cell.
+panoramas, are assembled: the faces of a cube around the camera are cut into square tiles, each rendered by a pinhole
+whose pixels, here called cells, are so small that an image pixel holds as many of them as it shall have samples, with
+one random ray through each. The ray's place in its cell depends on the seed alone, and `ray_places` repeats the
+renderer's draw. So each sample's direction is known exactly, and it is counted in the image pixel that
+`scene/projection.py` gives for it: edges are as sharp as by rays through the image's own pixels, and faces have no
+seams. A pixel is the mean of its samples, each weighted by the solid angle of its cell.
 
 Decisions
 ---------
-- Samples by direction, not by interpolation of faces: that would blur by a face's pixel and see other edges than the
-  labels do.
+- Faces are not interpolated: that would blur by a face's pixel and see other edges than the labels do.
 - A tile has as many cells as its image pixels have samples together. Tiles are halved where image pixels differ much
   in size (a panorama's poles), where the fisheye's circle cuts them, and where they are large.
 - A pixel of the size of six cells or more holds a whole cell, so it has a sample: `LEAST_SAMPLES`, to which fewer are
   raised. Only beside a panorama's poles, where pixels are long and narrow, some stay empty; they take the mean of the
   samples of their neighbours, of one row where that has any.
-- The number of a pixel's samples varies, and a mean of a varying number gives samples of cells at the pixel's border
-  a little less weight: 3% less at eight samples a pixel, 0.2% at 64. That narrows a pixel; it changes no brightness.
+- A mean of a varying number of samples gives those of cells at the pixel's border a little less weight: 3% less at
+  eight samples a pixel, 0.2% at 64. That narrows a pixel; it changes no brightness.
 - A pixel that the fisheye's circle cuts is multiplied with the share of it inside: outside there is no light.
 """
 

@@ -8,10 +8,10 @@ Decisions
 - Between two bricks there is one rectangle, with a medium on either side, or on one where a brick borders on nothing.
   Two boxes that touch leak: a ray that is lifted off the face of one may land inside the other without entering it.
 - A brick holds its cells and one more on every side, so that interpolation between two bricks is the same from both; at
-  the border of the field those are the cells at the border once more, as the renderer has it for the whole field.
+  the border of the field the cells at the border once more, as the renderer has it for the whole field.
 - A ray that passes a face starts again behind it, by up to 9e-5 of its largest coordinate along the face's normal, and
   what lies between is not counted. Bricks are therefore large where the field has many cells.
-- The camera stands in a small sphere of nothing, with the medium outside. The sphere must not cut a face, so faces are
+- The camera stands in a small sphere of nothing, with the medium outside, which must not cut a face: so faces are
   placed such that the camera is near the middle of its brick.
 """
 

@@ -3,21 +3,21 @@
 A path starts at a point below, in or above the clouds and flies by delta tracking (Woodcock et al. 1965): the grid is
 cut into bricks of 8 x 8 x 8 cells, each with the largest value that can occur in it, and a walk from brick to brick
 draws collisions at that rate, of which the share sigma / largest is real. The field between the cells' centres is
-the one that atmosphere/optical_depth.py integrates and that the renderer reads. At a collision the light of the sun
-is gathered through the clouds by ratio tracking (Novak et al. 2014) from a random point of its disc, and the path goes
-on in a direction drawn from the phase function. Where it leaves the clouds upwards it takes the sky's radiance of that
-direction; downwards it meets a level Lambertian plain without end, which stands for the land around.
+that of atmosphere/optical_depth.py and of the renderer. At a collision the light of the sun is gathered through the
+clouds by ratio tracking (Novak et al. 2014) from a random point of its disc, and the path goes on in a direction drawn
+from the phase function. Where it leaves the clouds upwards it takes the sky's radiance of that direction; downwards it
+meets a level Lambertian plain without end, which stands for the land around.
 
 Clouds are grey, so one path serves all channels. Of the sun a path yields its share, to be multiplied by the sun's
 light in any channels. Light is kept apart by how often the plain has reflected it, never, once, or more often, as from
-a white plain: radiance is a polynomial of the plain's albedo, so that the plain can have any colour afterwards.
+a white plain: radiance is a polynomial of the plain's albedo, so the plain can have any colour afterwards.
 
 Decisions
 ---------
 - No largest depth. Paths whose weight has fallen below a tenth end by chance, and from 1024 scatterings on one path in
   a thousand does at each; both keep the mean. Cutting off at 64 loses 1% of a cumulus' light.
-- Of the paths that meet the plain a share goes on that is about its albedo, at least 0.3.
-- A third and later reflection has the plain's mean albedo in all channels.
+- Of the paths that meet the plain a share goes on that is about its albedo, at least 0.3. A third and later reflection
+  has the plain's mean albedo in all channels.
 - Random numbers belong to a ray's number and the number of its path (SplitMix64 from a hash of both), so results
   do not depend on threads.
 

@@ -2,7 +2,7 @@
 
 Whole: all in one scene, clouds as bricks (render/cloud_bricks.py), by the renderer's volume path tracer. For fog, for
 cameras in or above the clouds, and for assembled cameras. A path ends where it leaves the world or by chance, never by
-a number of scatterings: through clouds of an optical depth of 100 it takes hundreds of them.
+a number of scatterings: an optical depth of 100 takes hundreds of them.
 
 Parted: where all plants, the ground and the camera lie below the lowest cloud. A path is cut where it passes from the
 scene to the clouds or back:
@@ -12,7 +12,7 @@ scene to the clouds or back:
 2. All other light enters a path, seen from the camera, where it leaves the scene. Paths among surfaces are the
    renderer's (`EscapeScene` finds where they leave); random walks through the clouds from there on are our own
    (render/volume_random_walk.py), and find the sun, scattered, and the sky.
-3. A walk that leaves the clouds downwards meets the scene again. One in `_DOWN_EVERY` is followed there in the whole
+3. Of the walks that leave the clouds downwards and meet the scene again, one in `_DOWN_EVERY` is followed in the whole
    way, at that many times its weight. So light that goes to and fro between forest and clouds is counted once.
 """
 

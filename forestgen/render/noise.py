@@ -4,18 +4,17 @@ The relative error of a pixel is its standard error over its value, both over al
 
     e² = sum over c of (variance_c / s_c²) / sum over c of (max(mean_c, 0.1 s_c) / s_c)²,
 
-where s_c is the channel's mean over the image, so that bands of different strength count alike, and a pixel darker
-than a tenth of it is measured against that tenth. Variance and mean are first averaged over 3 x 3 pixels: the variance
-of one pixel comes from a few replicates and is itself noisy, which would raise the percentile. `relative_error` is the
-mean of e over the pixels, which a few bright specks do not move, `relative_error_p95` its 95th percentile. Pixels that
-see nothing, outside of a fisheye's circle, do not count.
+where s_c is the channel's mean over the image: bands of different strength count alike, and a pixel darker than a tenth
+of it is measured against that tenth. Variance and mean are first averaged over 3 x 3 pixels: the variance of one pixel
+comes from a few replicates and is itself noisy, which would raise the percentile. `relative_error` is the mean of e
+over the pixels, which a few bright specks do not move, `relative_error_p95` its 95th percentile. Pixels outside of a
+fisheye's circle do not count.
 
 e falls as 1 / sqrt(n). So an image with error e after n samples needs n (e / target)²; slices are at most a sixteenth
-of that, and the need is judged anew after each, by all slices so far. The last slice is what is left: an image is not
-carried far beyond its target.
+of that, and the need is judged anew after each, by all slices so far. The last slice is what is left.
 
-No samples need be independent inside a slice (a stratified sampler's are not): the scatter of slices gives the variance
-of the mean.
+Samples need not be independent inside a slice (a stratified sampler's are not): the scatter of slices gives the
+variance of the mean.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """Scene -> frames: what a camera sees, its light with its variance, and notes on both.
 
-An image is the mean of independent replicates (render/noise.py). A replicate is made of passes: one in colour, or
-several at three wavelengths each (render/wavelengths.py). Passes capture one scene that is built once
-(render/views.py). Replicates go on until there are as many samples, or as little noise, as was asked for.
+An image is the mean of independent replicates (render/noise.py), each made of passes: one in colour, or several at
+three wavelengths each (render/wavelengths.py). Passes capture one scene that is built once (render/views.py), until
+there are as many samples, or as little noise, as was asked for.
 
-Running sums are kept on disk, so that an interrupted image goes on from its last replicate. They lie in the folder
-`radiance` of the cache (core/disk_cache.py), under the hash of all that the image depends on: the drawn recipe, the
-image's seed, the camera, and the code, tables and packages that make it. A sum is written when work is interrupted, and
-at times while it goes on, so that a process that is killed loses little; it is removed when the image is done. What is
-continued has the bytes of what was never interrupted: a replicate's seeds belong to its number.
+Running sums are kept on disk, so that an interrupted image goes on from its last replicate: in the folder `radiance` of
+the cache (core/cache.py), under the hash of all that the image depends on: the drawn recipe, the image's seed, the
+camera, and the code, tables and packages that make it. A sum is written when work is interrupted, and at times while it
+goes on, so that a process that is killed loses little; it is removed when the image is done. What is continued has the
+bytes of what was never interrupted: a replicate's seeds belong to its number.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """A view of a scene that is built once and captured pass after pass, in other channels and with other seeds.
 
-`ClearView` has scenes without clouds. Under clouds that are far above the scene, `FarfieldView` lights it by a sky that
-was rendered once. Both follow their paths by paths/. exact_view.py has Mitsuba trace the clouds' volume together with
-the scene.
+`ClearView` has scenes without clouds; `FarfieldView` lights a scene far below clouds by a sky that was rendered once.
+Both follow their paths by paths/. exact_view.py has Mitsuba trace the clouds' volume together with the scene.
 
 Under far clouds three parts add up: light of the sky on the scene, from a map that all cameras share (render/sky.py)
 and corrected for what lies elsewhere; light of the sun on the scene, through the clouds' shadow

@@ -1,12 +1,12 @@
 """Random walks of light through a cloud field, followed backwards from rays that enter it: compiled.
 
-A ray flies by Woodcock's delta tracking over small boxes of the grid, each with a largest extinction of its own (a
-regular march from box to box; Szirmay-Kalos et al. 2011). At every scattering the sun is looked for: a point of its
-disc is drawn and the optical depth towards it integrated piece by piece, exactly (as atmosphere/optical_depth.py does).
-Past `_CERTAIN_DEPTH` the march goes on only as far as a random optical depth, exponentially distributed, and counts
-e^-depth of the certain part if the sun is reached before: of the same mean, and short in thick clouds.
+A ray flies by Woodcock's delta tracking over small boxes of the grid, each with a largest extinction of its own
+(Szirmay-Kalos et al. 2011). At every scattering the sun is looked for: a point of its disc is drawn and the optical
+depth towards it integrated piece by piece, exactly (as atmosphere/optical_depth.py does). Past `_CERTAIN_DEPTH` the
+march goes on only as far as a random optical depth, exponentially distributed, and counts e^-depth of the certain part
+if the sun is reached before: of the same mean, and short in thick clouds.
 
-A walk ends where it leaves the field. Upwards it sees the sky; downwards it is handed back to the caller. After
+A walk ends where it leaves the field: upwards it sees the sky, downwards it is handed back to the caller. After
 `_FREE_SCATTERINGS` absorption is by chance; before, by weight.
 
 References

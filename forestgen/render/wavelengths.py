@@ -1,10 +1,11 @@
 """Which wavelengths an image's passes are rendered at, and how its channels are made of them.
 
-A pass holds three wavelengths. The channels of an image are integrals over wavelength, c = integral of r_c(l) L(l) dl,
-and are estimated by N nodes: the density p of the nodes is cut into N strata of equal share, a node lies at the same
-random place u in each of them, and c = sum of r_c(l_k) L(l_k) / (N p(l_k)). u is uniform, so the estimate is
-unbiased; from replicate to replicate it goes on by the golden ratio, so that all places together are even, and the
-mean's error from the choice of wavelengths is smaller than the replicates' scatter says.
+A pass holds three wavelengths, a short, a middle and a long one. The channels of an image are integrals over
+wavelength, c = integral of r_c(l) L(l) dl, and are estimated by N nodes: the density p of the nodes is cut into N
+strata of equal share, a node lies at the same random place u in each of them, and c = sum of r_c(l_k) L(l_k) /
+(N p(l_k)). u is uniform, so the estimate is unbiased; from replicate to replicate it goes on by the golden ratio, so
+that all places together are even, and the mean's error from the choice of wavelengths is smaller than the replicates'
+scatter says.
 
 - Colour: 12 nodes, 4 passes. One u for all nodes (Cranley and Patterson 1976), since the responses fade out at both
   ends: the rule is then one of a periodic function. p is the cube root of the sum of the responses' sizes. Measured on
@@ -13,8 +14,6 @@ mean's error from the choice of wavelengths is smaller than the replicates' scat
 - Bands: each has nodes of its own, p in proportion to its response times the light in the open, so that all count
   alike: water vapour takes nine tenths of the light from parts of some bands. One node for each 40 nm of a band's
   width, at most 4, and what is left over in the last pass goes to the widest. Bands share passes, not nodes.
-
-Within a replicate each pass has short, middle and long wavelengths.
 """
 
 from __future__ import annotations

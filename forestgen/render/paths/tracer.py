@@ -2,7 +2,7 @@
 
 All paths of a block of pixels go one scattering further together, as arrays of Dr.Jit, and those that ended are
 dropped. A kernel knows no instance and no material: what a hit means is looked up (`render/identity/tracer.py`,
-`scattering.py`). So one kernel serves any scene. It runs on LLVM; on CUDA it has not been tried. ADR 0013 has the
+`scattering.py`), so one kernel serves any scene. It runs on LLVM; on CUDA it has not been tried. ADR 0013 has the
 measurements.
 
 Light of the sun is sampled at each scattering, and that of a sky with clouds; all skies are met where a path leaves the
@@ -11,8 +11,8 @@ places in the sums, so the image does not depend on the number of threads.
 
 Random numbers are points that fill the unit square evenly, for each pixel and each choice of a path its own: Sobol's
 first two dimensions, scrambled by hashes as Owen scrambles (Burley 2020, "Practical hash-based Owen scrambling"). Any
-first N points are spread evenly, best where N is a power of two, and every choice shuffles them anew. A point is a
-function of seed, pixel, number and choice: it does not depend on other points, nor on where work is cut.
+first N points are spread evenly, best where N is a power of two. A point is a function of seed, pixel, number and
+choice: it does not depend on other points, nor on where work is cut.
 
 Work is O(pixels x samples x scatterings x log triangles). Memory: some 250 bytes a path of a block of pixels, of
 `_PATHS_AT_ONCE` paths, and 40 bytes a pixel.
