@@ -51,10 +51,7 @@ def write_netcdf(path: Path, content: Weather | CloudGrid, *, droplet_radius_um:
 
 
 def read_netcdf(path: Path) -> Weather | CloudGrid:
-    """What `write_netcdf` wrote.
-
-    Raises `FieldError` if it is no such file, is damaged or lacks something, `ResourceError` if memory is too small.
-    """
+    """What `write_netcdf` wrote. `FieldError`: no such file, or a damaged one; `ResourceError`: memory is too small."""
     import h5py  # h5netcdf's reader leaves a warning on the terminal when a file is damaged
 
     with path.open("rb") as stream:
@@ -79,10 +76,7 @@ def read_netcdf(path: Path) -> Weather | CloudGrid:
 
 
 def netcdf_size(path: Path) -> tuple[int, float | None]:
-    """Cells of a file that `read_netcdf` takes, and the width of a snapshot that is periodic, m.
-
-    Raises OSError, KeyError or ValueError if it is no such file.
-    """
+    """Cells, and width of a periodic snapshot, m. OSError, KeyError, ValueError: `read_netcdf` takes no such file."""
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -92,10 +86,7 @@ def netcdf_size(path: Path) -> tuple[int, float | None]:
 
 
 def droplet_radius_of(path: Path) -> float | None:
-    """Effective radius, µm, of the droplets of a file that `read_netcdf` takes; None if it does not say.
-
-    Raises `FieldError` if it is no number above 0.
-    """
+    """Effective radius, µm, of a file that `read_netcdf` takes, or None. `FieldError`: no number above 0."""
     import h5py
 
     with h5py.File(path, "r") as file:

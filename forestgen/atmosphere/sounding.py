@@ -85,10 +85,7 @@ _COLUMN_OF = {
 
 @dataclass(frozen=True)
 class Sounding:
-    """A column of air in hydrostatic balance. Temperature, vapour and wind are linear between the heights.
-
-    Nothing is checked here: see `first_fault`.
-    """
+    """A column of air in hydrostatic balance, linear between its heights; `first_fault` checks it."""
 
     height_m: Floats  # (N,) above the ground, rising, the first 0; constant beyond the last
     temperature_k: Floats  # (N,)

@@ -220,10 +220,7 @@ def write_weather(path: Path, weather: Weather, *, droplet_radius_um: float | No
 
 
 def write_clouds(path: Path, grid: CloudGrid) -> None:
-    """Write an extinction field, in the format of the name's suffix.
-
-    Raises `OutputError` if the suffix is another, the field is none, or the file cannot be written.
-    """
+    """Write an extinction field in the suffix' format. `OutputError`: another suffix, no field, no writing."""
     with _explained(path, OutputError, "the clouds cannot be written"):
         write = _by_suffix(path, _WRITERS)
         check_clouds(grid)
@@ -231,10 +228,7 @@ def write_clouds(path: Path, grid: CloudGrid) -> None:
 
 
 def read_sky(path: Path) -> Weather | CloudGrid:
-    """Whatever a file holds: a snapshot or an extinction field.
-
-    Raises `AssetError` if there is no such file or its content is neither, `ResourceError` if memory is too small.
-    """
+    """A snapshot or an extinction field. `AssetError`: no such file, or neither; `ResourceError`: no memory."""
     with _explained(path, AssetError, "the file cannot be used as weather"):
         read = _by_suffix(path, _READERS)
         if not path.is_file():
@@ -248,10 +242,7 @@ def read_sky(path: Path) -> Weather | CloudGrid:
 
 
 def size_of(path: Path) -> tuple[int, float | None] | None:
-    """Cells of a file's field, and how wide a state of the air that is periodic is, m; None: it cannot be read.
-
-    Nothing but the head of the file is read.
-    """
+    """Cells of a file's field and width of a periodic snapshot, m, by its head; None: it cannot be read."""
     try:
         if path.suffix.lower() == ".nc":
             return netcdf_size(path)

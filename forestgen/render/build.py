@@ -24,10 +24,7 @@ def origin_of(camera: Camera) -> NDArray[np.float64]:
 
 
 def ray_corners_m(camera: Camera) -> NDArray[np.float64]:
-    """(N, 3) metres, world: where `camera`'s rays start lies between these places.
-
-    Four corners of a plane if its rays are parallel, otherwise the one place of the camera.
-    """
+    """(N, 3) metres, world: `camera`'s rays start between these: four of a plane of parallel rays, or its place."""
     place = origin_of(camera)
     if not projection_of(camera).is_parallel:
         return place[None]
@@ -77,10 +74,7 @@ def fill(parameters: Any, key: str, values: NDArray[Any]) -> None:
 
 
 def plants_dict(spec: SceneSpec, origin_m: NDArray[np.float64], bsdfs: SpectralBsdfs | None) -> dict[str, Any]:
-    """Shape groups and instances; without BSDFs they have geometry only.
-
-    Instance i has the key ``instance-i``, so tables can follow its order.
-    """
+    """Shape groups and instances, ``instance-i`` the i-th; without BSDFs they have geometry only."""
     scene: dict[str, Any] = {}
     used = np.unique(spec.instances.exemplar)
     for index in used:

@@ -4,7 +4,7 @@ Some projections are the renderer's own, as `Projection.sensor` says. Images of 
 panoramas, are assembled: the faces of a cube around the camera are cut into square tiles, each rendered by a pinhole
 whose pixels, here called cells, are so small that an image pixel holds as many of them as it shall have samples, with
 one random ray through each. The ray's place in its cell depends on the seed alone, and `ray_places` repeats the
-renderer's draw. So each sample's direction is known exactly, and it is counted in the image pixel that
+renderer's draw, as that of the one pinned version. So each sample's direction is known exactly, and it is counted in the image pixel that
 `scene/projection.py` gives for it: edges are as sharp as by rays through the image's own pixels, and faces have no
 seams. A pixel is the mean of its samples, each weighted by the solid angle of its cell.
 
@@ -26,12 +26,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import RenderError
+from forestgen.core.cache import BoundedCache
 from forestgen.core.randomness import child_seed
 from forestgen.render.variant import BLOCK_PX, SAMPLER, interruptible, mi
 from forestgen.scene.projection import project, projection_of, rays
@@ -86,7 +87,7 @@ def sensor_of(camera: Camera, samples: int, window: FilmWindow | None = None) ->
     return _sensor(sensor.plugin, axes, film(camera.size_px, window), {"type": SAMPLER, "sample_count": samples})
 
 
-def _square_view(world_from_view: Floats, size_px: int, window: FilmWindow) -> Any:
+def square_view(world_from_view: Floats, size_px: int, window: FilmWindow) -> Any:
     """A pinhole of 90 degrees across a square, with one random ray through each pixel of the window."""
     pinhole = {"type": "perspective", "fov": 90.0, "fov_axis": "x"}
     sampler = {"type": "independent", "sample_count": 1}
@@ -128,11 +129,13 @@ class Tile:
         return FilmWindow(self.column * self.cells, self.row * self.cells, self.cells, self.cells)
 
 
+_kept: BoundedCache[list[Tile]] = BoundedCache(16, lambda tiles: 1)  # slices of an image have the same tiles
+
+
 def assemble(
     integrator: Any, scene: Any, camera: Camera, *, samples: int, seed: int, window: FilmWindow | None = None
 ) -> Floats:
-    """(H, W, 4) as `sensors.capture` gives it; the integrator's blocks are `BLOCK_PX` wide."""
-    check_ray_places()
+    """(H, W, 4) as `capture` gives it; the integrator's blocks are `BLOCK_PX` wide."""
     part = FilmWindow(0, 0, *camera.size_px) if window is None else window
     total = np.zeros((part.height, part.width, 5))  # four channels and the weight
     first = child_seed(seed, "tiles") % 2**32
@@ -140,7 +143,7 @@ def assemble(
         # The renderer numbers a film's rays from its seed times its pixels on: no two tiles share a number.
         own = -(-first // tile.cells**2) % 2**32
         first = (own + 1) * tile.cells**2
-        view = _square_view(camera.world_from_camera @ _FACES[tile.face], tile.size_px, tile.window)
+        view = square_view(camera.world_from_camera @ _FACES[tile.face], tile.size_px, tile.window)
         image = interruptible(integrator, scene, view, own, 1)
         _sort_into(total, camera, part, tile, ray_places(tile.cells, own), image)
     return _developed(total, camera, part)
@@ -218,30 +221,18 @@ def _share_inside(camera: Camera, part: FilmWindow) -> Floats:
 
 def tiles_of(camera: Camera, samples: int, part: FilmWindow) -> list[Tile]:
     """The tiles that together see a part of an image, with `samples` cells for each of its pixels."""
-    numbers = tuple(sorted(camera.numbers.items()))
-    return list(_tiles(camera.projection, camera.size_px, camera.hfov_deg, numbers, samples, part))
+    lens = camera.projection, camera.size_px, camera.hfov_deg, tuple(sorted(camera.numbers.items()))
+    return _kept.get((*lens, samples, part), lambda: _tiles(camera, samples, part))
 
 
-@lru_cache(maxsize=16)  # slices of an image have the same tiles
-def _tiles(
-    projection: str,
-    size_px: tuple[int, int],
-    hfov_deg: float,
-    numbers: tuple[tuple[str, float], ...],
-    samples: int,
-    part: FilmWindow,
-) -> tuple[Tile, ...]:
-    place, axes = (0.0, 0.0, 0.0), np.eye(3)
-    camera = Camera("", place, axes, size_px, hfov_deg, projection=projection, numbers=dict(numbers))
-    directions, gap = _seen(camera, part)
-    count = 1 << _FIRST_LEVEL
-    return tuple(
+def _tiles(camera: Camera, samples: int, part: FilmWindow) -> list[Tile]:
+    (directions, gap), count = _seen(camera, part), 1 << _FIRST_LEVEL
+    coarse = product(range(6), range(count), range(count))
+    return [
         tile
-        for face in range(6)
-        for row in range(count)
-        for column in range(count)
+        for face, row, column in coarse
         for tile in _halved(camera, samples, directions, gap, Tile(face, _FIRST_LEVEL, column, row, 0))
-    )
+    ]
 
 
 def _halved(camera: Camera, samples: int, directions: Floats, gap: float, tile: Tile) -> Iterator[Tile]:
@@ -327,19 +318,6 @@ def _cell_numbers(cells: int) -> NDArray[np.uint64]:
     return numbers
 
 
-@lru_cache(maxsize=1)
-def check_ray_places() -> None:
-    """Compare `ray_places` with where rays of the renderer meet a plane; `RenderError` if its version draws others."""
-    cells, seed = 2 * BLOCK_PX + 5, 12345
-    plane = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 1]).rotate([0, 1, 0], 180)}
-    scene = mi.load_dict({"type": "scene", "plane": {**plane, "to_world": plane["to_world"].scale([2, 2, 1])}})
-    hits = mi.load_dict({"type": "aov", "aovs": "point:position", "block_size": BLOCK_PX})
-    view = _square_view(np.eye(3), cells, FilmWindow(0, 0, cells, cells))
-    met = (interruptible(hits, scene, view, seed, 1)[..., :2].astype(np.float64) + 1.0) * cells / 2
-    if np.abs(met - ray_places(cells, seed)).max() > 1e-3:
-        raise RenderError("this version of Mitsuba draws its rays otherwise than assembled images count on")
-
-
 def least_samples(camera: Camera) -> int:
     """Samples a pixel of one capture, to which fewer are raised."""
     return LEAST_SAMPLES if is_assembled(camera) else 1
@@ -348,10 +326,7 @@ def least_samples(camera: Camera) -> int:
 def capture(
     integrator: Any, scene: Any, camera: Camera, *, samples: int, seed: int, window: FilmWindow | None = None
 ) -> NDArray[np.float64]:
-    """(H, W, 4) three channels and alpha of any camera; of a window only that part.
-
-    Samples are a pixel; Ctrl-C stops it. Outside of a fisheye's circle everything is 0.
-    """
+    """(H, W, 4) three channels and alpha, of a window that part; 0 outside of a fisheye's circle. Ctrl-C stops it."""
     if is_assembled(camera):
         return assemble(integrator, scene, camera, samples=samples, seed=seed, window=window)
     image = interruptible(integrator, scene, sensor_of(camera, samples, window), seed, samples)

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.optical_depth import largest_in_boxes
 from forestgen.core.errors import RenderError
 from forestgen.render.build import ray_corners_m
 from forestgen.render.sky import phase_function
@@ -56,7 +57,8 @@ def divide(clouds: CloudGrid, place_m: Floats, side_cells: int = SIDE_CELLS) -> 
     at = ((place_m - np.asarray(clouds.low_m)) / np.asarray(clouds.cell_m)).clip(-1e6, 1e6)
     while True:
         cuts = tuple(_cuts(count, int(np.floor(one)), side_cells) for count, one in zip(counts, at, strict=True))
-        cloudy = _cloudy(clouds.extinction_per_m, cuts)
+        most = largest_in_boxes(clouds.extinction_per_m, [one[:-1] for one in cuts[::-1]])
+        cloudy = most.transpose(2, 1, 0) > 0  # or borders on cloud that its interpolation reaches
         if cloudy.sum() <= _MOST_BRICKS:
             break
         side_cells *= 2
@@ -71,23 +73,10 @@ def _cuts(count: int, cell: int, side_cells: int) -> NDArray[np.int64]:
     return np.unique(np.concatenate([[0], inner, [count]])).astype(np.int64)
 
 
-def _cloudy(extinction_per_m: NDArray[np.float32], cuts: tuple[NDArray[np.int64], ...]) -> NDArray[np.bool_]:
-    """(bricks along x, y, z) which hold any cloud, or border on some that their interpolation reaches."""
-    from scipy.ndimage import maximum_filter
-
-    reach = maximum_filter(extinction_per_m, size=3, mode="nearest")
-    for axis, starts in zip((2, 1, 0), cuts, strict=True):
-        reach = np.maximum.reduceat(reach, starts[:-1], axis=axis)
-    return np.asarray(reach.transpose(2, 1, 0) > 0)
-
-
 def brick_shapes(
     clouds: CloudGrid, bricks: Bricks, origin_m: Floats, *, albedo: float | None = None
 ) -> tuple[dict[str, Any], list[Any]]:
-    """The faces of the bricks, as Mitsuba's dictionaries by name, and their media.
-
-    `albedo` is in place of the clouds' own; with 0 they only take light away.
-    """
+    """Faces of the bricks, Mitsuba's dictionaries by name, and media; `albedo` 0: they only take light away."""
     media = _media(clouds, bricks, origin_m, clouds.albedo if albedo is None else albedo)
     null = mi.load_dict({"type": "null"})
     shapes: dict[str, Any] = {}
@@ -148,10 +137,7 @@ def _media(clouds: CloudGrid, bricks: Bricks, origin_m: Floats, albedo: float) -
 
 
 def camera_shell(clouds: CloudGrid, bricks: Bricks, media: list[Any], camera: Camera) -> dict[str, Any]:
-    """What lets a camera stand in a cloud: nothing, if there is none around it.
-
-    Raises `RenderError` for parallel rays, which start all over a plane.
-    """
+    """Lets a camera stand in a cloud, if there is one. `RenderError`: parallel rays, which start all over a plane."""
     low_m, high_m = np.asarray(clouds.low_m), np.asarray(clouds.high_m)
     if projection_of(camera).is_parallel:
         corners = ray_corners_m(camera)

@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.optical_depth import advanced, clipped, entered, inside
+from forestgen.atmosphere.optical_depth import advanced, clipped, entered, inside, largest_in_boxes
 from forestgen.core.compiled import compiled, inlined, unowned_view
 from forestgen.core.threads import parallel_for
 
@@ -90,18 +90,12 @@ class Gathered(NamedTuple):
 def field_of(clouds: CloudGrid) -> CloudField:
     """The grid with its border repeated and the largest value of each brick."""
     grid = np.asarray(clouds.extinction_per_m, dtype=np.float32)
-    value = np.pad(grid, 1, mode="edge")
-    most = value
-    for axis, count in enumerate(grid.shape):
-        # Points of a brick lie between the centres of its own cells and one more at either side.
-        starts = np.arange(0, count, BRICK)
-        parts = [np.take(most, range(n, min(n + BRICK, count) + 2), axis=axis).max(axis=axis) for n in starts]
-        most = np.stack(parts, axis=axis)
+    value, most = np.pad(grid, 1, mode="edge"), largest_in_boxes(grid, [np.arange(0, n, BRICK) for n in grid.shape])
     low, high = np.asarray(clouds.low_m, dtype=np.float64), np.asarray(clouds.high_m, dtype=np.float64)
     phase = clouds.phase
     scattering = np.array([clouds.albedo, phase.forward, phase.backward, phase.forward_share])
     per_m = np.array(grid.shape[::-1]) / (high - low)
-    return CloudField(np.ascontiguousarray(value), np.ascontiguousarray(most), low, per_m, scattering)
+    return CloudField(np.ascontiguousarray(value), most, low, per_m, scattering)
 
 
 def gather(

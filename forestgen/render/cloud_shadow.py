@@ -163,10 +163,7 @@ def cloud_transport_of(
 
 
 def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
-    """Raise `RecipeError` where clouds are too near to measure light at a point.
-
-    The plane of their shadow would lie among the plants, or below the point.
-    """
+    """`RecipeError`: clouds so near that the plane of their shadow would lie among the plants or below a point."""
     near = _too_near(spec, [("the point", float(point_m[2]))], [np.asarray(point_m)])
     if near is not None:
         raise RecipeError(

@@ -18,7 +18,7 @@ scene to the clouds or back:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -187,18 +187,14 @@ class ExactView:
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed)
         result = np.empty((len(place_m), 3))
-        rows, broken = list(range(len(place_m))), 0
-        for _ in range(_TRIES):
-            for row in rows:
-                ray = mi.RayDifferential3f(mi.Ray3f(place_m[row].tolist(), direction[row].tolist()))
-                result[row] = self._tracer.sample(self._whole, sampler, ray)[0]
-            rows = np.flatnonzero(~np.isfinite(result).all(axis=1)).tolist()
-            broken += len(rows)
-            if not rows:
-                return result
-            if broken > _FEW_BROKEN + _BROKEN_SHARE * len(place_m):
-                break
-        raise _broken(broken, len(place_m))
+
+        def follow(row: int) -> None:
+            ray = mi.RayDifferential3f(mi.Ray3f(place_m[row].tolist(), direction[row].tolist()))
+            result[row] = self._tracer.sample(self._whole, sampler, ray)[0]
+
+        for row in range(len(place_m)):
+            follow(row)
+        return _mended(result, len(place_m), lambda attempt, row: follow(row))
 
 
 def endless_tracer() -> Any:
@@ -207,10 +203,7 @@ def endless_tracer() -> Any:
 
 
 def clear_air_m(spec: SceneSpec, camera_m: float) -> tuple[float, float] | None:
-    """World heights of the top of all surfaces and the camera, and of the lowest cloud; None if they meet.
-
-    `camera_m` is where the camera's highest ray starts.
-    """
+    """World heights of the top of surfaces and the rays' starts (`camera_m`), and of the lowest cloud; or None."""
     assert spec.clouds is not None
     clouds = spec.clouds
     cloudy = np.flatnonzero(clouds.extinction_per_m.any(axis=(1, 2)))
@@ -321,30 +314,33 @@ class _Parts:
 
 
 def _captured(tracer: Any, scene: Any, job: RenderJob, samples: int, name: tuple[str | int, ...]) -> Floats:
-    """(H, W, 3) image of the volume path tracer.
+    """(H, W, 3) image of the volume path tracer."""
+    image = capture(tracer, scene, job.camera, samples=samples, seed=child_seed(job.seed, *name))[..., :3]
+
+    def again(attempt: int, row: int, column: int) -> None:
+        seed, window = child_seed(job.seed, *name, "again", attempt, row, column), FilmWindow(column, row, 1, 1)
+        image[row, column] = capture(tracer, scene, job.camera, samples=samples, seed=seed, window=window)[0, 0, :3]
+
+    return _mended(image, samples * image[..., 0].size, again)
+
+
+def _mended(result: Floats, paths: int, again: Callable[..., None]) -> Floats:
+    """The result, its places without a number made `again`, by the attempt and where they are.
 
     Now and then a path of the renderer's through bricks ends in no number (one in half a million was seen; why is not
-    known). Its pixel is taken once more. `RenderError`: there are many such paths, so that something else is wrong.
+    known). `RenderError`: there are many such paths, so that something else is wrong.
     """
-    image = capture(tracer, scene, job.camera, samples=samples, seed=child_seed(job.seed, *name))[..., :3]
-    count, paths = 0, samples * image[..., 0].size
+    count = 0
     for attempt in range(_TRIES):
-        broken = np.argwhere(~np.isfinite(image).all(axis=2)).tolist()
+        broken = np.argwhere(~np.isfinite(result).all(axis=-1)).tolist()
         count += len(broken)
         if not broken:
-            return image
+            return result
         if count > _FEW_BROKEN + _BROKEN_SHARE * paths:
             break
-        for row, column in broken:
-            seed = child_seed(job.seed, *name, "again", attempt, row, column)
-            window = FilmWindow(column, row, 1, 1)
-            again = capture(tracer, scene, job.camera, samples=samples, seed=seed, window=window)
-            image[row, column] = again[0, 0, :3]
-    raise _broken(count, paths)
-
-
-def _broken(count: int, paths: int) -> RenderError:
-    return RenderError(
+        for place in broken:
+            again(attempt, *place)
+    raise RenderError(
         f"{count} of {paths} paths of light through the clouds end in no number",
         hint="the image would be wrong; move the camera by a few metres, or choose coarser clouds",
     )

@@ -181,10 +181,7 @@ def through_haze(
     timer: Callable[[str], Any],
     seen: Seen | None = None,
 ) -> Radiance:
-    """The image as the sky's haze shows it; the very same where there is none.
-
-    `seen` is what the camera sees through the haze's `extinction_towards`; None: it is traced.
-    """
+    """The image as the sky's haze, if any, shows it. `seen` is through `extinction_towards`; None: it is traced."""
     sky = tracer.spec.sky
     extinction = extinction_towards(camera, sky, mode)
     if extinction is None or sky.visibility_m is None:

@@ -47,10 +47,7 @@ def along(values: NDArray[np.floating], direction: Floats) -> Floats:
 
 
 def sky_map(sky: Sky, channels: Channels) -> NDArray[np.float32]:
-    """(MAP_ROWS, MAP_COLUMNS, 3) radiance of the sky without its sun, black below the horizon; see `map_directions`.
-
-    W/m²/sr/nm at the wavelengths; or linear Rec. 709 in cd/m².
-    """
+    """(MAP_ROWS, MAP_COLUMNS, 3) radiance without the sun, black below the horizon: W/m²/sr/nm; colour in cd/m²."""
     result = np.zeros((MAP_ROWS, MAP_COLUMNS, 3), dtype=np.float32)
     result[: MAP_ROWS // 2 + 1] = sky_model_of(sky).radiance(sky, daylight_of(sky).sky, channels)
     return _within_gamut(result) if channels.wavelength_nm is None else result

@@ -16,7 +16,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,13 +97,7 @@ def _radiance(
     shot = RenderJob(
         spec=tracer.spec,
         camera=camera,
-        until=StoppingCriterion(
-            samples=settings.samples,
-            target_error=settings.target_error,
-            target_error_p95=settings.target_error_p95,
-            time_budget_s=settings.time_budget_s,
-            most_samples=settings.most_samples,
-        ),
+        until=StoppingCriterion(**{one.name: getattr(settings, one.name) for one in fields(StoppingCriterion)}),
         seed=child_seed(seed, "radiance", camera.name),
         mode=settings.mode,
         max_depth=settings.max_depth,

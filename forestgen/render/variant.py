@@ -190,10 +190,7 @@ def renderer_errors() -> Iterator[None]:
 
 
 def interruptible(integrator: Any, scene: Any, sensor: Any, seed: int, samples: int) -> NDArray[np.float32]:
-    """(H, W, C) image of the scalar variant; Ctrl-C stops it within a fraction of a second.
-
-    Raises `RenderError` if the renderer failed, `MemoryError` if it ran out of memory.
-    """
+    """(H, W, C) scalar image; Ctrl-C stops it in no time. `RenderError`: it failed; `MemoryError`: of memory."""
 
     def work() -> NDArray[np.float32]:
         mi.set_variant(SCALAR)

@@ -24,7 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.optical_depth import advanced, clipped, corners, entered, inside, mixed, piece
+from forestgen.atmosphere.optical_depth import (
+    advanced,
+    clipped,
+    corners,
+    entered,
+    inside,
+    largest_in_boxes,
+    mixed,
+    piece,
+)
 from forestgen.core.compiled import compiled, unowned_view
 from forestgen.core.threads import parallel_for
 from forestgen.render.cloud_paths import scrambled
@@ -37,10 +46,7 @@ Floats = NDArray[np.float64]
 
 
 def disc_parameters(centre_m: Floats, radius_m: float) -> Floats:
-    """(13,) the sun as a disc that shines evenly: its centre, two radii across it, unit normal to the origin, area.
-
-    The centre (3,) is in metres from the frame's origin.
-    """
+    """(13,) an even disc by its centre from the origin, m: it, two radii across, unit normal to the origin, area."""
     normal = -centre_m / np.linalg.norm(centre_m)
     first = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.9 else [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first)
@@ -70,16 +76,11 @@ class WalkField:
 
     @classmethod
     def of(cls, clouds: CloudGrid, origin_m: Floats) -> WalkField:
-        from scipy.ndimage import maximum_filter
-
         value = np.ascontiguousarray(clouds.extinction_per_m, dtype=np.float32)
-        most = maximum_filter(value, size=3, mode="nearest")
-        for axis in range(3):
-            most = np.maximum.reduceat(most, np.arange(0, value.shape[axis], _BOX_CELLS), axis=axis)
         phase = clouds.phase
         return cls(
             value,
-            np.ascontiguousarray(most),
+            largest_in_boxes(value, [np.arange(0, n, _BOX_CELLS) for n in value.shape]),
             np.asarray(clouds.low_m) - origin_m,
             np.asarray(clouds.cell_m),
             np.array([clouds.albedo, phase.forward, phase.backward, phase.forward_share]),

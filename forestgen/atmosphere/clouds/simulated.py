@@ -156,10 +156,7 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
         return clouds_of_air(request, keys, air.weather, air.droplet_radius_um, keys.centre_m(request))
 
     def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
-        """The state of the air at the recipe's time: from the cache, or simulated.
-
-        Raises `RecipeError` as `scenario` does, or if the simulation fails.
-        """
+        """The air at the recipe's time, kept or simulated. `RecipeError`: as `scenario`, or the simulation fails."""
         keys, scenario, time_s = self.keys_of(drawn), self.scenario(drawn), self.time_of(drawn)
         seed = drawn.recipe.seed if keys.seed is None else keys.seed
         try:
@@ -185,10 +182,7 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
         return self.time_s
 
     def droplet_radius_um_at(self, drawn: DrawnRecipe, time_s: float) -> float:
-        """Effective radius of the droplets at a time: the recipe's, or the type's.
-
-        In a story's later phases it goes from the radius before to the new type's, linear over change_s.
-        """
+        """Effective radius: the recipe's or the type's, to which a story's phase goes, linear over change_s."""
         given = self.keys_of(drawn).droplet_radius_um
         if given is not None:
             return given

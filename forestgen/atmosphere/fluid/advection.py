@@ -26,10 +26,7 @@ _HALF, _SIXTH = np.float32(0.5), np.float32(1 / 6)
 
 
 class Transport:
-    """Carries ratios by a given velocity for a given step, in a box of (Z, Y, X) cells.
-
-    `openness` is that of `pressure.Boundaries`.
-    """
+    """Carries ratios by a velocity for a step, in (Z, Y, X) cells; `openness` as of `pressure.Boundaries`."""
 
     def __init__(self, shape: tuple[int, int, int], openness: Velocity | None) -> None:
         self.shape, self.openness = shape, openness
@@ -92,9 +89,9 @@ def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first
         by_x, by_both = squeeze[0, k], squeeze[1, k]
         if x_first:
             _sweep_x(plane, u[k], squeeze[:, k], _ZERO, -_ONE, x, opened_x, least, 0, rows, work)
-            _sweep_y(plane, v[k], by_x, by_both, -_ONE, y, opened_y, least, work)
+            _sweep_rows(plane, v[k], by_x, -_ONE, by_both, -_ONE, y, opened_y, least, work)
         else:
-            _sweep_y(plane, v[k], by_both, by_x, _ONE, y, opened_y, least, work)
+            _sweep_rows(plane, v[k], by_both, _ONE, by_x, _ONE, y, opened_y, least, work)
             _sweep_x(plane, u[k], squeeze[:, k], _ONE, _ZERO, x, opened_x, least, 2, rows - 2, work)
         out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
 
@@ -120,7 +117,7 @@ def _sweep_x(plane, u, squeeze, before, after, per_m, opened, least, first, end,
 
 
 @unchecked
-def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work):  # type: ignore[no-untyped-def]
+def _sweep_rows(plane, v, squeeze, sign, squeeze_after, sign_after, per_m, opened, least, work):  # type: ignore[no-untyped-def]
     """Columns of a plane, all at once, row by row. A cell's air is 1 + sign x squeeze, before and after."""
     plane, v, squeeze, squeeze_after = unowned_view((plane, v, squeeze, squeeze_after))
     rows = plane.shape[0]
@@ -141,7 +138,7 @@ def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work)
             else:
                 _fluxes_by_terrain(north, low, a, b, c, d, rest_south, rest_north, opened[j - 1], opened[j + 1])
         if j >= 3:
-            _settle(plane[j - 1], air[j - 1], south, north, squeeze_after[j - 1], sign, least)
+            _settle(plane[j - 1], air[j - 1], south, north, squeeze_after[j - 1], sign_after, least)
         south, north = north, south
         rest_south, rest_north = rest_north, rest_south
 
@@ -151,33 +148,14 @@ def _along_z(field, w, squeeze, per_m, opened, least, first, end):  # type: igno
     """Columns upwards, for rows [first, end). Nothing passes the ground or the ceiling."""
     field, w, squeeze = unowned_view((field, w, squeeze))
     layers, m = field.shape[0], field.shape[2]
-    before, air = np.empty((layers, m), np.float32), np.empty((layers, m), np.float32)
-    work = np.zeros((6, m), np.float32)
-    below, above = work[0], work[1]
-    rest_below, rest_above = work[2], work[3]
-    low, high = work[4], work[5]
-    top = layers - 3
+    plane, work = np.zeros((layers, m), np.float32), np.empty((6, m), np.float32)
     for j in range(first, end):
-        for k in range(2, layers - 2):
-            before[k] = field[k, j]
-        below[:] = _ZERO
-        for k in range(2, layers - 2):
-            _air(air[k], squeeze[1, k, j], -_ONE)
-            _scaled(low, w[k, j], per_m)
-            _scaled(high, w[k + 1, j], per_m)
-            _remains(rest_above, air[k], low, high)
-            if k > 2:
-                a, b, c, d = before[max(k - 2, 2)], before[k - 1], before[k], before[min(k + 1, top)]
-                if opened is None:
-                    _fluxes(above, low, a, b, c, d, rest_below, rest_above)
-                else:
-                    o, p = opened[2][k - 1, j], opened[2][k + 1, j]
-                    _fluxes_by_terrain(above, low, a, b, c, d, rest_below, rest_above, o, p)
-                _settle(field[k - 1, j], air[k - 1], below, above, squeeze[1, k - 1, j], _ONE, least)
-                below, above = above, below
-            rest_below, rest_above = rest_above, rest_below
-        above[:] = _ZERO
-        _settle(field[top, j], air[top], below, above, squeeze[1, top, j], _ONE, least)
+        plane[2:-2] = field[2:-2, j]
+        plane[1], plane[-2] = plane[2], plane[-3]  # no slope is seen beyond ground and ceiling
+        opened_z = None if opened is None else opened[2][:, j]
+        lost = squeeze[1, :, j]
+        _sweep_rows(plane, w[:, j], lost, -_ONE, lost, _ONE, per_m, opened_z, least, work)
+        field[2:-2, j] = plane[2:-2]
 
 
 @unchecked

@@ -74,10 +74,7 @@ def _weight(out, a, b, c, d):  # type: ignore[no-untyped-def]
 
 
 def carry_rest(heat: Field, up: Field, air: Background, step_s: float, thickness_m: float) -> None:
-    """Adds what the vertical wind carries of the air at rest: heat -= step x w d(theta_0)/dz, conserving its sum.
-
-    `up` is the vertical velocity at the faces.
-    """
+    """heat -= step x w d(theta_0)/dz, conserving its sum; `up` is the vertical velocity w at the faces."""
     jump = np.zeros(len(air.potential_temperature_k) + 1)
     jump[1:-1] = np.diff(air.potential_temperature_k)
     slope = (0.5 * step_s / thickness_m * jump).astype(np.float32)
@@ -180,10 +177,7 @@ def fall(
     thickness_m: float,
     flow_density_kg_per_m3: float,
 ) -> None:
-    """Lets drops fall by a distance, and adds what reaches the ground to `fallen_kg_per_m2` (Y, X).
-
-    `ground` (Y, X) is the number of the lowest cell of air in each column.
-    """
+    """Drops fall by a distance, the rest into `fallen_kg_per_m2` (Y, X); `ground` (Y, X) is the lowest cell of air."""
     whole, part = divmod(distance_m / thickness_m, 1.0)
     layers, rows, columns = rain.shape
     given = (min(int(whole), layers), np.float32(part), flow_density_kg_per_m3 * thickness_m)

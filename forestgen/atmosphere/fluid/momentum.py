@@ -29,6 +29,7 @@ from forestgen.core.threads import over_slabs
 Field = NDArray[np.float32]
 _TWO, _THREE, _SEVEN = np.float32(2), np.float32(3), np.float32(7)
 _HALF, _QUARTER = np.float32(0.5), np.float32(0.25)
+_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))  # steps along x, y and z in the arrays
 _TINY_PER_S = np.float32(1e-6)  # growth of vorticity across a cell that is taken for none
 
 
@@ -40,15 +41,12 @@ def advance_velocity(
     cell_m: tuple[float, float, float],
     viscosity_m2_per_s: float,
 ) -> None:
-    """out = base + step x (advection and viscosity of the carrier), for the components east, north, up, m/s.
-
-    The carrier is free of divergence. `out` may be `base`.
-    """
+    """out = base + step x (advection and viscosity of the divergence-free carrier), m/s; `out` may be `base`."""
     layers, rows, columns = carrier[0].shape
     step = np.float32(step_s)
     per_m = tuple(np.float32(1.0 / (24.0 * side)) for side in cell_m)
     smooth = tuple(np.float32(viscosity_m2_per_s / side**2) for side in cell_m)
-    for axis, back in enumerate(((0, 0, 1), (0, 1, 0), (1, 0, 0))):
+    for axis, back in enumerate(_AXES):
 
         def work(first: int, end: int, axis: int = axis, back: tuple[int, int, int] = back) -> None:
             _advance(carrier[axis], base[axis], out[axis], *carrier, back, step, per_m, smooth, first + 2, end + 2)
@@ -66,13 +64,13 @@ def _advance(q, base, out, u, v, w, back, step, per_m, smooth, first, end):  # t
     south, north, east = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n + 1, np.float32)
     viscous = smooth[0] > 0.0
     for j in range(2, rows - 2):
-        _up_flux(below[j], q, w, back, per_m[2], first, j)
+        _flux(below[j], q, w, back, _AXES[2], per_m[2], first, j)
     for k in range(first, end):
-        _north_flux(south, q, v, back, per_m[1], k, 2)
+        _flux(south, q, v, back, _AXES[1], per_m[1], k, 2)
         for j in range(2, rows - 2):
-            _east_flux(east, q, u, back, per_m[0], k, j)
-            _north_flux(north, q, v, back, per_m[1], k, j + 1)
-            _up_flux(above[j], q, w, back, per_m[2], k + 1, j)
+            _flux(east, q, u, back, _AXES[0], per_m[0], k, j)
+            _flux(north, q, v, back, _AXES[1], per_m[1], k, j + 1)
+            _flux(above[j], q, w, back, _AXES[2], per_m[2], k + 1, j)
             to = out[k, j, 2 : n + 2]
             _gather(to, base[k, j, 2 : n + 2], step, east, south, north, below[j], above[j])
             if viscous:
@@ -88,36 +86,13 @@ def _advance(q, base, out, u, v, w, back, step, per_m, smooth, first, end):  # t
 
 
 @unchecked
-def _east_flux(out, q, u, back, per_m, k, j):  # type: ignore[no-untyped-def]
-    n = out.size
-    a, b, c = k - back[0], j - back[1], 2 - back[2]
-    row = q[k, j]
-    _flux(out, u[k, j, 2 : n + 2], u[a, b, c : c + n], row[0:n], row[1 : n + 1], row[2 : n + 2], row[3 : n + 3], per_m)
-
-
-@unchecked
-def _north_flux(out, q, v, back, per_m, k, j):  # type: ignore[no-untyped-def]
-    n = out.size
-    a, b, c = k - back[0], j - back[1], 2 - back[2]
-    one, two = v[k, j, 2 : n + 2], v[a, b, c : c + n]
-    at = q[k]
-    _flux(out, one, two, at[j - 2, 2 : n + 2], at[j - 1, 2 : n + 2], at[j, 2 : n + 2], at[j + 1, 2 : n + 2], per_m)
-
-
-@unchecked
-def _up_flux(out, q, w, back, per_m, k, j):  # type: ignore[no-untyped-def]
-    n = out.size
-    a, b, c = k - back[0], j - back[1], 2 - back[2]
-    one, two = w[k, j, 2 : n + 2], w[a, b, c : c + n]
-    _flux(
-        out, one, two, q[k - 2, j, 2 : n + 2], q[k - 1, j, 2 : n + 2], q[k, j, 2 : n + 2], q[k + 1, j, 2 : n + 2], per_m
-    )
-
-
-@unchecked
-def _flux(out, one, two, a, b, c, d, per_m):  # type: ignore[no-untyped-def]
-    """Flux of a quantity whose values along the axis are a, b | c, d; the velocity is the mean of `one` and `two`."""
-    for i in range(out.size):
+def _flux(out, q, velocity, back, along, per_m, k, j):  # type: ignore[no-untyped-def]
+    """Flux of q along an axis into the row k, j; values a, b | c, d, velocity of two faces."""
+    n, (z, y, x) = out.size, along
+    one, two = velocity[k, j, 2 : n + 2], velocity[k - back[0], j - back[1], 2 - back[2] : 2 - back[2] + n]
+    a, b = q[k - 2 * z, j - 2 * y, 2 - 2 * x : 2 - 2 * x + n], q[k - z, j - y, 2 - x : 2 - x + n]
+    c, d = q[k, j, 2 : n + 2], q[k + z, j + y, 2 + x : 2 + x + n]
+    for i in range(n):
         speed = (one[i] + two[i]) * per_m
         even, odd = _SEVEN * (b[i] + c[i]) - (a[i] + d[i]), (d[i] - a[i]) - _THREE * (c[i] - b[i])
         out[i] = speed * even + abs(speed) * odd

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.grid import AirGrid
+from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import (
     AIR_EXPONENT,
     AIR_KG_PER_KMOL,
@@ -169,10 +169,13 @@ def moving_limit_s(crossing_per_s: float, lift_m_per_s2: float, thickness_m: flo
     return 2 * courant / (crossing_per_s + root)
 
 
-def check_fields(fields: dict[str, Field]) -> None:
+def check_fields(weather: Weather) -> None:
     """Raises UnstableError where a field is not finite."""
-    sums = at_once([partial(np.add.reduce, field, axis=None) for field in fields.values()])
-    for (name, field), total in zip(fields.items(), sums, strict=True):
+    names = ("east wind", "north wind", "upward wind", "potential temperature", "vapour", "cloud", "rain")
+    wind = (weather.east_m_per_s, weather.north_m_per_s, weather.up_m_per_s)
+    fields = (*wind, weather.potential_temperature_k, weather.vapour, weather.cloud, weather.rain)
+    sums = at_once([partial(np.add.reduce, field, axis=None) for field in fields])
+    for name, field, total in zip(names, fields, sums, strict=True):
         if np.isfinite(total):
             continue
         bad = np.argwhere(~np.isfinite(field))

@@ -118,10 +118,7 @@ class Pressure:
         return potential
 
     def _solve_around(self, divergence: Field) -> Field:
-        """The same with the terrain's faces shut: conjugate gradients, preconditioned by the open box.
-
-        Raises `UnstableError` if they do not converge.
-        """
+        """The same with terrain, by preconditioned conjugate gradients. `UnstableError`: they do not converge."""
         z, y, x = self.grid.shape
         potential = np.zeros_like(divergence)
         rest = divergence.copy()

@@ -78,10 +78,7 @@ def _fill(target: Identity | Surface, rows: slice, found: dict[str, Any]) -> Non
 
 
 def pixel_sums(tracer: SceneTracer, camera: Camera, wanted: Sequence[Values]) -> list[NDArray[np.float32]]:
-    """(C, H, W) for each of `wanted`: its C values, Float by ray, summed over a pixel's `SAMPLES` rays.
-
-    All of them are found in one launch: tracing the rays is what takes long.
-    """
+    """(C, H, W) for each of `wanted`: its C values by ray, summed over a pixel's `SAMPLES` rays, all in one launch."""
     blocks = []
     for _, hits in tracer.by_rows(camera, sample_offsets(SAMPLES), _SUMMED_AT_ONCE):
         values = [list(one(hits)) for one in wanted]
@@ -228,10 +225,7 @@ def _wrapped(index: Any, size: Any) -> Any:
 
 
 def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) -> Any:
-    """Whether nothing of the scene lies between the hits and the sun's centre; clouds do not count.
-
-    False everywhere under a sky without a sun.
-    """
+    """Whether nothing of the scene, clouds left out, hides the sun's centre; False under a sky without a sun."""
     point = tracer.start_of(camera, hits.rays) + hits.rays.direction * hits.distance_m
     sunny = dr.select(dr.dot(normal, tracer.to_sun) < 0, -normal, normal)  # leaves are lit through from below, too
     lift = LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
