@@ -26,7 +26,7 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.clouds.noise import cumulus_field
+from forestgen.atmosphere.clouds.noise import NoiseKeys, cumulus_field
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent, Timings
 from forestgen.render import sky
@@ -84,10 +84,8 @@ def main() -> int:
 
 def scene(sizes: Sizes) -> SceneSpec:
     middle = (SITE_M / 2, SITE_M / 2)
-    clouds = cumulus_field(
-        centre_m=middle, extent_m=6000.0, base_m=900.0, thickness_m=600.0, cover=0.37, extinction_per_m=0.08,
-        rng=np.random.default_rng(3), cell_m=40.0,
-    )  # fmt: skip
+    keys = NoiseKeys(type="noise", extent_m=6000.0, base_m=900.0, thickness_m=600.0, cover=0.37, extinction_per_m=0.08)
+    clouds = cumulus_field(keys, middle, np.random.default_rng(3), cell_m=40.0)
     ground = plain_ground(-20_000, 20_000, albedo=0.12)
     return scattered_scene(sizes.plants, size_m=SITE_M, exemplars=6, leaves=500, clouds=clouds, terrain=ground, seed=4)
 

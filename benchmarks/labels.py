@@ -23,7 +23,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from forestgen.atmosphere.clouds.noise import cumulus_field
+from forestgen.atmosphere.clouds.noise import NoiseKeys, cumulus_field
 from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.community.population import Population
 from forestgen.core.progress import Silent, Timings
@@ -76,15 +76,10 @@ class Subject:
             instances, size_m=size_m, exemplars=10, leaves=leaves, size_px=size_px, terrain=None
         )
         self.camera = self.spec.cameras[0]
-        self.clouds = cumulus_field(
-            centre_m=(size_m / 2, size_m / 2),
-            extent_m=6000.0,
-            base_m=900.0,
-            thickness_m=900.0,
-            cover=0.4,
-            extinction_per_m=0.05,
-            rng=np.random.default_rng(5),
+        keys = NoiseKeys(
+            type="noise", extent_m=6000.0, base_m=900.0, thickness_m=900.0, cover=0.4, extinction_per_m=0.05
         )
+        self.clouds = cumulus_field(keys, (size_m / 2, size_m / 2), np.random.default_rng(5))
         self.population = population(self.spec)
         self.classes = ClassMap(self.population.species_names)
         self.watch = Stopwatch()

@@ -3,8 +3,8 @@
 Some projections are the renderer's own, as `Projection.sensor` says. Images of the others, such as fisheyes and
 panoramas, are assembled: the faces of a cube around the camera are cut into square tiles, each rendered by a pinhole
 whose pixels, here called cells, are so small that an image pixel holds as many of them as it shall have samples, with
-one random ray through each. The ray's place in its cell depends on the seed alone, and `ray_places` repeats the
-renderer's draw, as that of the one pinned version. So each sample's direction is known exactly, and it is counted in the image pixel that
+one random ray through each. The ray's place in its cell depends on the seed alone, and `ray_places` repeats the draw
+of the renderer's pinned version. So each sample's direction is known exactly, and it is counted in the image pixel that
 `scene/projection.py` gives for it: edges are as sharp as by rays through the image's own pixels, and faces have no
 seams. A pixel is the mean of its samples, each weighted by the solid angle of its cell.
 

@@ -152,11 +152,11 @@ class ExactView:
     """A scene with its clouds, ready to be captured."""
 
     def __init__(self, job: RenderJob, timer: Timer) -> None:
-        self._job, self._timer = job, timer
+        self.job, self.timer = job, timer
         spec, camera = job.spec, job.camera
         assert spec.clouds is not None
-        self._origin = origin = origin_of(camera)
-        self._bsdfs = bsdfs = SpectralBsdfs()
+        self.origin = origin = origin_of(camera)
+        self.bsdfs = bsdfs = SpectralBsdfs()
         with timer("radiance: build"):
             surfaces = scene_dict(spec, origin, bsdfs)
             bricks = cloud_bricks.divide(spec.clouds, origin)
@@ -166,23 +166,23 @@ class ExactView:
             self._whole = load({**surfaces, **shapes, **shell, **emitters})
             self._tracer = endless_tracer()
             gap = None if is_assembled(camera) else clear_air_m(spec, float(ray_corners_m(camera)[:, 2].max()))
-            self._parts = None if gap is None else _Parts(job, bsdfs, surfaces, bricks, gap, timer)
+            self._parts = None if gap is None else _Parts(self, surfaces, bricks, gap)
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         with using(SCALAR):
             return self._take(channels, samples, number)
 
     def _take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
-        with self._timer("radiance: repaint"):
-            self._bsdfs.repaint(channels)
+        with self.timer("radiance: repaint"):
+            self.bsdfs.repaint(channels)
         if self._parts is None:
-            with self._timer("light paths"):
-                return _captured(self._tracer, self._whole, self._job, samples, ("whole", *number))
+            with self.timer("light paths"):
+                return _captured(self._tracer, self._whole, self.job, samples, ("whole", *number))
         # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
         image = self._parts.by_sun((samples + 1) // 2, number)
-        return image + self._parts.by_clouds(channels, samples, number, self._followed)
+        return image + self._parts.by_clouds(channels, samples, number)
 
-    def _followed(self, place_m: Floats, direction: Floats, seed: int) -> Floats:
+    def followed(self, place_m: Floats, direction: Floats, seed: int) -> Floats:
         """(N, 3) radiance that comes from the scene with its clouds to (N, 3) places, one path each."""
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed)
@@ -229,23 +229,18 @@ class _Parts:
     """The parted way."""
 
     def __init__(
-        self,
-        job: RenderJob,
-        bsdfs: SpectralBsdfs,
-        surfaces: dict[str, Any],
-        bricks: cloud_bricks.Bricks,
-        gap_m: tuple[float, float],
-        timer: Timer,
+        self, view: ExactView, surfaces: dict[str, Any], bricks: cloud_bricks.Bricks, gap_m: tuple[float, float]
     ) -> None:
-        self._job, self._timer = job, timer
-        spec, origin = job.spec, origin_of(job.camera)
+        self._followed = view.followed
+        self._job, self._timer, origin = view.job, view.timer, view.origin
+        job, spec = view.job, view.job.spec
         assert spec.clouds is not None
         self._field = WalkField.of(spec.clouds, origin)
         self._disc, self._by_sun = None, None
         if has_sun(spec.sky):
             self._disc = _disc_of(spec)
             shapes, _ = cloud_bricks.brick_shapes(spec.clouds, bricks, origin, albedo=0.0)
-            sun = bsdfs.add(lambda channels: sun_disc(spec.sky, channels))
+            sun = view.bsdfs.add(lambda channels: sun_disc(spec.sky, channels))
             self._by_sun = load({**surfaces, **shapes, "sun": sun})
             self._thinned = path_tracer("volpath", job.max_depth)
         top, lowest = gap_m
@@ -266,7 +261,7 @@ class _Parts:
         with self._timer("light paths"):
             return _captured(self._thinned, self._by_sun, self._job, samples, ("sun", *number))
 
-    def by_clouds(self, channels: Channels, samples: int, number: tuple[int, int], followed: Any) -> Floats:
+    def by_clouds(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         """(H, W, 3) all other light."""
         camera = self._job.camera
         width, height = camera.size_px
@@ -284,7 +279,7 @@ class _Parts:
                     paths = trace(finer, child_seed(self._job.seed, *name), window)
                 light = np.zeros((len(paths.pixel), 3))
                 for walk in range(each):
-                    light += self._walked(paths, sky, sun, (*name, walk), followed) / each
+                    light += self._walked(paths, sky, sun, (*name, walk)) / each
                 row, column = (
                     window.offset_y + paths.pixel // window.width,
                     window.offset_x + paths.pixel % window.width,
@@ -295,7 +290,7 @@ class _Parts:
                     total[:, channel] += np.bincount(pixel, weight, len(total))
         return total.reshape(height, width, 3)
 
-    def _walked(self, paths: Escapes, sky: Any, sun: Floats, name: tuple[str | int, ...], followed: Any) -> Floats:
+    def _walked(self, paths: Escapes, sky: Any, sun: Floats, name: tuple[str | int, ...]) -> Floats:
         """(N, 3) radiance that one walk each finds for paths that left the scene."""
         with self._timer("clouds"):
             seed = child_seed(self._job.seed, "walks", *name)
@@ -308,7 +303,7 @@ class _Parts:
         chosen = chosen[rng.random(len(chosen)) < 1.0 / _DOWN_EVERY]
         with self._timer("light paths"):
             seed = child_seed(self._job.seed, "followed", *name)
-            met = followed(walks.leaves_m[chosen], walks.direction[chosen], seed)
+            met = self._followed(walks.leaves_m[chosen], walks.direction[chosen], seed)
         light[chosen] += _DOWN_EVERY * walks.weight[chosen, None] * met
         return light
 

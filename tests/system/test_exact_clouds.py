@@ -204,10 +204,10 @@ def test_paths_that_end_in_no_number_are_drawn_once_more_and_many_are_refused(mo
     with using(SCALAR):
         view = ExactView(shot, Timings())
         view._tracer = Unlucky([np.nan, 1.0, np.inf])
-        assert np.array_equal(view._followed(place, way, 1), np.ones((5, 3)))
+        assert np.array_equal(view.followed(place, way, 1), np.ones((5, 3)))
         view._tracer = Unlucky([np.nan] * 100)
         with pytest.raises(RenderError, match="end in no number"):
-            view._followed(place, way, 1)
+            view.followed(place, way, 1)
     broken = [2]
 
     def captured(tracer, scene, camera, *, samples, seed, window=None):
