@@ -26,7 +26,7 @@ _HALF, _SIXTH = np.float32(0.5), np.float32(1 / 6)
 
 
 class Transport:
-    """Carries ratios by a velocity for a step, in (Z, Y, X) cells; `openness` as of `pressure.Boundaries`."""
+    """Carries ratios by a velocity for a step, in (Z, Y, X) cells; `openness` as of `pressure.Pressure`."""
 
     def __init__(self, shape: tuple[int, int, int], openness: Velocity | None) -> None:
         self.shape, self.openness = shape, openness

@@ -48,7 +48,7 @@ from forestgen.atmosphere.fluid.parameters import (
     fixed_limit_s,
     moving_limit_s,
 )
-from forestgen.atmosphere.fluid.pressure import Boundaries, Pressure, solid_cells
+from forestgen.atmosphere.fluid.pressure import Pressure, solid_cells
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import Sounding, saturation_ratio
 from forestgen.core.threads import at_once
@@ -102,11 +102,9 @@ def _wind_around(grid: AirGrid, air: Background, solid: NDArray[np.bool_] | None
     """The sounding's wind, made to flow around terrain."""
     u, v, w = (np.zeros(tuple(n + 4 for n in grid.shape), np.float32) for _ in range(3))
     u[2:-2], v[2:-2] = air.wind_m_per_s.T.astype(np.float32)[:, :, None, None]
-    sides = Boundaries(solid)
-    sides.apply((u, v, w))
-    if solid is not None and air.wind_m_per_s.any():
-        Pressure(grid, sides.openness).project((u, v, w))
-        sides.apply((u, v, w))
+    pressure = Pressure(grid, solid)
+    make = pressure.project if solid is not None and air.wind_m_per_s.any() else pressure.set_sides
+    make((u, v, w))
     return u[2:-2, 2:-2, 2:-1].copy(), v[2:-2, 2:-1, 2:-2].copy(), w[2:-1, 2:-2, 2:-2].copy()
 
 
@@ -121,9 +119,8 @@ class Air:
         self.grid, self.sounding, self.surface, self.physics = grid, sounding, surface, physics
         self.background = background(grid, sounding)
         self.solid = solid_cells(grid, surface)
-        self._sides = Boundaries(self.solid)
-        self._pressure = Pressure(grid, self._sides.openness)
-        self._transport = Transport(grid.shape, self._sides.openness)
+        self._pressure = Pressure(grid, self.solid)
+        self._transport = Transport(grid.shape, self._pressure.openness)
         self._ground = Ground(grid, surface, self.solid, self.background)
         self._confinement = Confinement(grid, physics.confinement, self.solid)
         padded = tuple(n + 4 for n in grid.shape)
@@ -179,7 +176,7 @@ class Air:
             u, v, w = self._wind
             u[2:-2, 2:-2, 2:-1], v[2:-2, 2:-1, 2:-2] = weather.east_m_per_s, weather.north_m_per_s
             w[2:-1, 2:-2, 2:-2] = weather.up_m_per_s
-            self._sides.apply(self._wind)
+            self._pressure.set_sides(self._wind)
             for to, water in zip(self._ratios[1:], (weather.vapour, weather.cloud, weather.rain), strict=True):
                 to[_INNER] = water
         lift(self._lift, *self._ratios, self.background, 1.0)
@@ -214,9 +211,7 @@ class Air:
         w += np.float32(step_s) * self._lift[1:-1]
         if self._calm.any():
             w *= (1 / (1 + step_s * self._calm[1:-1])).astype(np.float32)[:, None, None]
-        self._sides.apply(out)
         self._pressure.project(out)
-        self._sides.apply(out)
 
     def _carry_ratios(self, step_s: float) -> None:
         heat, vapour, cloud, rain = self._ratios

@@ -30,30 +30,6 @@ _ENOUGH_PER_S = 1e-7  # root mean square of the divergence that is left, over te
 _TOO_MUCH_PER_S = 1e-5  # of what is left after all iterations: a step of 1 s makes that share of the air from nothing
 
 
-class Boundaries:
-    """The sides of a box, around `solid` cells (Z, Y, X) inside the terrain, if there are any.
-
-    `openness` per axis x, y, z is a field (Z + 4, Y + 4, X + 4): 1 at faces between two cells of air, 0 at others; None
-    without terrain.
-    """
-
-    def __init__(self, solid: NDArray[np.bool_] | None) -> None:
-        self.openness = None if solid is None else _openness(solid)
-
-    def apply(self, velocity: Velocity) -> None:
-        """Sets the velocity at the sides and its ghosts."""
-        u, v, w = velocity
-        if self.openness is not None:
-            for field, opened in zip(velocity, self.openness, strict=True):
-                field *= opened
-        w[2] = w[-2] = 0
-        at_once([partial(fill_sides, field) for field in velocity])
-        for field in (u, v):
-            field[1], field[0] = field[2], field[3]
-            field[-2], field[-1] = field[-3], field[-4]
-        w[1], w[0], w[-1] = -w[3], -w[4], -w[-3]
-
-
 def fill_sides(field: Field) -> None:
     """Ghost cells at the four periodic sides of a field (Z, Y + 4, X + 4)."""
     field[:, :, :2], field[:, :, -2:] = field[:, :, -4:-2], field[:, :, 2:4]
@@ -87,24 +63,40 @@ def solid_cells(grid: AirGrid, surface: Surface | None) -> NDArray[np.bool_] | N
 
 
 class Pressure:
-    """Solver of one grid. `potential` is a pressure over density, times the step: (Z, Y, X) m2/s."""
+    """Sides and solver of one grid, around `solid` cells (Z, Y, X) inside the terrain, if there are any.
 
-    def __init__(self, grid: AirGrid, openness: Velocity | None) -> None:
-        self.grid, self.openness = grid, openness
+    `openness` per axis x, y, z is a field (Z + 4, Y + 4, X + 4): 1 at faces between two cells of air, 0 at others; None
+    without terrain. A potential is a pressure over density, times the step: (Z, Y, X) m2/s.
+    """
+
+    def __init__(self, grid: AirGrid, solid: NDArray[np.bool_] | None) -> None:
+        self.grid, self.openness = grid, None if solid is None else _openness(solid)
         self.per_m = tuple(np.float32(1 / side) for side in grid.cell_m)
         self._inverse = _inverse_eigenvalues(grid)
         self._divergence = np.zeros(grid.shape, np.float32)
 
-    def project(self, velocity: Velocity) -> None:
-        """Takes the divergence out of a velocity (Z + 4, Y + 4, X + 4) in place; its faces at walls are set before.
+    def set_sides(self, velocity: Velocity) -> None:
+        """Sets the velocity at the sides and its ghosts."""
+        u, v, w = velocity
+        if self.openness is not None:
+            for field, opened in zip(velocity, self.openness, strict=True):
+                field *= opened
+        w[2] = w[-2] = 0
+        at_once([partial(fill_sides, field) for field in velocity])
+        for field in (u, v):
+            field[1], field[0] = field[2], field[3]
+            field[-2], field[-1] = field[-3], field[-4]
+        w[1], w[0], w[-1] = -w[3], -w[4], -w[-3]
 
-        The ghosts of the result are not filled, nor are the last faces of the sides.
-        """
+    def project(self, velocity: Velocity) -> None:
+        """Sets the sides of a velocity (Z + 4, Y + 4, X + 4), and takes the divergence out of it, in place."""
+        self.set_sides(velocity)
         z, y, x = self.grid.shape
         out = self._divergence
         over_slabs(z, y * x, lambda a, b: _divergence(out, *velocity, *self.per_m, a, b))
         potential = self.solve(out) if self.openness is None else self._solve_around(out)
         over_slabs(z, y * x, lambda a, b: _subtract(potential, *velocity, *self.per_m, self.openness, a, b))
+        self.set_sides(velocity)
 
     def solve(self, divergence: Field) -> Field:
         """(Z, Y, X) potential whose Laplacian is the divergence, over the whole box."""
