@@ -3,7 +3,7 @@
 A stand under a field of cumulus, ten cameras: on the ground, over the crowns, and from the air. Each image comes from
 `render_radiance`, as the pipeline calls it, by both transports of light and without clouds. Seconds are of all
 processors; compiling is not counted, building scenes and baking the sky are. Errors are the images' own relative errors
-(render/noise.py).
+(render/rendering.py).
 
 1. agreement: mean radiance of the pixels that see no sky, farfield against exact. Bounds: all cameras together within
    3%; each camera too, three standard errors beyond.

@@ -80,29 +80,6 @@ def _windows(box: NDArray[np.float64], anywhere: NDArray[np.bool_], size_px: tup
     return np.where(shown[:, None], window, 0).astype(np.int32)
 
 
-class _Alone:
-    """Exemplars of one tracer, each in a scene of its own; built when first asked for, kept for the next camera."""
-
-    def __init__(self) -> None:
-        self._hulls: dict[int, Hull] = {}
-        self._scenes: dict[int, Any] = {}
-        self._triangles = 0
-
-    def hull(self, number: int, exemplar: Exemplar) -> Hull:
-        if number not in self._hulls:
-            self._hulls[number] = hull_of([organ.mesh for organ in exemplar.organs])
-        return self._hulls[number]
-
-    def scene(self, number: int, exemplar: Exemplar) -> Any:
-        if number in self._scenes:
-            return self._scenes[number]
-        scene = alone_scene(exemplar)
-        if self._triangles + exemplar.triangles <= _TRIANGLES_KEPT:
-            self._scenes[number] = scene
-            self._triangles += exemplar.triangles
-        return scene
-
-
 def alone_scene(exemplar: Exemplar) -> Any:
     """A scene of the current variant that holds one exemplar in its own frame.
 
@@ -114,7 +91,19 @@ def alone_scene(exemplar: Exemplar) -> Any:
     return load({"group": {"type": "shapegroup", **meshes}, "instance": instance})
 
 
-_alone: WeakKeyDictionary[SceneTracer, _Alone] = WeakKeyDictionary()
+# Of a tracer: hulls, and scenes that hold one exemplar each, kept for the next camera.
+_kept: WeakKeyDictionary[SceneTracer, tuple[dict[int, Hull], dict[int, Any]]] = WeakKeyDictionary()
+
+
+def _alone(tracer: SceneTracer, number: int) -> Any:
+    """The scene of one exemplar."""
+    exemplars, scenes = tracer.spec.exemplars, _kept[tracer][1]
+    if number in scenes:
+        return scenes[number]
+    scene = alone_scene(exemplars[number])
+    if sum(exemplars[one].triangles for one in (*scenes, number)) <= _TRIANGLES_KEPT:
+        scenes[number] = scene
+    return scene
 
 
 def trace_amodal(
@@ -144,19 +133,20 @@ def trace_amodal(
     ids = np.unique(np.asarray(plant_ids, dtype=np.uint32))
     rows = tracer.spec.instances.rows_of(ids)
     exemplar = tracer.spec.instances.exemplar[rows]
-    alone = _alone.setdefault(tracer, _Alone())
+    hulls, _ = _kept.setdefault(tracer, ({}, {}))
     offsets = sample_offsets(samples)
     window, box = np.zeros((len(ids), 4), dtype=np.int32), np.full((len(ids), 4), np.nan)
     parts: list[tuple[NDArray[np.int64], NDArray[np.uint16]]] = []
     with using(tracer.variant):
         for number in np.unique(exemplar).tolist():
             members = np.flatnonzero(exemplar == number)
-            model = tracer.spec.exemplars[number]
             with timer("amodal: outlines"):
-                found = outlines(alone.hull(number, model), tracer.spec.instances.transform[rows[members]], camera)
+                if number not in hulls:
+                    hulls[number] = hull_of([organ.mesh for organ in tracer.spec.exemplars[number].organs])
+                found = outlines(hulls[number], tracer.spec.instances.transform[rows[members]], camera)
             window[members], box[members] = found.window_px, found.full_box_px
             with timer("amodal: build"):
-                scene = alone.scene(number, model)
+                scene = _alone(tracer, number)
             with timer("amodal: trace"):
                 for chunk in _chunks(members, window):
                     counts = _trace(scene, tracer, camera, rows[chunk], window[chunk], offsets)

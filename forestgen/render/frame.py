@@ -120,7 +120,7 @@ class Radiance:
     bands: tuple[Band, ...] = ()  # of the channels; none: linear Rec. 709
     replicates: int = 0  # independent estimates behind each variance
     open_irradiance: tuple[float, ...] = ()  # of level ground in the open, clouds left out, by channel: lux, or W/m²/nm
-    relative_error: float = float("nan")  # standard error over value, mean of the pixels: render/noise.py
+    relative_error: float = float("nan")  # standard error over value, mean of the pixels: render/rendering.py
     relative_error_p95: float = float("nan")  # its 95th percentile
     stopped_by: str = "samples"  # why no more: "target_error", "most_samples" or "time_budget_s" where one was set
 

@@ -155,14 +155,23 @@ def _vorticity(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ig
     out, u, v, w = unowned_view((out, u, v, w))
     rows, columns = out.shape[2], out.shape[3]
     x, y, z = _QUARTER * x_per_m, _QUARTER * y_per_m, _QUARTER * z_per_m
+    n = columns + 1
     for a in range(first, end):
         k = max(a + 1, 2)
         for b in range(rows):
             j = b + 1
-            above, below = v[k + 1, j : j + 2], v[k - 1, j : j + 2]
-            _turn(out[0, a, b], w[k : k + 2, j + 1], w[k : k + 2, j - 1], y, above, below, z)
-            _turn_up(out[1, a, b], u[k + 1, j], u[k - 1, j], z, w[k : k + 2, j], x)
-            _turn_flat(out[2, a, b], v[k, j : j + 2], x, u[k, j + 1], u[k, j - 1], y)
+            _turn(
+                out[0, a, b], w[k, j + 1, 1:n], w[k + 1, j + 1, 1:n], w[k, j - 1, 1:n], w[k + 1, j - 1, 1:n], y,
+                v[k + 1, j, 1:n], v[k + 1, j + 1, 1:n], v[k - 1, j, 1:n], v[k - 1, j + 1, 1:n], z,
+            )  # fmt: skip
+            _turn(
+                out[1, a, b], u[k + 1, j, 1:n], u[k + 1, j, 2 : n + 1], u[k - 1, j, 1:n], u[k - 1, j, 2 : n + 1], z,
+                w[k, j, 2 : n + 1], w[k + 1, j, 2 : n + 1], w[k, j, : n - 1], w[k + 1, j, : n - 1], x,
+            )  # fmt: skip
+            _turn(
+                out[2, a, b], v[k, j, 2 : n + 1], v[k, j + 1, 2 : n + 1], v[k, j, : n - 1], v[k, j + 1, : n - 1], x,
+                u[k, j + 1, 1:n], u[k, j + 1, 2 : n + 1], u[k, j - 1, 1:n], u[k, j - 1, 2 : n + 1], y,
+            )  # fmt: skip
         for part in range(3):
             _less_mean(out[part, a])
         for b in range(rows):
@@ -186,31 +195,10 @@ def _less_mean(layer):  # type: ignore[no-untyped-def]
 
 
 @unchecked
-def _turn(out, w_north, w_south, y, v_above, v_below, z):  # type: ignore[no-untyped-def]
-    """dw/dy - dv/dz."""
-    a, b, c, d = w_north[0], w_north[1], w_south[0], w_south[1]
-    e, f, g, h = v_above[0], v_above[1], v_below[0], v_below[1]
+def _turn(out, a, b, c, d, one_per_m, e, f, g, h, other_per_m):  # type: ignore[no-untyped-def]
+    """Difference of two derivatives, each of the mean of two faces, such as dw/dy - dv/dz."""
     for i in range(out.size):
-        rise = (a[i + 1] + b[i + 1]) - (c[i + 1] + d[i + 1])
-        out[i] = rise * y - ((e[i + 1] + f[i + 1]) - (g[i + 1] + h[i + 1])) * z
-
-
-@unchecked
-def _turn_up(out, u_above, u_below, z, w, x):  # type: ignore[no-untyped-def]
-    """du/dz - dw/dx."""
-    a, b = w[0], w[1]
-    for i in range(out.size):
-        shear = (u_above[i + 1] + u_above[i + 2]) - (u_below[i + 1] + u_below[i + 2])
-        out[i] = shear * z - ((a[i + 2] + b[i + 2]) - (a[i] + b[i])) * x
-
-
-@unchecked
-def _turn_flat(out, v, x, u_north, u_south, y):  # type: ignore[no-untyped-def]
-    """dv/dx - du/dy."""
-    a, b = v[0], v[1]
-    for i in range(out.size):
-        shear = (u_north[i + 1] + u_north[i + 2]) - (u_south[i + 1] + u_south[i + 2])
-        out[i] = ((a[i + 2] + b[i + 2]) - (a[i] + b[i])) * x - shear * y
+        out[i] = ((a[i] + b[i]) - (c[i] + d[i])) * one_per_m - ((e[i] + f[i]) - (g[i] + h[i])) * other_per_m
 
 
 @unchecked
