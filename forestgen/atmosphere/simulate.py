@@ -18,7 +18,7 @@ import hashlib
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,11 @@ def weather_store() -> DiskCache | None:
     """Where weather is kept; None if there is no place for it."""
     root = cache_root()
     return None if root is None else DiskCache(root / "weather", _MOST_BYTES)
+
+
+def weather_key(*inputs: Any) -> str:
+    """What weather is kept under, by all that it depends on: code, numbers, dataclasses of arrays."""
+    return hashlib.blake2b(pack(inputs), digest_size=20).hexdigest()
 
 
 def read_weather(store: DiskCache, key: str) -> Weather | None:
@@ -233,10 +238,8 @@ class _Work:
         self._kept_s = time.monotonic()
 
     def _key(self, stop: _Stop) -> str:
-        digest = hashlib.blake2b(digest_size=20)
-        until_then = described(self._scenario.phases[: stop.phase + 1])
-        digest.update(repr((code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, until_then)).encode())
-        return digest.hexdigest()
+        until_then = self._scenario.phases[: stop.phase + 1]
+        return weather_key(code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, until_then)
 
     def _fresh(self, number: int) -> Weather:
         conditions = self._scenario.phases[number].conditions
@@ -328,15 +331,3 @@ def _patches(
     amplitude = np.where(k > 0, np.exp(-0.5 * ((k - centre) / (0.35 * centre)) ** 2), 0.0)
     noise = scipy.fft.ifftn(scipy.fft.fftn(white) * amplitude).real
     return np.asarray((noise - noise.mean()) / noise.std())
-
-
-def described(value: Any) -> Any:
-    """Plain and complete, for a hash: arrays by their bytes."""
-    if is_dataclass(value):
-        named = {one.name: getattr(value, one.name) for one in fields(value)}
-        return type(value).__name__, tuple((name, described(one)) for name, one in named.items())
-    if isinstance(value, tuple):
-        return tuple(described(one) for one in value)
-    if isinstance(value, np.ndarray):
-        return value.shape, value.dtype.str, hashlib.blake2b(np.ascontiguousarray(value).tobytes()).hexdigest()
-    return float(value) if isinstance(value, int | float) else value

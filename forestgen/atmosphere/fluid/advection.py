@@ -40,9 +40,10 @@ class Transport:
         """Sets velocity (m/s, at the faces, ghosts filled) and step."""
         self._velocity = velocity
         self._per_m = tuple(np.float32(step_s / side) for side in cell_m)
-        x, y = self._per_m[:2]
-        z, rows, columns = self.shape
-        over_slabs(z, rows * columns, lambda a, b: _squeeze(self._squeeze, *velocity[:2], x, y, a + 2, b + 2))
+        (u, v, _), (x, y, _), inner = velocity, self._per_m, (slice(2, -2),) * 3
+        along_x, along_both = (part[inner] for part in self._squeeze)
+        along_x[:] = (_HALF * x) * np.diff(u[2:-2, 2:-2, 2:-1], axis=2)
+        along_both[:] = along_x + (_HALF * y) * np.diff(v[2:-2, 2:-1, 2:-2], axis=1)
         for part in self._squeeze:
             fill_sides(part[2:-2])
 
@@ -62,17 +63,6 @@ class Transport:
         over_slabs(y, z * x, lambda a, b: _along_z(between, w, squeeze, cz, opened, low, a + 2, b + 2))
         fill_sides(between[2:-2])
         over_slabs(z, y * x, lambda a, b: _sweep_flat(between, ratio, False, *flat, a + 2, b + 2))
-
-
-@unchecked
-def _squeeze(out, u, v, cx, cy, first, end):  # type: ignore[no-untyped-def]
-    rows, columns = u.shape[1], u.shape[2]
-    for k in range(first, end):
-        for j in range(2, rows - 2):
-            for i in range(2, columns - 2):
-                x = _HALF * cx * (u[k, j, i + 1] - u[k, j, i])
-                out[0, k, j, i] = x
-                out[1, k, j, i] = x + _HALF * cy * (v[k, j + 1, i] - v[k, j, i])
 
 
 @unchecked

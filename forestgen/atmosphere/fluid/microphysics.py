@@ -46,31 +46,18 @@ def lift(out: Field, heat: Field, vapour: Field, cloud: Field, rain: Field, air:
     rest = still[1:] + still[:-1]  # of just such numbers as the fields hold: air at rest has no buoyancy at all
     layers, rows, columns = out.shape
     light, gravity = np.float32(VAPOUR_LIGHTNESS), np.float32(0.5 * GRAVITY_M_PER_S2)
-    given = (per_k, rest, light, gravity, np.float32(share), np.float32(1 - share))
-    over_slabs(layers - 2, rows * columns, lambda a, b: _lift(out, heat, vapour, cloud, rain, *given, a + 1, b + 1))
+    new, old = np.float32(share), np.float32(1 - share)
 
+    def work(first: int, end: int) -> None:
+        low, high = (slice(first + k, end + k) for k in (2, 3))  # of cells, below and above the faces
+        (warm, hot), (damp, wet), (c, d), (e, f) = (
+            [field[part, 2:-2, 2:-2] for part in (low, high)] for field in (heat, vapour, cloud, rain)
+        )
+        moist = light * ((damp + wet) - rest[first:end, None, None]) - ((c + e) + (d + f))
+        scale, to = (_HALF * per_k)[first + 1 : end + 1, None, None], out[first + 1 : end + 1]
+        to[:] = new * (scale * (warm + hot) + gravity * moist) + old * to
 
-@unchecked
-def _lift(out, heat, vapour, cloud, rain, per_k, rest, light, gravity, new, old, first, end):  # type: ignore[no-untyped-def]
-    out, heat, vapour, cloud, rain = unowned_view((out, heat, vapour, cloud, rain))
-    rows, columns = out.shape[1], out.shape[2]
-    water = np.empty(columns, np.float32)
-    for k in range(first, end):
-        for j in range(rows):
-            _weight(water, cloud[k + 1, j + 2], rain[k + 1, j + 2], cloud[k + 2, j + 2], rain[k + 2, j + 2])
-            h, q = heat[k + 1 : k + 3, j + 2], vapour[k + 1 : k + 3, j + 2]
-            scale = _HALF * per_k[k]
-            to = out[k, j]
-            low, high, damp, wet = h[0], h[1], q[0], q[1]
-            for i in range(columns):
-                moist = light * ((damp[i + 2] + wet[i + 2]) - rest[k - 1]) - water[i]
-                to[i] = new * (scale * (low[i + 2] + high[i + 2]) + gravity * moist) + old * to[i]
-
-
-@unchecked
-def _weight(out, a, b, c, d):  # type: ignore[no-untyped-def]
-    for i in range(out.size):
-        out[i] = (a[i + 2] + b[i + 2]) + (c[i + 2] + d[i + 2])
+    over_slabs(layers - 2, rows * columns, work)
 
 
 def carry_rest(heat: Field, up: Field, air: Background, step_s: float, thickness_m: float) -> None:
@@ -78,21 +65,8 @@ def carry_rest(heat: Field, up: Field, air: Background, step_s: float, thickness
     jump = np.zeros(len(air.potential_temperature_k) + 1)
     jump[1:-1] = np.diff(air.potential_temperature_k)
     slope = (0.5 * step_s / thickness_m * jump).astype(np.float32)
-    layers, rows, columns = heat.shape
-    size = (rows - 4) * (columns - 4)
-    over_slabs(layers - 4, size, lambda a, b: _carry_rest(heat, up, slope, a + 2, b + 2))
-
-
-@unchecked
-def _carry_rest(heat, up, slope, first, end):  # type: ignore[no-untyped-def]
-    heat, up = unowned_view((heat, up))
-    rows, columns = heat.shape[1], heat.shape[2]
-    for k in range(first, end):
-        below, above = slope[k - 2], slope[k - 1]
-        for j in range(2, rows - 2):
-            row, low, high = heat[k, j], up[k, j], up[k + 1, j]
-            for i in range(2, columns - 2):
-                row[i] -= below * low[i] + above * high[i]
+    faces, inner = slope[:, None, None] * up[2:-1, 2:-2, 2:-2], heat[2:-2, 2:-2, 2:-2]
+    inner -= faces[:-1] + faces[1:]
 
 
 def change_phases(

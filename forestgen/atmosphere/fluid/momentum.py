@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.parameters import Velocity
+from forestgen.atmosphere.fluid.parameters import AXES, Velocity
 from forestgen.atmosphere.grid import AirGrid
 from forestgen.core.compiled import unchecked, unowned_view
 from forestgen.core.threads import over_slabs
@@ -29,7 +29,6 @@ from forestgen.core.threads import over_slabs
 Field = NDArray[np.float32]
 _TWO, _THREE, _SEVEN = np.float32(2), np.float32(3), np.float32(7)
 _HALF, _QUARTER = np.float32(0.5), np.float32(0.25)
-_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))  # steps along x, y and z in the arrays
 _TINY_PER_S = np.float32(1e-6)  # growth of vorticity across a cell that is taken for none
 
 
@@ -46,7 +45,7 @@ def advance_velocity(
     step = np.float32(step_s)
     per_m = tuple(np.float32(1.0 / (24.0 * side)) for side in cell_m)
     smooth = tuple(np.float32(viscosity_m2_per_s / side**2) for side in cell_m)
-    for axis, back in enumerate(_AXES):
+    for axis, back in enumerate(AXES):
 
         def work(first: int, end: int, axis: int = axis, back: tuple[int, int, int] = back) -> None:
             _advance(carrier[axis], base[axis], out[axis], *carrier, back, step, per_m, smooth, first + 2, end + 2)
@@ -64,13 +63,13 @@ def _advance(q, base, out, u, v, w, back, step, per_m, smooth, first, end):  # t
     south, north, east = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n + 1, np.float32)
     viscous = smooth[0] > 0.0
     for j in range(2, rows - 2):
-        _flux(below[j], q, w, back, _AXES[2], per_m[2], first, j)
+        _flux(below[j], q, w, back, AXES[2], per_m[2], first, j)
     for k in range(first, end):
-        _flux(south, q, v, back, _AXES[1], per_m[1], k, 2)
+        _flux(south, q, v, back, AXES[1], per_m[1], k, 2)
         for j in range(2, rows - 2):
-            _flux(east, q, u, back, _AXES[0], per_m[0], k, j)
-            _flux(north, q, v, back, _AXES[1], per_m[1], k, j + 1)
-            _flux(above[j], q, w, back, _AXES[2], per_m[2], k + 1, j)
+            _flux(east, q, u, back, AXES[0], per_m[0], k, j)
+            _flux(north, q, v, back, AXES[1], per_m[1], k, j + 1)
+            _flux(above[j], q, w, back, AXES[2], per_m[2], k + 1, j)
             to = out[k, j, 2 : n + 2]
             _gather(to, base[k, j, 2 : n + 2], step, east, south, north, below[j], above[j])
             if viscous:
