@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.parameters import AXES, Velocity
-from forestgen.atmosphere.grid import AirGrid
 from forestgen.core.compiled import unchecked, unowned_view
 from forestgen.core.threads import over_slabs
 
@@ -116,128 +115,59 @@ def _brake(out, here, above, weight):  # type: ignore[no-untyped-def]
         out[i] += weight * (above[i] - _THREE * here[i])
 
 
-class Confinement:
-    """Work space of one grid. `strength` is dimensionless."""
+def confine(
+    carrier: Velocity, velocity: Velocity, cell_m: tuple[float, ...], push_m: float, away: Field | None
+) -> None:
+    """Adds a step's confinement of the carrier's eddies to a velocity; both (Z + 4, Y + 4, X + 4).
 
-    def __init__(self, grid: AirGrid, strength: float, solid: NDArray[np.bool_] | None) -> None:
-        shape, cell_m = grid.shape, grid.cell_m
-        self.shape = shape
-        self.per_m = tuple(np.float32(1 / side) for side in cell_m)
-        self.push_m = np.float32(strength * np.prod(cell_m) ** (1 / 3))
-        self._vorticity = np.zeros((4, *(n + 2 for n in shape)), np.float32)  # three components and the size
-        self._up = np.zeros(shape, np.float32)
-        self._away = None if solid is None else _away_from(solid)
+    `push_m` is strength x cell x step, m s; `away` is that of `away_from` terrain, None: there is none.
+    """
+    omega = _vorticity(carrier, cell_m)
+    size = np.sqrt(omega[0] * omega[0] + omega[1] * omega[1] + omega[2] * omega[2])
+    x, y, z = (np.float32(1 / side) for side in cell_m)
+    gx = (size[1:-1, 1:-1, 2:] - size[1:-1, 1:-1, :-2]) * x
+    gy = (size[1:-1, 2:, 1:-1] - size[1:-1, :-2, 1:-1]) * y
+    gz = (size[2:, 1:-1, 1:-1] - size[:-2, 1:-1, 1:-1]) * z
+    # Push times N x omega, N the unit vector along the gradient of the vorticity's size.
+    per_length = np.sqrt(gx * gx + gy * gy + gz * gz) + _TINY_PER_S * x
+    scale = _HALF * np.float32(push_m) * size[1:-1, 1:-1, 1:-1] / per_length
+    p, q, r = omega[:, 1:-1, 1:-1, 1:-1]
+    east, north, up = scale * (gy * r - gz * q), scale * (gz * p - gx * r), scale * (gx * q - gy * p)
+    if away is not None:
+        east, north, up = east * away, north * away, up * away
+    u, v, w = velocity
+    inner = (slice(2, -2),) * 3
+    # Half to either face, in one order of additions.
+    u[inner] = (u[inner] + east) + np.roll(east, 1, 2)
+    first, second = np.roll(north, 1, 1), north.copy()
+    first[:, 0], second[:, 0] = north[:, 0], north[:, -1]
+    v[inner] = (v[inner] + first) + second
+    w[inner] += up
+    w[3:-1, 2:-2, 2:-2] += up
 
-    def push(self, carrier: Velocity, velocity: Velocity, step_s: float) -> None:
-        """Adds a step's confinement of the carrier's eddies to a velocity; both (Z + 4, Y + 4, X + 4)."""
-        z, y, x = self.shape
-        vorticity, up, push = self._vorticity, self._up, np.float32(self.push_m * step_s)
-        given = (*velocity[:2], up, push, *self.per_m, self._away)
-        over_slabs(z + 2, y * x, lambda a, b: _vorticity(vorticity, *carrier, *self.per_m, a, b))
-        over_slabs(z, y * x, lambda a, b: _push(vorticity, *given, a, b))
-        velocity[2][2:-2, 2:-2, 2:-2] += up
-        velocity[2][3:-1, 2:-2, 2:-2] += up
+
+def _vorticity(velocity: Velocity, cell_m: tuple[float, ...]) -> Field:
+    """(3, Z + 2, Y + 2, X + 2) at the cells' centres and one around, less each layer's mean: the mean wind's shear."""
+    x, y, z = (_QUARTER * np.float32(1 / side) for side in cell_m)
+    u, v, w = velocity
+    # Sums of the two faces of a cell.
+    across, along, up = u[:, :, :-1] + u[:, :, 1:], v[:, :-1] + v[:, 1:], w[2:-1] + w[3:]
+    omega = np.stack([
+        (up[:, 2:, 1:-1] - up[:, :-2, 1:-1]) * y - (along[3:, 1:, 1:-1] - along[1:-2, 1:, 1:-1]) * z,
+        (across[3:, 1:-1, 1:] - across[1:-2, 1:-1, 1:]) * z - (up[:, 1:-1, 2:] - up[:, 1:-1, :-2]) * x,
+        (along[2:-1, 1:, 2:] - along[2:-1, 1:, :-2]) * x - (across[2:-1, 2:, 1:] - across[2:-1, :-2, 1:]) * y,
+    ])  # fmt: skip
+    inner = omega[:, :, 1:-1, 1:-1].reshape(*omega.shape[:2], -1)
+    # One number after another: so the sum does not depend on how it is cut.
+    mean = np.cumsum(inner, axis=2, dtype=np.float64)[..., -1] / inner.shape[2]
+    omega -= mean.astype(np.float32)[..., None, None]
+    return np.concatenate([omega[:, :1], omega], axis=1)  # below the lowest layer as in it
 
 
-def _away_from(solid: NDArray[np.bool_]) -> Field:
+def away_from(solid: NDArray[np.bool_]) -> Field:
     """1 in cells more than two cells away from terrain, 0 elsewhere."""
     near = solid
     for _ in range(2):
         for axis in range(3):
             near = near | np.roll(near, 1, axis) | np.roll(near, -1, axis)
     return (~near).astype(np.float32)
-
-
-@unchecked
-def _vorticity(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
-    """At the cells' centres, from a cell before the first to one after the last, along each axis."""
-    out, u, v, w = unowned_view((out, u, v, w))
-    rows, columns = out.shape[2], out.shape[3]
-    x, y, z = _QUARTER * x_per_m, _QUARTER * y_per_m, _QUARTER * z_per_m
-    n = columns + 1
-    for a in range(first, end):
-        k = max(a + 1, 2)
-        for b in range(rows):
-            j = b + 1
-            _turn(
-                out[0, a, b], w[k, j + 1, 1:n], w[k + 1, j + 1, 1:n], w[k, j - 1, 1:n], w[k + 1, j - 1, 1:n], y,
-                v[k + 1, j, 1:n], v[k + 1, j + 1, 1:n], v[k - 1, j, 1:n], v[k - 1, j + 1, 1:n], z,
-            )  # fmt: skip
-            _turn(
-                out[1, a, b], u[k + 1, j, 1:n], u[k + 1, j, 2 : n + 1], u[k - 1, j, 1:n], u[k - 1, j, 2 : n + 1], z,
-                w[k, j, 2 : n + 1], w[k + 1, j, 2 : n + 1], w[k, j, : n - 1], w[k + 1, j, : n - 1], x,
-            )  # fmt: skip
-            _turn(
-                out[2, a, b], v[k, j, 2 : n + 1], v[k, j + 1, 2 : n + 1], v[k, j, : n - 1], v[k, j + 1, : n - 1], x,
-                u[k, j + 1, 1:n], u[k, j + 1, 2 : n + 1], u[k, j - 1, 1:n], u[k, j - 1, 2 : n + 1], y,
-            )  # fmt: skip
-        for part in range(3):
-            _less_mean(out[part, a])
-        for b in range(rows):
-            p, q, r, size = out[0, a, b], out[1, a, b], out[2, a, b], out[3, a, b]
-            for i in range(columns):
-                size[i] = np.sqrt(p[i] * p[i] + q[i] * q[i] + r[i] * r[i])
-
-
-@unchecked
-def _less_mean(layer):  # type: ignore[no-untyped-def]
-    """Takes the layer's mean away: that of the mean wind's shear, which is no eddy."""
-    rows, columns = layer.shape
-    total = 0.0
-    for j in range(1, rows - 1):
-        for i in range(1, columns - 1):
-            total += layer[j, i]
-    mean = np.float32(total / ((rows - 2) * (columns - 2)))
-    for j in range(rows):
-        for i in range(columns):
-            layer[j, i] -= mean
-
-
-@unchecked
-def _turn(out, a, b, c, d, one_per_m, e, f, g, h, other_per_m):  # type: ignore[no-untyped-def]
-    """Difference of two derivatives, each of the mean of two faces, such as dw/dy - dv/dz."""
-    for i in range(out.size):
-        out[i] = ((a[i] + b[i]) - (c[i] + d[i])) * one_per_m - ((e[i] + f[i]) - (g[i] + h[i])) * other_per_m
-
-
-@unchecked
-def _push(vorticity, u, v, up, push, x_per_m, y_per_m, z_per_m, away, first, end):  # type: ignore[no-untyped-def]
-    vorticity, u, v, up = unowned_view((vorticity, u, v, up))
-    rows, columns = up.shape[1], up.shape[2]
-    east, north = np.empty(columns, np.float32), np.empty(columns, np.float32)
-    for k in range(first, end):
-        for j in range(rows):
-            _force(
-                vorticity[:, k + 1, j + 1], vorticity[3, k + 1, j], vorticity[3, k + 1, j + 2], vorticity[3, k, j + 1],
-                vorticity[3, k + 2, j + 1], east, north, up[k, j], _HALF * push, x_per_m, y_per_m, z_per_m,
-            )  # fmt: skip
-            if away is not None:
-                for i in range(columns):
-                    east[i] *= away[k, j, i]
-                    north[i] *= away[k, j, i]
-                    up[k, j, i] *= away[k, j, i]
-            _add(u[k + 2, j + 2, 2:], east)
-            _add(u[k + 2, j + 2, 3:], east)
-            _add(v[k + 2, j + 2, 2:], north)
-            _add(v[k + 2, 2 if j == rows - 1 else j + 3, 2:], north)
-            u[k + 2, j + 2, 2] += east[columns - 1]
-
-
-@unchecked
-def _force(vorticity, south, north, below, above, x, y, z, push, x_per_m, y_per_m, z_per_m):  # type: ignore[no-untyped-def]
-    """Push times N x omega into the rows x, y, z. N is the gradient of the vorticity's size, made a unit vector."""
-    p, q, r, size = vorticity[0], vorticity[1], vorticity[2], vorticity[3]
-    for i in range(x.size):
-        gx = (size[i + 2] - size[i]) * x_per_m
-        gy = (north[i + 1] - south[i + 1]) * y_per_m
-        gz = (above[i + 1] - below[i + 1]) * z_per_m
-        scale = push * size[i + 1] / (np.sqrt(gx * gx + gy * gy + gz * gz) + _TINY_PER_S * x_per_m)
-        x[i] = scale * (gy * r[i + 1] - gz * q[i + 1])
-        y[i] = scale * (gz * p[i + 1] - gx * r[i + 1])
-        z[i] = scale * (gx * q[i + 1] - gy * p[i + 1])
-
-
-@unchecked
-def _add(to, what):  # type: ignore[no-untyped-def]
-    for i in range(what.size):
-        to[i] += what[i]
