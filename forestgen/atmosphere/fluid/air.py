@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.advection import Transport
 from forestgen.atmosphere.fluid.microphysics import carry_rest, change_phases, fall, lift
-from forestgen.atmosphere.fluid.momentum import advance_velocity, away_from, confine
+from forestgen.atmosphere.fluid.momentum import Confinement, advance_velocity
 from forestgen.atmosphere.fluid.parameters import (
     HEAT_CAPACITY_J_PER_KG_K,
     Background,
@@ -122,7 +122,7 @@ class Air:
         self._pressure = Pressure(grid, self.solid)
         self._transport = Transport(grid.shape, self._pressure.openness)
         self._ground = Ground(grid, surface, self.solid, self.background)
-        self._away = None if self.solid is None else away_from(self.solid)
+        self._confinement = Confinement(grid, physics.confinement, self.solid)
         padded = tuple(n + 4 for n in grid.shape)
         u, v, w, *middle = np.zeros((6, *padded), np.float32)
         self._wind: Velocity = (u, v, w)
@@ -238,9 +238,7 @@ class Air:
     def _confine_and_steer(self, step_s: float) -> None:
         """Forces that act once a step: eddies kept alive, and the mean wind led back to the sounding's."""
         if self.physics.confinement > 0:
-            cell_m = self.grid.cell_m
-            push_m = np.float32(self.physics.confinement * np.prod(cell_m) ** (1 / 3))
-            confine(self._middle, self._wind, cell_m, np.float32(push_m * step_s), self._away)
+            self._confinement.push(self._middle, self._wind, step_s)
         if self.physics.wind_relaxation_s is not None:
             share = -math.expm1(-step_s / self.physics.wind_relaxation_s)
             for axis in range(2):

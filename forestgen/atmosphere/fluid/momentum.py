@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.parameters import AXES, Velocity
+from forestgen.atmosphere.grid import AirGrid
 from forestgen.core.compiled import unchecked, unowned_view
 from forestgen.core.threads import over_slabs
 
@@ -115,56 +116,70 @@ def _brake(out, here, above, weight):  # type: ignore[no-untyped-def]
         out[i] += weight * (above[i] - _THREE * here[i])
 
 
-def confine(
-    carrier: Velocity, velocity: Velocity, cell_m: tuple[float, ...], push_m: float, away: Field | None
-) -> None:
-    """Adds a step's confinement of the carrier's eddies to a velocity; both (Z + 4, Y + 4, X + 4).
+class Confinement:
+    """Work space of one grid. `strength` is dimensionless."""
 
-    `push_m` is strength x cell x step, m s; `away` is that of `away_from` terrain, None: there is none.
-    """
-    omega = _vorticity(carrier, cell_m)
-    size = np.sqrt(omega[0] * omega[0] + omega[1] * omega[1] + omega[2] * omega[2])
-    x, y, z = (np.float32(1 / side) for side in cell_m)
-    gx = (size[1:-1, 1:-1, 2:] - size[1:-1, 1:-1, :-2]) * x
-    gy = (size[1:-1, 2:, 1:-1] - size[1:-1, :-2, 1:-1]) * y
-    gz = (size[2:, 1:-1, 1:-1] - size[:-2, 1:-1, 1:-1]) * z
-    # Push times N x omega, N the unit vector along the gradient of the vorticity's size.
-    per_length = np.sqrt(gx * gx + gy * gy + gz * gz) + _TINY_PER_S * x
-    scale = _HALF * np.float32(push_m) * size[1:-1, 1:-1, 1:-1] / per_length
-    p, q, r = omega[:, 1:-1, 1:-1, 1:-1]
-    east, north, up = scale * (gy * r - gz * q), scale * (gz * p - gx * r), scale * (gx * q - gy * p)
-    if away is not None:
-        east, north, up = east * away, north * away, up * away
-    u, v, w = velocity
-    inner = (slice(2, -2),) * 3
-    # Half to either face, in one order of additions.
-    u[inner] = (u[inner] + east) + np.roll(east, 1, 2)
-    first, second = np.roll(north, 1, 1), north.copy()
-    first[:, 0], second[:, 0] = north[:, 0], north[:, -1]
-    v[inner] = (v[inner] + first) + second
-    w[inner] += up
-    w[3:-1, 2:-2, 2:-2] += up
+    def __init__(self, grid: AirGrid, strength: float, solid: NDArray[np.bool_] | None) -> None:
+        self.shape = grid.shape
+        self.per_m = tuple(np.float32(1 / side) for side in grid.cell_m)
+        self.push_m = np.float32(strength * np.prod(grid.cell_m) ** (1 / 3))
+        # Vorticity at the cells' centres and one around, three components and the size.
+        self._omega = np.zeros((4, *(n + 2 for n in grid.shape)), np.float32)
+        self._up = np.zeros(grid.shape, np.float32)
+        self._away = None if solid is None else _away_from(solid)
+
+    def push(self, carrier: Velocity, velocity: Velocity, step_s: float) -> None:
+        """Adds a step's confinement of the carrier's eddies to a velocity; both (Z + 4, Y + 4, X + 4)."""
+        z, y, x = self.shape
+        push = np.float32(self.push_m * step_s)
+        over_slabs(z + 1, y * x, lambda a, b: self._find(*carrier, slice(a + 2, b + 2)))
+        self._omega[:, 0] = self._omega[:, 1]  # below the lowest layer as in it
+        over_slabs(z, y * x, lambda a, b: self._push(velocity, push, slice(a, b)))
+        velocity[2][2:-2, 2:-2, 2:-2] += self._up
+        velocity[2][3:-1, 2:-2, 2:-2] += self._up
+
+    def _find(self, u: Field, v: Field, w: Field, layers: slice) -> None:
+        """The vorticity in layers of the velocity, less each layer's mean: the shear of the mean wind is no eddy."""
+        x, y, z = (_QUARTER * one for one in self.per_m)
+        below, above = (slice(layers.start + k, layers.stop + k) for k in (-1, 1))
+        # Sums of the two faces of a cell.
+        up, along = w[layers] + w[above], v[layers, 1:-1] + v[layers, 2:]
+        across_low, across_high = (u[one, 1:-1, 1:-1] + u[one, 1:-1, 2:] for one in (below, above))
+        along_low, along_high = (v[one, 1:-1, 1:-1] + v[one, 2:, 1:-1] for one in (below, above))
+        north, south = (u[layers, one, 1:-1] + u[layers, one, 2:] for one in (slice(2, None), slice(0, -2)))
+        p, q, r, size = (part[layers.start - 1 : layers.stop - 1] for part in self._omega)
+        p[:] = (up[:, 2:, 1:-1] - up[:, :-2, 1:-1]) * y - (along_high - along_low) * z
+        q[:] = (across_high - across_low) * z - (up[:, 1:-1, 2:] - up[:, 1:-1, :-2]) * x
+        r[:] = (along[..., 2:] - along[..., :-2]) * x - (north - south) * y
+        for part in (p, q, r):
+            inner = part[:, 1:-1, 1:-1].reshape(len(part), -1)
+            # One number after another: so the sum does not depend on how it is cut.
+            mean = np.cumsum(inner, axis=1, dtype=np.float64)[:, -1] / inner.shape[1]
+            part -= mean.astype(np.float32)[:, None, None]
+        np.sqrt(p * p + q * q + r * r, out=size)
+
+    def _push(self, velocity: Velocity, push: np.float32, layers: slice) -> None:
+        """Push times N x omega, N the unit vector along the gradient of the vorticity's size: half to either face."""
+        x, y, z = self.per_m
+        p, q, r, size = self._omega[:, layers.start + 1 : layers.stop + 1]
+        below, above = (self._omega[3, layers.start + k : layers.stop + k, 1:-1, 1:-1] for k in (0, 2))
+        gx = (size[:, 1:-1, 2:] - size[:, 1:-1, :-2]) * x
+        gy = (size[:, 2:, 1:-1] - size[:, :-2, 1:-1]) * y
+        gz = (above - below) * z
+        scale = _HALF * push * size[:, 1:-1, 1:-1] / (np.sqrt(gx * gx + gy * gy + gz * gz) + _TINY_PER_S * x)
+        p, q, r = (one[:, 1:-1, 1:-1] for one in (p, q, r))
+        east, north, up = scale * (gy * r - gz * q), scale * (gz * p - gx * r), scale * (gx * q - gy * p)
+        if self._away is not None:
+            east, north, up = (one * self._away[layers] for one in (east, north, up))
+        self._up[layers] = up
+        u, v = (field[2:-2][layers, 2:-2, 2:-2] for field in velocity[:2])
+        u[:] = (u + east) + np.roll(east, 1, 2)
+        first, second = np.roll(north, 1, 1), north.copy()  # in one order of additions
+        first[:, 0], second[:, 0] = north[:, 0], north[:, -1]
+        v[:] = (v + first) + second
 
 
-def _vorticity(velocity: Velocity, cell_m: tuple[float, ...]) -> Field:
-    """(3, Z + 2, Y + 2, X + 2) at the cells' centres and one around, less each layer's mean: the mean wind's shear."""
-    x, y, z = (_QUARTER * np.float32(1 / side) for side in cell_m)
-    u, v, w = velocity
-    # Sums of the two faces of a cell.
-    across, along, up = u[:, :, :-1] + u[:, :, 1:], v[:, :-1] + v[:, 1:], w[2:-1] + w[3:]
-    omega = np.stack([
-        (up[:, 2:, 1:-1] - up[:, :-2, 1:-1]) * y - (along[3:, 1:, 1:-1] - along[1:-2, 1:, 1:-1]) * z,
-        (across[3:, 1:-1, 1:] - across[1:-2, 1:-1, 1:]) * z - (up[:, 1:-1, 2:] - up[:, 1:-1, :-2]) * x,
-        (along[2:-1, 1:, 2:] - along[2:-1, 1:, :-2]) * x - (across[2:-1, 2:, 1:] - across[2:-1, :-2, 1:]) * y,
-    ])  # fmt: skip
-    inner = omega[:, :, 1:-1, 1:-1].reshape(*omega.shape[:2], -1)
-    # One number after another: so the sum does not depend on how it is cut.
-    mean = np.cumsum(inner, axis=2, dtype=np.float64)[..., -1] / inner.shape[2]
-    omega -= mean.astype(np.float32)[..., None, None]
-    return np.concatenate([omega[:, :1], omega], axis=1)  # below the lowest layer as in it
-
-
-def away_from(solid: NDArray[np.bool_]) -> Field:
+def _away_from(solid: NDArray[np.bool_]) -> Field:
     """1 in cells more than two cells away from terrain, 0 elsewhere."""
     near = solid
     for _ in range(2):
