@@ -154,45 +154,29 @@ def fall(
     """Drops fall by a distance, the rest into `fallen_kg_per_m2` (Y, X); `ground` (Y, X) is the lowest cell of air."""
     whole, part = divmod(distance_m / thickness_m, 1.0)
     layers, rows, columns = rain.shape
-    given = (min(int(whole), layers), np.float32(part), flow_density_kg_per_m3 * thickness_m)
-    size = (layers - 4) * (columns - 4)
-    over_slabs(rows - 4, size, lambda a, b: _fall(rain, fallen_kg_per_m2, ground, *given, a, b))
+    cells, share, mass = min(int(whole), layers - 4), np.float32(part), flow_density_kg_per_m3 * thickness_m
+    number = np.arange(layers - 4)[:, None, None]
+
+    def work(first: int, end: int) -> None:
+        here, lowest = rain[2:-2, first + 2 : end + 2, 2:-2], ground[first:end]
+        raining = (here > 0).any(axis=0)
+        lost = np.cumsum(np.where(number - cells < lowest, here, 0), axis=0, dtype=np.float64)[-1]
+        shifted = np.zeros((layers - 2, *lowest.shape), np.float32)  # by whole cells; nothing above and below
+        shifted[1 : layers - 3 - cells] = np.where(number[cells:] - cells >= lowest, here[cells:], 0)
+        flux = np.zeros((layers - 3, *lowest.shape), np.float32)  # through the bottom of each; none through the ceiling
+        flux[:-1] = _drop(shifted[2:], shifted[1:-1], shifted[:-2], share, number == lowest)
+        lost += np.take_along_axis(flux, lowest[None], axis=0)[0]
+        after = np.maximum((shifted[1:-1] - flux[:-1]) + flux[1:], _ZERO)
+        here[:] = np.where(raining & (number >= lowest), after, here)
+        fallen_kg_per_m2[first:end] += np.where(raining, mass * lost, 0.0)
+
+    over_slabs(rows - 4, (layers - 4) * (columns - 4), work)
 
 
-@unchecked
-def _fall(rain, fallen, ground, cells, share, mass, first, end):  # type: ignore[no-untyped-def]
-    rain, fallen = unowned_view((rain, fallen))
-    layers, columns = rain.shape[0] - 4, rain.shape[2] - 4
-    column = np.zeros(layers + 4, np.float32)  # shifted by whole cells, two of nothing on each side
-    flux = np.zeros(layers + 1, np.float32)  # through the bottom of each; nothing enters at the top
-    for j in range(first, end):
-        for i in range(columns):
-            lowest, lost, any_rain = ground[j, i], 0.0, False
-            for k in range(layers):
-                column[k + 2] = _ZERO
-            for k in range(layers):
-                value = rain[k + 2, j + 2, i + 2]
-                any_rain = any_rain or value > _ZERO
-                if k - cells >= lowest:
-                    column[k - cells + 2] = value
-                else:
-                    lost += value
-            if not any_rain:
-                continue
-            for k in range(lowest, layers):
-                flux[k] = _drop(column[k + 3], column[k + 2], column[k + 1], share, k == lowest)
-            lost += flux[lowest]
-            for k in range(lowest, layers):
-                rain[k + 2, j + 2, i + 2] = max((column[k + 2] - flux[k]) + flux[k + 1], _ZERO)
-            fallen[j, i] += mass * lost
-
-
-@unchecked
-def _drop(above, here, below, share, at_ground):  # type: ignore[no-untyped-def]
-    """Flux of a column that moves down by a share of a cell (see `advection`)."""
+def _drop(above: Field, here: Field, below: Field, share: np.float32, at_ground: NDArray[np.bool_]) -> Field:
+    """Flux of columns that move down by a share of a cell (see `advection`)."""
     ahead, behind = below - here, here - above
-    if ahead * behind <= _ZERO or at_ground:
-        return share * here
     want = share * (_ONE - share) * abs((np.float32(2) - share) * ahead + (_ONE + share) * behind) / np.float32(6)
-    size = min(want, min(share * abs(ahead), (_ONE - share) * abs(behind)))
-    return share * here + (size if ahead > _ZERO else -size)
+    size = np.minimum(want, np.minimum(share * abs(ahead), (_ONE - share) * abs(behind)))
+    size = np.where((ahead * behind <= 0) | at_ground, _ZERO, np.where(ahead > 0, size, -size))
+    return np.asarray(share * here + size)
