@@ -21,7 +21,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.compiled import compiled
 from forestgen.geometry.mesh import Hull, hull_of
 from forestgen.plants.exemplar import Exemplar
 from forestgen.render.build import load, to_mesh
@@ -257,35 +256,18 @@ def alone_rays(
     return mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*along)), active
 
 
-@compiled
-def _cut_to_hits(window, counts):  # type: ignore[no-untyped-def]
+def _cut_to_hits(window: NDArray[np.int32], counts: NDArray[np.uint16]) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
     """Windows without their empty borders, and the counts of what is left; 0 where nothing is hit."""
-    tight = np.zeros_like(window)
-    kept, start = 0, 0
-    for plant in range(len(window)):
-        width, height = window[plant, 2], window[plant, 3]
-        left, right, top, bottom = width, -1, height, -1
-        for y in range(height):
-            for x in range(width):
-                if counts[start + y * width + x] > 0:
-                    left, right = min(left, x), max(right, x)
-                    top, bottom = min(top, y), y
+    tight, kept, start = np.zeros_like(window), [counts[:0]], 0
+    for row, (left, top, width, height) in enumerate(window.tolist()):
+        pixels = counts[start : start + width * height].reshape(height, width)
         start += width * height
-        if bottom >= 0:
-            tight[plant, 0], tight[plant, 1] = window[plant, 0] + left, window[plant, 1] + top
-            tight[plant, 2], tight[plant, 3] = right - left + 1, bottom - top + 1
-            kept += tight[plant, 2] * tight[plant, 3]
-    result = np.empty(kept, dtype=counts.dtype)
-    kept, start = 0, 0
-    for plant in range(len(window)):
-        width, height = window[plant, 2], window[plant, 3]
-        x0, y0 = tight[plant, 0] - window[plant, 0], tight[plant, 1] - window[plant, 1]
-        for y in range(tight[plant, 3]):
-            for x in range(tight[plant, 2]):
-                result[kept] = counts[start + (y0 + y) * width + x0 + x]
-                kept += 1
-        start += width * height
-    return tight, result
+        rows, columns = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))
+        if len(rows):
+            part = pixels[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            tight[row] = left + columns[0], top + rows[0], part.shape[1], part.shape[0]
+            kept.append(part.ravel())
+    return tight, np.concatenate(kept)
 
 
 def _in_order(
