@@ -1,8 +1,8 @@
 """Weather from a scenario: phases of conditions, simulated one after another, and kept on disk.
 
 Time goes in marks of `MARK_S` from the beginning of each phase. What goes on from a mark depends on the state there
-and on nothing else, so a simulation that was interrupted, or that an earlier picture has brought half the way, has the
-bytes of one that runs through. At each mark, beside what `fluid.air` does:
+alone: a simulation that was interrupted, or that an earlier picture has brought half the way, has the bytes of one that
+runs through. At each mark, beside what `fluid.air` does:
 
 - the air below the inversion has cooled by `Conditions.cooling_k_per_h`, as air and fog that radiate do;
 - in a story's later phases, each layer's mean temperature and vapour come closer to those of the phase's sounding,

@@ -4,8 +4,7 @@
 |---|---|---|---|
 | standard gravity | g | m/s2 | 9.80665; the paper rounds it to 9.81 |
 | gas constant | R | J/(kmol K) | 8314 |
-| molar mass of dry air | M | kg/kmol | 28.96 (Eq. 18) |
-| molar mass of water | M_W | kg/kmol | 18.02 (Eq. 19) |
+| molar mass of dry air, of water | M, M_W | kg/kmol | 28.96 (Eq. 18), 18.02 (Eq. 19) |
 | latent heat of condensation | L | J/kg | 2.5e6 (Eq. 34's print lacks the exponent) |
 | lapse rate | dT/dz | K/m | negative where it cools upwards; ISA's troposphere: -0.0065 |
 
@@ -14,14 +13,15 @@ What was decided where the print is wrong or silent:
 - Eq. 16 with its minus sign takes the magnitude of the lapse rate. Here a lapse rate is dT/dz, with its sign.
 - The first half of Eq. 17's second line keeps the lower layer's rate; its second half is right, and is used.
 - Gravity falls with height, 0.35% over 11 km, which would cost the pressure there 0.3%. So temperature is linear in
-  geopotential height, `geopotential_m`, which is how the International Standard Atmosphere (ISO 2533) is defined, and
-  the hydrostatic equation is then integrated exactly in every layer. ISA's values come out to 0.02%.
+  geopotential height, `geopotential_m`, as in the International Standard Atmosphere (ISO 2533), and the hydrostatic
+  equation is integrated exactly in every layer. ISA's values come out to 0.02%.
 - Saturation is over water, at all temperatures (Eq. 29), by the approximation q = 0.622 e / p. The exact ratio divides
   by p - e: 2% more at 18 °C, 4% more at 30 °C.
 
 Tables
 ------
-Soundings are read from CSV files of one row a height, from the ground up.
+CSV files of one row a height, from the ground up; the first line names the columns, in any order. Empty lines and lines
+that begin with # are passed over.
 
 | column | unit | |
 |---|---|---|
@@ -32,8 +32,6 @@ Soundings are read from CSV files of one row a height, from the ground up.
 | vapour_g_per_kg | g of vapour per kg of dry air | or none: dry |
 | wind_from_deg, wind_m_per_s | clockwise from north, where it comes from; speed | both, |
 | east_m_per_s, north_m_per_s | where it blows to | or these, or none: calm |
-
-The first line names the columns, in any order. Empty lines and lines that begin with # are passed over.
 
     height_m,temperature_c,relative_humidity
     0,22,0.46

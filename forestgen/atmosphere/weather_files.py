@@ -11,8 +11,8 @@ A snapshot comes back to the last bit, so a simulation that resumes goes on as i
 `.vdb` hold no albedo and no phase function, and the corners of a `.vol` are rounded to float32.
 
 Files are written beside their place and then renamed: a file of this name is always whole. The same values make the
-same bytes. Nothing is stored or read in half precision. What is read is checked: sizes that agree and fit into memory,
-numbers that are numbers and in their range.
+same bytes, and none is in half precision. What is read is checked: sizes that agree and fit into memory, numbers in
+their range.
 
 A `.vol` is a header of 48 bytes and the cells, all little-endian:
 
@@ -25,15 +25,15 @@ A `.vol` is a header of 48 bytes and the cells, all little-endian:
 | 24-47 | 6 float32 | lower corner x, y, z, upper corner x, y, z |
 | 48- | float32 | values, x fastest, then y, then z |
 
-The corners are those of the box around the cells. Mitsuba fills its unit cube with the cells unless `use_grid_bbox` is
-set, and then takes these corners.
+The corners are those of the box around the cells, which Mitsuba takes if `use_grid_bbox` is set; else it fills its unit
+cube.
 
 A `.vdb`, for Blender, Houdini and others, holds the extinction as a fog volume named `density`. PyPI has no wheel of
-OpenVDB itself: there is no `openvdb`, and `pyopenvdb` has none for today's Pythons. `tinyvdb` 0.9.0, which has, loses
-leaves of nodes with more than 64. So this is a writer only, of format 224: a tree of 8, 16 and 32 children a side
-(`Tree_float_5_4_3`), each node's values deflated. Leaves of 8 x 8 x 8 cells without any extinction are left out. Values
-are the extinction in 1/m, exact; z is up; scale and translation put the voxels' centres where the cells' centres are in
-the world. OpenVDB 12.0, the one inside Blender 5.0, reads every value, activity and place right.
+OpenVDB for today's Pythons, and `tinyvdb` 0.9.0 loses leaves of nodes with more than 64. So this is a writer only, of
+format 224: a tree of 8, 16 and 32 children a side (`Tree_float_5_4_3`), each node's values deflated. Leaves of 8 x 8 x
+8 cells without any extinction are left out. Values are the extinction in 1/m, exact; z is up; scale and translation put
+the voxels' centres where the cells' centres are in the world. OpenVDB 12.0, the one inside Blender 5.0, reads every
+value, activity and place right.
 """
 
 from __future__ import annotations

@@ -13,12 +13,11 @@ One step from t to t + h:
 4. the wind a whole step on by the middle's advection and the mean of both ends' buoyancy; pressure again.
 
 For gravity waves this is the leapfrog of Stoermer and Verlet: stable up to 2 over their frequency, and it feeds or
-damps none. Parts: `momentum`, `advection`, `pressure`, `microphysics`; constants and limits in `parameters`. Second
-order in space and time, but for sources of phase.
+damps none. Second order in space and time, but for sources of phase. Constants and limits are in `parameters`.
 
-The wind's fields hold single precision. Heat is stepped as its difference from the air at rest. The result does not
-depend on the number of threads, and a step depends on nothing but the weather that it is given: so a run
-that was saved and taken up again is the same to the last bit.
+The wind's fields hold single precision; heat is stepped as its difference from the air at rest. The result does not
+depend on the number of threads, and a step on nothing but the weather that it is given: a run that was saved and taken
+up again is the same to the last bit.
 """
 
 from __future__ import annotations
