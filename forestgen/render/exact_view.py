@@ -180,7 +180,7 @@ class ExactView:
                 return _captured(self._tracer, self._whole, self.job, samples, ("whole", *number))
         # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
         image = self._parts.by_sun((samples + 1) // 2, number)
-        return image + self._parts.by_clouds(channels, samples, number)
+        return image + self._parts.by_clouds(channels, samples, number, self.followed)
 
     def followed(self, place_m: Floats, direction: Floats, seed: int) -> Floats:
         """(N, 3) radiance that comes from the scene with its clouds to (N, 3) places, one path each."""
@@ -231,7 +231,6 @@ class _Parts:
     def __init__(
         self, view: ExactView, surfaces: dict[str, Any], bricks: cloud_bricks.Bricks, gap_m: tuple[float, float]
     ) -> None:
-        self._followed = view.followed
         self._job, self._timer, origin = view.job, view.timer, view.origin
         job, spec = view.job, view.job.spec
         assert spec.clouds is not None
@@ -261,7 +260,7 @@ class _Parts:
         with self._timer("light paths"):
             return _captured(self._thinned, self._by_sun, self._job, samples, ("sun", *number))
 
-    def by_clouds(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
+    def by_clouds(self, channels: Channels, samples: int, number: tuple[int, int], followed: Any) -> Floats:
         """(H, W, 3) all other light."""
         camera = self._job.camera
         width, height = camera.size_px
@@ -279,7 +278,7 @@ class _Parts:
                     paths = trace(finer, child_seed(self._job.seed, *name), window)
                 light = np.zeros((len(paths.pixel), 3))
                 for walk in range(each):
-                    light += self._walked(paths, sky, sun, (*name, walk)) / each
+                    light += self._walked(paths, sky, sun, (*name, walk), followed) / each
                 row, column = (
                     window.offset_y + paths.pixel // window.width,
                     window.offset_x + paths.pixel % window.width,
@@ -290,7 +289,7 @@ class _Parts:
                     total[:, channel] += np.bincount(pixel, weight, len(total))
         return total.reshape(height, width, 3)
 
-    def _walked(self, paths: Escapes, sky: Any, sun: Floats, name: tuple[str | int, ...]) -> Floats:
+    def _walked(self, paths: Escapes, sky: Any, sun: Floats, name: tuple[str | int, ...], followed: Any) -> Floats:
         """(N, 3) radiance that one walk each finds for paths that left the scene."""
         with self._timer("clouds"):
             seed = child_seed(self._job.seed, "walks", *name)
@@ -303,7 +302,7 @@ class _Parts:
         chosen = chosen[rng.random(len(chosen)) < 1.0 / _DOWN_EVERY]
         with self._timer("light paths"):
             seed = child_seed(self._job.seed, "followed", *name)
-            met = self._followed(walks.leaves_m[chosen], walks.direction[chosen], seed)
+            met = followed(walks.leaves_m[chosen], walks.direction[chosen], seed)
         light[chosen] += _DOWN_EVERY * walks.weight[chosen, None] * met
         return light
 
