@@ -190,7 +190,7 @@ def renderer_errors() -> Iterator[None]:
 
 
 def interruptible(integrator: Any, scene: Any, sensor: Any, seed: int, samples: int) -> NDArray[np.float32]:
-    """(H, W, C) scalar image; Ctrl-C stops it in no time. `RenderError`: it failed; `MemoryError`: of memory."""
+    """(H, W, C) scalar image; Ctrl-C stops it in a fraction of a second. `RenderError` or `MemoryError`: it failed."""
 
     def work() -> NDArray[np.float32]:
         mi.set_variant(SCALAR)
