@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +121,7 @@ def crossing_per_s(velocity: Velocity, cell_m: tuple[float, float, float]) -> fl
     most: list[float] = []
 
     def work(first: int, end: int) -> None:
-        total = np.float32(0)
+        total: Any = np.float32(0)
         for field, side, (z, y, x) in zip(velocity, cell_m, AXES, strict=True):
             low = field[first + 2 : end + 2, 2:-2, 2:-2]
             high = field[first + 2 + z : end + 2 + z, 2 + y : rows - 2 + y, 2 + x : columns - 2 + x]
