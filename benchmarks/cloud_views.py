@@ -3,7 +3,7 @@
 A stand under a field of cumulus, ten cameras: on the ground, over the crowns, and from the air. Each image comes from
 `render_radiance`, as the pipeline calls it, by both transports of light and without clouds. Seconds are of all
 processors; compiling is not counted, building scenes and baking the sky are. Errors are the images' own relative errors
-(render/noise.py).
+(render/rendering.py).
 
 1. agreement: mean radiance of the pixels that see no sky, farfield against exact. Bounds: all cameras together within
    3%; each camera too, three standard errors beyond.
@@ -26,17 +26,16 @@ from time import process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.clouds.noise import cumulus_field
+from forestgen.atmosphere.clouds.noise import NoiseKeys, cumulus_field
 from forestgen.core.parts import Part
 from forestgen.core.progress import Silent, Timings
 from forestgen.render import sky
 from forestgen.render.capture import sensor_of
 from forestgen.render.cloud_shadow import base_of, cloud_transport_of, shadow_of
-from forestgen.render.frame import Radiance
+from forestgen.render.frame import CloudTransport, Radiance, RenderJob, StoppingCriterion
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.job import CloudTransport, RenderJob, StoppingCriterion
 from forestgen.render.light import sky_light, sun_disc
-from forestgen.render.radiance import render_radiance
+from forestgen.render.rendering import render_radiance
 from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import build_view, sky_pixels
 from forestgen.scene.colour import RGB
@@ -85,10 +84,8 @@ def main() -> int:
 
 def scene(sizes: Sizes) -> SceneSpec:
     middle = (SITE_M / 2, SITE_M / 2)
-    clouds = cumulus_field(
-        centre_m=middle, extent_m=6000.0, base_m=900.0, thickness_m=600.0, cover=0.37, extinction_per_m=0.08,
-        rng=np.random.default_rng(3), cell_m=40.0,
-    )  # fmt: skip
+    keys = NoiseKeys(type="noise", extent_m=6000.0, base_m=900.0, thickness_m=600.0, cover=0.37, extinction_per_m=0.08)
+    clouds = cumulus_field(keys, middle, np.random.default_rng(3), cell_m=40.0)
     ground = plain_ground(-20_000, 20_000, albedo=0.12)
     return scattered_scene(sizes.plants, size_m=SITE_M, exemplars=6, leaves=500, clouds=clouds, terrain=ground, seed=4)
 

@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from radiance import LUMINANCE, identity_of, stand
 
-from forestgen.atmosphere.clouds.noise import cumulus_field
+from forestgen.atmosphere.clouds.noise import NoiseKeys, cumulus_field
 from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
 from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.exact_view import ExactView
-from forestgen.render.job import RenderJob, StoppingCriterion
+from forestgen.render.frame import RenderJob, StoppingCriterion
 from forestgen.render.light import emitters_of
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, drjit, mitsuba, path_tracer, using
@@ -48,16 +48,8 @@ QUICK = Sizes((64, 36), 4, 4)
 
 
 def cloudy(spec: SceneSpec) -> SceneSpec:
-    field = cumulus_field(
-        centre_m=(60.0, 60.0),
-        extent_m=4000.0,
-        base_m=800.0,
-        thickness_m=700.0,
-        cover=0.37,
-        extinction_per_m=0.12,
-        rng=np.random.default_rng(1),
-    )
-    return replace(spec, clouds=field)
+    keys = NoiseKeys(type="noise", extent_m=4000.0, base_m=800.0, thickness_m=700.0, cover=0.37, extinction_per_m=0.12)
+    return replace(spec, clouds=cumulus_field(keys, (60.0, 60.0), np.random.default_rng(1)))
 
 
 def images(spec: SceneSpec, camera: Camera, sizes: Sizes) -> tuple[dict[str, Floats], dict[str, float]]:

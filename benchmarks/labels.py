@@ -23,7 +23,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from forestgen.atmosphere.clouds.noise import cumulus_field
+from forestgen.atmosphere.clouds.noise import NoiseKeys, cumulus_field
 from forestgen.atmosphere.optical_depth import cloud_opacity
 from forestgen.community.population import Population
 from forestgen.core.progress import Silent, Timings
@@ -33,10 +33,9 @@ from forestgen.labels.classes import ClassMap
 from forestgen.labels.masks import PixelLabels, amodal_masks, pixel_labels
 from forestgen.labels.plants_table import plant_views
 from forestgen.render.amodal import trace_amodal
-from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
+from forestgen.render.frame import Amodal, Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface
 from forestgen.render.identity import SceneTracer, hit_tables, trace_identity
-from forestgen.render.job import RenderJob, StoppingCriterion
-from forestgen.render.radiance import render_radiance
+from forestgen.render.rendering import render_radiance
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.scene.plant_measures import PlantMeasures, PlantMeter
 from forestgen.scene.projection import world_rays
@@ -77,15 +76,10 @@ class Subject:
             instances, size_m=size_m, exemplars=10, leaves=leaves, size_px=size_px, terrain=None
         )
         self.camera = self.spec.cameras[0]
-        self.clouds = cumulus_field(
-            centre_m=(size_m / 2, size_m / 2),
-            extent_m=6000.0,
-            base_m=900.0,
-            thickness_m=900.0,
-            cover=0.4,
-            extinction_per_m=0.05,
-            rng=np.random.default_rng(5),
+        keys = NoiseKeys(
+            type="noise", extent_m=6000.0, base_m=900.0, thickness_m=900.0, cover=0.4, extinction_per_m=0.05
         )
+        self.clouds = cumulus_field(keys, (size_m / 2, size_m / 2), np.random.default_rng(5))
         self.population = population(self.spec)
         self.classes = ClassMap(self.population.species_names)
         self.watch = Stopwatch()

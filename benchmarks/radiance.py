@@ -43,11 +43,9 @@ from forestgen.core.progress import Silent, Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.recipe.load import load_recipe
 from forestgen.render.denoise import denoise, trace_guides
-from forestgen.render.frame import Identity, Radiance
+from forestgen.render.frame import Identity, Radiance, RenderJob, StoppingCriterion
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.job import RenderJob, StoppingCriterion
-from forestgen.render.noise import Estimate, noise_of
-from forestgen.render.radiance import render_radiance
+from forestgen.render.rendering import Estimate, noise_of, render_radiance
 from forestgen.render.variant import drjit, mitsuba
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.build import build_scene

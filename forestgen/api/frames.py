@@ -25,8 +25,7 @@ from forestgen.pipeline import RenderedFrame, assemble_image, image_frames
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe, dump_yaml
 from forestgen.render.variant import mitsuba, tracing_on
 from forestgen.runs.summary import Display
-from forestgen.scene.plan import check_memory
-from forestgen.scene.plan import make_plan
+from forestgen.scene.plan import check_memory, make_plan
 
 
 class MadeFrame(Frame):

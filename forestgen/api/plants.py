@@ -21,14 +21,13 @@ from forestgen.dataset.files import FileSet, check_writable
 from forestgen.dataset.tonemap import tone_map
 from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of, mesh_suffixes, model_files, png
 from forestgen.geometry.mesh import Mesh, surface_area_m2
+from forestgen.geometry.simplify import with_light_wood
 from forestgen.plants.bark.texture import texture_images
+from forestgen.plants.build import check_sways, sway
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.growing import ExemplarRequest, grow_exemplar
-from forestgen.plants.light_wood import check_wood_triangles
-from forestgen.geometry.simplify import with_light_wood
 from forestgen.plants.parameters import with_detail
 from forestgen.plants.plan import PlantPlan, plan_plants
-from forestgen.plants.build import check_sways, sway
 from forestgen.recipe.assets import SUFFIXES, find_asset
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.species import TALLEST_M, Species
@@ -40,6 +39,7 @@ PICTURE = ".png"
 _MOST_FILES = 9999  # names have four digits
 _MOST_SEEDS = 2**63  # mesh files hold them as signed integers
 _SHORTEST_M = 0.02
+_FEWEST_TRIANGLES = 100  # of wood
 _TALLEST = 2.0  # of a mature plant's height
 _REPR_SAMPLES = 16
 
@@ -309,7 +309,8 @@ def check_numbers(
         whole_of(detail, "detail", 0, 2)
     if height_m is not None:
         number_of(height_m, "height_m")
-    check_wood_triangles(wood_triangles)
+    if wood_triangles is not None:
+        whole_of(wood_triangles, "wood_triangles", _FEWEST_TRIANGLES, 10**9)
 
 
 def check_formats(outputs: Sequence[Path]) -> None:

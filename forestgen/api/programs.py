@@ -10,7 +10,7 @@ from typing import Any
 from forestgen.core.arguments import MOST_SEEDS, path_of, texts_of, whole_of
 from forestgen.core.errors import LsystemError, RecipeError
 from forestgen.lsystem import derivation
-from forestgen.lsystem.compiler import Program, Value, compile_program, with_values
+from forestgen.lsystem.compiler import Value, compile_program, with_values
 from forestgen.lsystem.multiset import words_as_lists, words_as_text
 from forestgen.lsystem.parsing import parse_file
 from forestgen.recipe.assets import find_asset

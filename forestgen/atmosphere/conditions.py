@@ -2,15 +2,14 @@
 
 Model
 -----
-Air at rest is a column of layers: a mixed layer next to the ground, stirred through, so that potential temperature and
-vapour are the same at all heights; a layer of constant lapse rate up to the inversion, in which relative humidity
-goes linearly from the mixed layer's top to `relative_humidity_aloft`; the inversion itself, `inversion_jump_k` over a
-tenth of its height and at most 100 m; a second lapse rate above (Eq. 17 with a step). Vapour is bounded by saturation.
+Air at rest is a column of layers, by heights above the ground in metres: a mixed layer next to the ground, in which
+potential temperature and vapour are the same at all heights; a layer of constant lapse rate up to the inversion, in
+which relative humidity goes linearly from the mixed layer's top to `relative_humidity_aloft`; the inversion itself,
+`inversion_jump_k` over a tenth of its height and at most 100 m; a second lapse rate above (Eq. 17 with a step). Vapour
+is bounded by saturation.
 
 The ground gives off heat and vapour: noise of patches on it, or a map. The wind is the same at all heights to begin
 with. The air below the inversion cools at a constant rate as it radiates: without that there is no fog.
-
-Heights and depths are above the ground, in metres.
 """
 
 from __future__ import annotations

@@ -84,10 +84,7 @@ def air_mass(elevation_deg: float) -> float:
 def clear_spectra(
     elevation_deg: float, air: Air, ground_albedo: float, distance_au: float
 ) -> tuple[Floats, Floats, Floats]:
-    """(122,) nm; (122,) W/m²/nm of the sun on a plane that faces it; (122,) of the sky on a level plane.
-
-    `elevation_deg` in (0, 90] is that of the sun as it is seen.
-    """
+    """(122,) nm; W/m²/nm of the sun, as it is seen in (0, 90] degrees, facing it; of the sky on a level plane."""
     wavelength, space, *_ = _coefficients()
     space = space / distance_au**2
     sine = float(np.sin(np.radians(elevation_deg)))

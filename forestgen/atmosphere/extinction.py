@@ -1,12 +1,10 @@
 """From simulated water to what the renderer gets: extinction, albedo and phase function on a grid.
 
 Droplets
-    sigma_t = 3 w / (2 rho_w r_eff), w the mass of liquid water in a cubic metre of air, rho_w = 1000 kg/m³. It is the
+    sigma_t = 3 w / (2 rho_w r_eff), w the mass of liquid water in a cubic metre of air, rho_w = 1000 kg/m³: the
     geometric limit, extinction efficiency 2; Mie's is 2.07 to 2.1 for these droplets (5% more, left out: r_eff is not
     known so well). The simulation has one moment, mass; so r_eff is one number by type of cloud: see
-    `forestgen.atmosphere.clouds.simulated`.
-
-    Ice is not simulated: an anvil is of droplets here, and has no halo.
+    `forestgen.atmosphere.clouds.simulated`. Ice is not simulated: an anvil is of droplets here, and has no halo.
 Rain
     Marshall and Palmer's drops, N(D) = N_0 exp(-L D), N_0 = 8e6 /m⁴. Mass fixes L = (pi rho_w N_0 / w)^(1/4), and
     sigma_t = pi N_0 / L³, which is the formula above with r_eff = 3 / (2 L): 0.38 mm at 0.1 g/m³, 0.67 mm at 1 g/m³.
@@ -14,8 +12,7 @@ Rain
 Albedo
     Mie's 1 - albedo at 550 nm is 2e-7 to 8e-7 for droplets and about 2e-5 for rain: nothing, even for the hundreds of
     times that a path scatters in a thick cloud. `ALBEDO` holds for both; 0.999 would lose 5% and more there. Clouds
-    are grey: in the infrared beyond 1300 nm, where water absorbs (1 - albedo about 5e-3 at 1600 nm), real clouds are
-    darker than these.
+    are grey: beyond 1300 nm, where water absorbs (1 - albedo about 5e-3 at 1600 nm), real ones are darker.
 Phase function
     Two Henyey-Greenstein lobes fitted to Mie's for a gamma distribution of droplets (effective variance 0.1, 550 nm).
     Asymmetry parameter and backward share are exact; docs/spectra/make_droplets.py prints these numbers and the error

@@ -17,18 +17,19 @@ from forestgen.core.processes import free_bytes
 
 ROUNDING = 1e-6  # by which a simulation's ratios (kg/kg) may be below 0
 _CELLS = ("z", "y", "x")
-# Field of a snapshot -> (its axes, least, most, unit); with three axes it has single precision, otherwise double.
-FIELDS: dict[str, tuple[tuple[str, ...], float, float, str]] = {
-    "east_m_per_s": (("z", "y", "x_face"), -500.0, 500.0, "m/s"),
-    "north_m_per_s": (("z", "y_face", "x"), -500.0, 500.0, "m/s"),
-    "up_m_per_s": (("z_face", "y", "x"), -500.0, 500.0, "m/s"),
-    "potential_temperature_k": (_CELLS, 50.0, 5000.0, "K"),
-    "vapour": (_CELLS, -ROUNDING, 1.0, "kg/kg"),
-    "cloud": (_CELLS, -ROUNDING, 1.0, "kg/kg"),
-    "rain": (_CELLS, -ROUNDING, 1.0, "kg/kg"),
-    "fallen_kg_per_m2": (("y", "x"), -ROUNDING, np.inf, "kg/m2"),
-    "density_kg_per_m3": (("z",), 1e-6, 10.0, "kg/m3"),
-    "temperature_ratio": (("z",), 1e-3, 10.0, ""),
+# Field of a snapshot -> (its axes, least, most, unit, name in NetCDF: the standard one if CF's table has one that fits
+# exactly); with three axes it has single precision, otherwise double.
+FIELDS: dict[str, tuple[tuple[str, ...], float, float, str, str]] = {
+    "east_m_per_s": (("z", "y", "x_face"), -500.0, 500.0, "m/s", "eastward_wind"),
+    "north_m_per_s": (("z", "y_face", "x"), -500.0, 500.0, "m/s", "northward_wind"),
+    "up_m_per_s": (("z_face", "y", "x"), -500.0, 500.0, "m/s", "upward_air_velocity"),
+    "potential_temperature_k": (_CELLS, 50.0, 5000.0, "K", "air_potential_temperature"),
+    "vapour": (_CELLS, -ROUNDING, 1.0, "kg/kg", "humidity_mixing_ratio"),
+    "cloud": (_CELLS, -ROUNDING, 1.0, "kg/kg", "cloud_liquid_water_mixing_ratio"),
+    "rain": (_CELLS, -ROUNDING, 1.0, "kg/kg", "mass of rain per mass of dry air"),
+    "fallen_kg_per_m2": (("y", "x"), -ROUNDING, np.inf, "kg/m2", "rainfall_amount"),
+    "density_kg_per_m3": (("z",), 1e-6, 10.0, "kg/m3", "density of the air at rest"),
+    "temperature_ratio": (("z",), 1e-3, 10.0, "", "dimensionless_exner_function"),
 }
 
 
@@ -130,10 +131,10 @@ class Weather:
 
 
 class FieldError(ValueError):
-    """A field, `what`, is not what it should be: `expected` and `got` in words."""
+    """A field, `what`, is not what it should be: `expected` and `got` in words; `level` is a sounding's, by index."""
 
-    def __init__(self, what: str, expected: str, got: str) -> None:
-        self.what, self.expected, self.got = what, expected, got
+    def __init__(self, what: str, expected: str, got: str, level: int | None = None) -> None:
+        self.what, self.expected, self.got, self.level = what, expected, got, level
         super().__init__(f"{what}: expected {expected}, got {got}")
 
 
@@ -145,7 +146,7 @@ def check_weather(weather: Weather) -> None:
         raise FieldError("time", "seconds since the beginning", f"{weather.time_s:g} s")
     sizes = dict(zip(_CELLS, grid.shape, strict=True))
     sizes |= {f"{axis}_face": count + 1 for axis, count in sizes.items()}
-    for name, (axes, least, most, unit) in FIELDS.items():
+    for name, (axes, least, most, unit, _) in FIELDS.items():
         kind = np.float32 if len(axes) == 3 else np.float64
         _check_array(name, getattr(weather, name), tuple(sizes[axis] for axis in axes), kind)
         _check_range(name, getattr(weather, name), least, most, unit)

@@ -32,22 +32,7 @@ _CELLS = ("z", "y", "x")
 _SEALED, _SEAL = b"forestgen seal 1", struct.Struct("<16sI")  # its name, and CRC-32 of all before it
 _RADIUS = "droplet_effective_radius_um"
 _DEFLATE_LEVEL = 2  # higher levels take several times as long for a few per cent
-
-# Field -> attributes. The standard names are those of CF's table that fit exactly.
-_ATTRIBUTES = {
-    "east_m_per_s": {"standard_name": "eastward_wind", "units": "m s-1"},
-    "north_m_per_s": {"standard_name": "northward_wind", "units": "m s-1"},
-    "up_m_per_s": {"standard_name": "upward_air_velocity", "units": "m s-1"},
-    "potential_temperature_k": {"standard_name": "air_potential_temperature", "units": "K"},
-    "vapour": {"standard_name": "humidity_mixing_ratio", "units": "kg kg-1"},
-    "cloud": {"standard_name": "cloud_liquid_water_mixing_ratio", "units": "kg kg-1"},
-    "rain": {"long_name": "mass of rain per mass of dry air", "units": "kg kg-1"},
-    "fallen_kg_per_m2": {"standard_name": "rainfall_amount", "units": "kg m-2"},
-    "density_kg_per_m3": {"long_name": "density of the air at rest", "units": "kg m-3"},
-    "temperature_ratio": {"standard_name": "dimensionless_exner_function", "units": "1"},
-}
-_SOLID = {"long_name": "0 air, 1 inside the terrain", "units": "1"}
-_EXTINCTION = {"long_name": "extinction of light by droplets", "units": "m-1"}
+_CF_UNITS = {"m/s": "m s-1", "K": "K", "kg/kg": "kg kg-1", "kg/m2": "kg m-2", "kg/m3": "kg m-3", "1/m": "m-1", "": "1"}
 _POSITIVE_UP = {"standard_name": "height", "positive": "up"}
 
 
@@ -66,10 +51,7 @@ def write_netcdf(path: Path, content: Weather | CloudGrid, *, droplet_radius_um:
 
 
 def read_netcdf(path: Path) -> Weather | CloudGrid:
-    """What `write_netcdf` wrote.
-
-    Raises `FieldError` if it is no such file, is damaged or lacks something, `ResourceError` if memory is too small.
-    """
+    """What `write_netcdf` wrote. `FieldError`: no such file, or a damaged one; `ResourceError`: memory is too small."""
     import h5py  # h5netcdf's reader leaves a warning on the terminal when a file is damaged
 
     with path.open("rb") as stream:
@@ -94,10 +76,7 @@ def read_netcdf(path: Path) -> Weather | CloudGrid:
 
 
 def netcdf_size(path: Path) -> tuple[int, float | None]:
-    """Cells of a file that `read_netcdf` takes, and the width of a snapshot that is periodic, m.
-
-    Raises OSError, KeyError or ValueError if it is no such file.
-    """
+    """Cells, and width of a periodic snapshot, m. OSError, KeyError, ValueError: `read_netcdf` takes no such file."""
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -107,10 +86,7 @@ def netcdf_size(path: Path) -> tuple[int, float | None]:
 
 
 def droplet_radius_of(path: Path) -> float | None:
-    """Effective radius, µm, of the droplets of a file that `read_netcdf` takes; None if it does not say.
-
-    Raises `FieldError` if it is no number above 0.
-    """
+    """Effective radius, µm, of a file that `read_netcdf` takes, or None. `FieldError`: no number above 0."""
     import h5py
 
     with h5py.File(path, "r") as file:
@@ -124,16 +100,15 @@ def droplet_radius_of(path: Path) -> float | None:
 
 def _put_weather(file: Any, weather: Weather) -> None:
     grid = weather.grid
-    _put_head(file, WEATHER, "State of the air in a simulation of clouds")
-    _put_axes(file, grid.cells, grid.cell_m, grid.low_m, faces=True)
+    _put_head(file, WEATHER, "State of the air in a simulation of clouds", grid, faces=True)
     file.attrs["cell_m"], file.attrs["low_m"] = np.array(grid.cell_m, "f8"), np.array(grid.low_m, "f8")
     file.attrs["periodic"] = np.int8(grid.periodic)
     time = file.create_variable("time", (), "f8", data=np.float64(weather.time_s))
     time.attrs.update({"long_name": "time since the simulation began", "units": "s"})
-    for name, (axes, *_) in FIELDS.items():
-        _put(file, name, axes, getattr(weather, name), _ATTRIBUTES[name])
+    for name, (axes, _, _, unit, title) in FIELDS.items():
+        _put(file, name, axes, getattr(weather, name), title, unit)
     if weather.solid is not None:
-        _put(file, "solid", _CELLS, weather.solid.astype(np.int8), _SOLID)
+        _put(file, "solid", _CELLS, weather.solid.astype(np.int8), "0 air, 1 inside the terrain", "")
 
 
 def _weather_of(file: Any, where: str) -> Weather:
@@ -152,14 +127,12 @@ def _weather_of(file: Any, where: str) -> Weather:
 
 
 def _put_clouds(file: Any, grid: CloudGrid) -> None:
-    _put_head(file, CLOUDS, "Clouds as a field of extinction")
-    cells = grid.extinction_per_m.shape[::-1]
-    _put_axes(file, (cells[0], cells[1], cells[2]), grid.cell_m, grid.low_m, faces=False)
+    _put_head(file, CLOUDS, "Clouds as a field of extinction", grid, faces=False)
     file.attrs["low_m"], file.attrs["high_m"] = np.array(grid.low_m, "f8"), np.array(grid.high_m, "f8")
     file.attrs["albedo"] = np.float64(grid.albedo)
     phase = grid.phase
     file.attrs["phase"] = np.array([phase.forward, phase.backward, phase.forward_share], "f8")
-    _put(file, "extinction_per_m", _CELLS, grid.extinction_per_m, _EXTINCTION)
+    _put(file, "extinction_per_m", _CELLS, grid.extinction_per_m, "extinction of light by droplets", "1/m")
 
 
 def _clouds_of(file: Any, where: str) -> CloudGrid:
@@ -170,14 +143,10 @@ def _clouds_of(file: Any, where: str) -> CloudGrid:
     return CloudGrid(np.ascontiguousarray(field[...]), low, high, albedo, PhaseFunction(forward, backward, share))
 
 
-def _put_head(file: Any, content: str, title: str) -> None:
+def _put_head(file: Any, content: str, title: str, grid: AirGrid | CloudGrid, *, faces: bool) -> None:
     file.attrs.update({"Conventions": "CF-1.11", "title": title, "source": "forestgen", "content": content})
-
-
-def _put_axes(
-    file: Any, cells: tuple[int, ...], cell_m: tuple[float, ...], low_m: tuple[float, ...], *, faces: bool
-) -> None:
-    for axis, count, side, low in zip("xyz", cells, cell_m, low_m, strict=True):
+    cells = grid.cells if isinstance(grid, AirGrid) else grid.extinction_per_m.shape[::-1]
+    for axis, count, side, low in zip("xyz", cells, grid.cell_m, grid.low_m, strict=True):
         more = {f"{axis}_face": low + np.arange(count + 1) * side} if faces else {}
         for name, places in {axis: low + (np.arange(count) + 0.5) * side, **more}.items():
             file.dimensions[name] = len(places)
@@ -187,12 +156,13 @@ def _put_axes(
             variable.attrs.update({**attributes, **up, **({"axis": axis.upper()} if name == axis else {})})
 
 
-def _put(file: Any, name: str, axes: tuple[str, ...], values: NDArray[Any], attributes: dict[str, str]) -> None:
+def _put(file: Any, name: str, axes: tuple[str, ...], values: NDArray[Any], title: str, unit: str) -> None:
     packed = {"compression": "gzip", "compression_opts": _DEFLATE_LEVEL, "shuffle": True}
     # One block a layer, or a row where there are no layers.
     blocks = values.shape if values.ndim < 3 else (1, *values.shape[1:])
     variable = file.create_variable(name, axes, values.dtype.str[1:], data=values, chunks=blocks, **packed)
-    variable.attrs.update(attributes)
+    kind = "long_name" if " " in title else "standard_name"
+    variable.attrs.update({kind: title, "units": _CF_UNITS[unit]})
 
 
 def _numbers(file: Any, name: str, count: int) -> list[float]:

@@ -17,6 +17,8 @@ Amanatides, J., Woo, A. (1987): A fast voxel traversal algorithm for ray tracing
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -126,6 +128,19 @@ def piece(corner, box, start, step, first, last, reach):  # type: ignore[no-unty
     return 0.5 * (last - first) * total
 
 
+def largest_in_boxes(value: NDArray[np.float32], starts: Sequence[NDArray[np.integer]]) -> NDArray[np.float32]:
+    """Largest value that a point of each box can have; boxes begin at the cells `starts` along z, y and x.
+
+    It lies in one of the box' own cells or the next on any side.
+    """
+    from scipy.ndimage import maximum_filter
+
+    most = maximum_filter(value, size=3, mode="nearest")
+    for axis, first in enumerate(starts):
+        most = np.maximum.reduceat(most, first, axis=axis)
+    return np.ascontiguousarray(most)
+
+
 def optical_depth(
     grid: CloudGrid,
     origin_m: NDArray[np.float64],
@@ -155,10 +170,7 @@ def optical_depth(
 
 
 def cloud_opacity(
-    grid: CloudGrid,
-    origin_m: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    distance_m: NDArray[np.float32],
+    grid: CloudGrid, origin_m: NDArray[np.float64], direction: NDArray[np.float64], distance_m: NDArray[np.float32]
 ) -> NDArray[np.float32]:
     """(H, W) share of the light along each pixel centre's ray that clouds scatter or take away, in [0, 1].
 

@@ -1,8 +1,8 @@
 """Weather from a scenario: phases of conditions, simulated one after another, and kept on disk.
 
 Time goes in marks of `MARK_S` from the beginning of each phase. What goes on from a mark depends on the state there
-and on nothing else, so a simulation that was interrupted, or that an earlier picture has brought half the way, has the
-bytes of one that runs through. At each mark, beside what `fluid.air` does:
+alone: a simulation that was interrupted, or that an earlier picture has brought half the way, has the bytes of one that
+runs through. At each mark, beside what `fluid.air` does:
 
 - the air below the inversion has cooled by `Conditions.cooling_k_per_h`, as air and fog that radiate do;
 - in a story's later phases, each layer's mean temperature and vapour come closer to those of the phase's sounding,
@@ -18,8 +18,7 @@ import hashlib
 import math
 import time
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from forestgen.atmosphere.fluid.air import Air, at_rest
 from forestgen.atmosphere.fluid.parameters import Physics, Surface
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import LATENT_HEAT_J_PER_KG
-from forestgen.core.array_serialization import UnreadableError, pack, unpack
+from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
@@ -53,17 +52,15 @@ def weather_store() -> DiskCache | None:
     return None if root is None else DiskCache(root / "weather", _MOST_BYTES)
 
 
+def weather_key(*inputs: Any) -> str:
+    """What weather is kept under, by all that it depends on: code, numbers, dataclasses of arrays."""
+    return hashlib.blake2b(pack(inputs), digest_size=20).hexdigest()
+
+
 def read_weather(store: DiskCache, key: str) -> Weather | None:
     """What is kept under a key; None where there is nothing, or nothing that can be read, which is dropped."""
-    data = store.read(key)
-    if data is None:
-        return None
-    with suppress(UnreadableError):
-        found = unpack(data, (Weather, AirGrid))
-        if isinstance(found, Weather):
-            return found
-    store.drop(key)
-    return None
+    found: Weather | None = read_packed(store, key, (Weather, AirGrid))
+    return found
 
 
 def regridded(weather: Weather, fresh: Weather) -> Weather:
@@ -241,10 +238,8 @@ class _Work:
         self._kept_s = time.monotonic()
 
     def _key(self, stop: _Stop) -> str:
-        digest = hashlib.blake2b(digest_size=20)
-        until_then = described(self._scenario.phases[: stop.phase + 1])
-        digest.update(repr((code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, until_then)).encode())
-        return digest.hexdigest()
+        until_then = self._scenario.phases[: stop.phase + 1]
+        return weather_key(code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, until_then)
 
     def _fresh(self, number: int) -> Weather:
         conditions = self._scenario.phases[number].conditions
@@ -336,15 +331,3 @@ def _patches(
     amplitude = np.where(k > 0, np.exp(-0.5 * ((k - centre) / (0.35 * centre)) ** 2), 0.0)
     noise = scipy.fft.ifftn(scipy.fft.fftn(white) * amplitude).real
     return np.asarray((noise - noise.mean()) / noise.std())
-
-
-def described(value: Any) -> Any:
-    """Plain and complete, for a hash: arrays by their bytes."""
-    if is_dataclass(value):
-        named = {one.name: getattr(value, one.name) for one in fields(value)}
-        return type(value).__name__, tuple((name, described(one)) for name, one in named.items())
-    if isinstance(value, tuple):
-        return tuple(described(one) for one in value)
-    if isinstance(value, np.ndarray):
-        return value.shape, value.dtype.str, hashlib.blake2b(np.ascontiguousarray(value).tobytes()).hexdigest()
-    return float(value) if isinstance(value, int | float) else value

@@ -4,8 +4,7 @@
 |---|---|---|---|
 | standard gravity | g | m/s2 | 9.80665; the paper rounds it to 9.81 |
 | gas constant | R | J/(kmol K) | 8314 |
-| molar mass of dry air | M | kg/kmol | 28.96 (Eq. 18) |
-| molar mass of water | M_W | kg/kmol | 18.02 (Eq. 19) |
+| molar mass of dry air, of water | M, M_W | kg/kmol | 28.96 (Eq. 18), 18.02 (Eq. 19) |
 | latent heat of condensation | L | J/kg | 2.5e6 (Eq. 34's print lacks the exponent) |
 | lapse rate | dT/dz | K/m | negative where it cools upwards; ISA's troposphere: -0.0065 |
 
@@ -14,14 +13,15 @@ What was decided where the print is wrong or silent:
 - Eq. 16 with its minus sign takes the magnitude of the lapse rate. Here a lapse rate is dT/dz, with its sign.
 - The first half of Eq. 17's second line keeps the lower layer's rate; its second half is right, and is used.
 - Gravity falls with height, 0.35% over 11 km, which would cost the pressure there 0.3%. So temperature is linear in
-  geopotential height, `geopotential_m`, which is how the International Standard Atmosphere (ISO 2533) is defined, and
-  the hydrostatic equation is then integrated exactly in every layer. ISA's values come out to 0.02%.
+  geopotential height, `geopotential_m`, as in the International Standard Atmosphere (ISO 2533), and the hydrostatic
+  equation is integrated exactly in every layer. ISA's values come out to 0.02%.
 - Saturation is over water, at all temperatures (Eq. 29), by the approximation q = 0.622 e / p. The exact ratio divides
   by p - e: 2% more at 18 °C, 4% more at 30 °C.
 
 Tables
 ------
-Soundings are read from CSV files of one row a height, from the ground up.
+CSV files of one row a height, from the ground up; the first line names the columns, in any order. Empty lines and lines
+that begin with # are passed over.
 
 | column | unit | |
 |---|---|---|
@@ -32,8 +32,6 @@ Soundings are read from CSV files of one row a height, from the ground up.
 | vapour_g_per_kg | g of vapour per kg of dry air | or none: dry |
 | wind_from_deg, wind_m_per_s | clockwise from north, where it comes from; speed | both, |
 | east_m_per_s, north_m_per_s | where it blows to | or these, or none: calm |
-
-The first line names the columns, in any order. Empty lines and lines that begin with # are passed over.
 
     height_m,temperature_c,relative_humidity
     0,22,0.46
@@ -85,10 +83,7 @@ _COLUMN_OF = {
 
 @dataclass(frozen=True)
 class Sounding:
-    """A column of air in hydrostatic balance. Temperature, vapour and wind are linear between the heights.
-
-    Nothing is checked here: see `first_fault`.
-    """
+    """A column of air in hydrostatic balance, linear between its heights; `first_fault` checks it."""
 
     height_m: Floats  # (N,) above the ground, rising, the first 0; constant beyond the last
     temperature_k: Floats  # (N,)
@@ -155,31 +150,12 @@ def saturation_ratio(temperature_k: Floats | float, pressure_pa: Floats | float)
     return np.asarray(380.16 / np.asarray(pressure_pa) * np.exp(17.67 * celsius / (celsius + 243.5)))
 
 
-@dataclass(frozen=True)
-class SoundingFault:
-    """What is wrong with a sounding, in words, and at which level."""
-
-    what: str  # the quantity, in a recipe's or a table's words
-    expected: str
-    got: str
-    level: int | None = None  # index of the height; None: the sounding as a whole
-
-
-def first_fault(sounding: Sounding) -> SoundingFault | None:
+def first_fault(sounding: Sounding) -> FieldError | None:
     """The first thing that is wrong with a sounding, from the form of the table to the physics; None: nothing."""
-    return _fault_of_form(sounding) or _fault_of_values(sounding) or _fault_of_physics(sounding)
-
-
-def _fault_of_form(sounding: Sounding) -> SoundingFault | None:
     if len(sounding.height_m) < 2:
-        return SoundingFault("levels", "at least two heights", str(len(sounding.height_m)))
+        return FieldError("levels", "at least two heights", str(len(sounding.height_m)))
     if not 30_000.0 <= sounding.ground_pressure_pa <= 120_000.0:
-        expected = "300 to 1200 hPa"
-        return SoundingFault("pressure at the ground", expected, f"{sounding.ground_pressure_pa / 100:g} hPa")
-    return None
-
-
-def _fault_of_values(sounding: Sounding) -> SoundingFault | None:
+        return FieldError("pressure at the ground", "300 to 1200 hPa", f"{sounding.ground_pressure_pa / 100:g} hPa")
     speed = np.hypot(*sounding.wind_m_per_s.T)
     ranges = (
         ("height", sounding.height_m, 0.0, 100_000.0, "m"),
@@ -190,23 +166,19 @@ def _fault_of_values(sounding: Sounding) -> SoundingFault | None:
     for name, values, low, high, unit in ranges:
         # not (inside): a NaN is outside of every range.
         if (bad := _first(~((values >= low) & (values <= high)))) is not None:
-            return SoundingFault(name, f"{low:g} to {high:g} {unit}", f"{values[bad]:g} {unit}", bad)
+            return FieldError(name, f"{low:g} to {high:g} {unit}", f"{values[bad]:g} {unit}", bad)
     if sounding.height_m[0] != 0.0:
-        return SoundingFault("first height", "0 m, the ground", f"{sounding.height_m[0]:g} m", 0)
+        return FieldError("first height", "0 m, the ground", f"{sounding.height_m[0]:g} m", 0)
     if (bad := _first(np.diff(sounding.height_m) <= 0.0)) is not None:
         above = f"more than the {sounding.height_m[bad]:g} m of the level before"
-        return SoundingFault("height", above, f"{sounding.height_m[bad + 1]:g} m", bad + 1)
-    return None
-
-
-def _fault_of_physics(sounding: Sounding) -> SoundingFault | None:
+        return FieldError("height", above, f"{sounding.height_m[bad + 1]:g} m", bad + 1)
     humidity = sounding.relative_humidity_at(sounding.height_m)
     if (bad := _first(humidity > 1.0 + 1e-6)) is not None:
-        return SoundingFault("relative humidity", "at most 1", f"{humidity[bad]:.4g}: supersaturated", bad)
+        return FieldError("relative humidity", "at most 1", f"{humidity[bad]:.4g}: supersaturated", bad)
     lapse = np.diff(sounding.temperature_k) / np.diff(geopotential_m(sounding.height_m))
     if (bad := _first(lapse < AUTOCONVECTION_K_PER_M)) is not None:
         expected = f"at least {1000 * AUTOCONVECTION_K_PER_M:.1f} K/km (steeper, air is heavier above than below)"
-        return SoundingFault("lapse rate dT/dz up to the next level", expected, f"{1000 * lapse[bad]:.4g} K/km", bad)
+        return FieldError("lapse rate dT/dz up to the next level", expected, f"{1000 * lapse[bad]:.4g} K/km", bad)
     return None
 
 
@@ -309,9 +281,8 @@ def _wind(columns: dict[str, Floats], still: Floats) -> Floats:
 
 def _check(sounding: Sounding, lines: list[int], columns: dict[str, Floats]) -> None:
     fault = first_fault(sounding)
-    if fault is None:
-        return
-    place = "" if fault.level is None else f"line {lines[fault.level]}, "
-    named = next((name for name in _COLUMN_OF.get(fault.what, ()) if name in columns), None)
-    what = fault.what if named is None or fault.what.startswith(named) else f"column {named}: {fault.what}"
-    raise FieldError(f"{place}{what}", fault.expected, fault.got)
+    if fault is not None:
+        place = "" if fault.level is None else f"line {lines[fault.level]}, "
+        named = next((name for name in _COLUMN_OF.get(fault.what, ()) if name in columns), None)
+        what = fault.what if named is None or fault.what.startswith(named) else f"column {named}: {fault.what}"
+        raise FieldError(f"{place}{what}", fault.expected, fault.got)

@@ -11,8 +11,8 @@ A snapshot comes back to the last bit, so a simulation that resumes goes on as i
 `.vdb` hold no albedo and no phase function, and the corners of a `.vol` are rounded to float32.
 
 Files are written beside their place and then renamed: a file of this name is always whole. The same values make the
-same bytes. Nothing is stored or read in half precision. What is read is checked: sizes that agree and fit into memory,
-numbers that are numbers and in their range.
+same bytes, and none is in half precision. What is read is checked: sizes that agree and fit into memory, numbers in
+their range.
 
 A `.vol` is a header of 48 bytes and the cells, all little-endian:
 
@@ -25,15 +25,15 @@ A `.vol` is a header of 48 bytes and the cells, all little-endian:
 | 24-47 | 6 float32 | lower corner x, y, z, upper corner x, y, z |
 | 48- | float32 | values, x fastest, then y, then z |
 
-The corners are those of the box around the cells. Mitsuba fills its unit cube with the cells unless `use_grid_bbox` is
-set, and then takes these corners.
+The corners are those of the box around the cells, which Mitsuba takes if `use_grid_bbox` is set; else it fills its unit
+cube.
 
 A `.vdb`, for Blender, Houdini and others, holds the extinction as a fog volume named `density`. PyPI has no wheel of
-OpenVDB itself: there is no `openvdb`, and `pyopenvdb` has none for today's Pythons. `tinyvdb` 0.9.0, which has, loses
-leaves of nodes with more than 64. So this is a writer only, of format 224: a tree of 8, 16 and 32 children a side
-(`Tree_float_5_4_3`), each node's values deflated. Leaves of 8 x 8 x 8 cells without any extinction are left out. Values
-are the extinction in 1/m, exact; z is up; scale and translation put the voxels' centres where the cells' centres are in
-the world. OpenVDB 12.0, the one inside Blender 5.0, reads every value, activity and place right.
+OpenVDB for today's Pythons, and `tinyvdb` 0.9.0 loses leaves of nodes with more than 64. So this is a writer only, of
+format 224: a tree of 8, 16 and 32 children a side (`Tree_float_5_4_3`), each node's values deflated. Leaves of 8 x 8 x
+8 cells without any extinction are left out. Values are the extinction in 1/m, exact; z is up; scale and translation put
+the voxels' centres where the cells' centres are in the world. OpenVDB 12.0, the one inside Blender 5.0, reads every
+value, activity and place right.
 """
 
 from __future__ import annotations
@@ -45,6 +45,8 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
@@ -60,9 +62,9 @@ _MAGIC, _FORMAT, _LIBRARY = 0x56444220, 224, (10, 0)
 _ZIP = 1
 _ALL_VALUES = b"\x06"  # each node stores all its values, none is left to a mask
 _UUID = b"00000000-0000-0000-0000-000000000000"  # the same field makes the same bytes
-_SIDES = (8, 16, 32)  # of a leaf in voxels, of an inner node in leaves, of an outer one in inner nodes
 _HEADER = struct.Struct("<3sBi3ii6f")
 _ENCODINGS = {1: "float32", 2: "float16", 3: "bytes", 4: "directions"}
+_Voxel = tuple[int, int, int]
 T = TypeVar("T")
 
 
@@ -83,7 +85,7 @@ def write_vdb(path: Path, grid: CloudGrid) -> None:
         file.write(struct.pack("<qqq", begin, blocks, end))
 
 
-def _leaves(field: NDArray[np.float32]) -> dict[tuple[int, int, int], NDArray[np.float32]]:
+def _leaves(field: NDArray[np.float32]) -> dict[_Voxel, NDArray[np.float32]]:
     """Blocks of 8 x 8 x 8 (x, y, z) voxels that hold anything, by their first voxel."""
     counts = [-(-n // 8) for n in field.shape]
     padded = np.zeros([8 * n for n in counts], np.float32)
@@ -93,50 +95,35 @@ def _leaves(field: NDArray[np.float32]) -> dict[tuple[int, int, int], NDArray[np
     return {(8 * int(i), 8 * int(j), 8 * int(k)): np.ascontiguousarray(blocks[i, j, k]) for i, j, k in some}
 
 
-def _write_tree(file: BinaryIO, leaves: dict[tuple[int, int, int], NDArray[np.float32]]) -> int:
+def _write_tree(file: BinaryIO, leaves: dict[_Voxel, NDArray[np.float32]]) -> int:
     """Topology, then the leaves' values; where in the file the latter begin."""
-    outer: dict[tuple[int, int, int], dict[tuple[int, int, int], list[tuple[int, int, int]]]] = {}
-    for leaf in leaves:
-        inner = _first(leaf, 128)
-        outer.setdefault(_first(leaf, 4096), {}).setdefault(inner, []).append(leaf)
-    file.write(struct.pack("<IfII", 1, 0.0, 0, len(outer)))  # one buffer a leaf; background; tiles; children
-    order = []
-    for origin in sorted(outer):
-        file.write(struct.pack("<3i", *origin))
-        inners = _in_order(list(outer[origin]), 128, 5)
-        _write_node(file, [place for place, _ in inners], 32)
-        for _, inner in inners:
-            below = _in_order(outer[origin][inner], 8, 4)
-            _write_node(file, [place for place, _ in below], 16)
-            for _, leaf in below:
+    # Outer node, inner node and leaf, by their first voxels: x slowest, z fastest.
+    rows = sorted((_first(leaf, 4096), _first(leaf, 128), leaf) for leaf in leaves)
+    roots = len({outer for outer, _, _ in rows})
+    file.write(struct.pack("<IfII", 1, 0.0, 0, roots))  # one buffer a leaf; background; tiles; children
+    for outer, below in groupby(rows, key=itemgetter(0)):
+        inners = [[leaf for _, _, leaf in own] for _, own in groupby(below, key=itemgetter(1))]
+        file.write(struct.pack("<3i", *outer))
+        _write_node(file, [own[0] for own in inners], 128, 32)
+        for own in inners:
+            _write_node(file, own, 8, 16)
+            for leaf in own:
                 file.write(_mask(leaves[leaf] != 0.0))
-                order.append(leaf)
     begin = file.tell()
-    for leaf in order:
+    for _, _, leaf in rows:
         file.write(_mask(leaves[leaf] != 0.0) + _ALL_VALUES + _deflated(leaves[leaf]))
     return begin
 
 
-def _write_node(file: BinaryIO, places: list[int], side: int) -> None:
-    """Masks of children and of active tiles, of which there are none; and the tiles' values, all 0."""
-    children = np.zeros(side**3, bool)
-    children[places] = True
+def _write_node(file: BinaryIO, voxels: list[_Voxel], size: int, side: int) -> None:
+    """Masks of children, which hold these voxels, and of active tiles, of which there are none; their values, all 0."""
+    children = np.zeros((side,) * 3, bool)
+    children[tuple((np.array(voxels) // size % side).T)] = True
     file.write(_mask(children) + bytes(side**3 // 8))
     file.write(_ALL_VALUES + _deflated(np.zeros(side**3, np.float32)))
 
 
-def _in_order(origins: list[tuple[int, int, int]], size: int, log_side: int) -> list[tuple[int, tuple[int, int, int]]]:
-    """Children by their place in the parent: x slowest, z fastest."""
-    side = 1 << log_side
-
-    def place(origin: tuple[int, int, int]) -> int:
-        x, y, z = ((value // size) % side for value in origin)
-        return (x * side + y) * side + z
-
-    return sorted((place(origin), origin) for origin in origins)
-
-
-def _first(voxel: tuple[int, int, int], size: int) -> tuple[int, int, int]:
+def _first(voxel: _Voxel, size: int) -> _Voxel:
     x, y, z = (value // size * size for value in voxel)
     return x, y, z
 
@@ -211,11 +198,7 @@ def read_vol(path: Path) -> CloudGrid:
 
 
 _READERS: dict[str, Callable[[Path], Weather | CloudGrid]] = {".nc": read_netcdf, ".vol": read_vol}
-_WRITERS: dict[str, Callable[[Path, CloudGrid], None]] = {
-    ".nc": write_netcdf,
-    ".vol": write_vol,
-    ".vdb": write_vdb,
-}
+_WRITERS: dict[str, Callable[[Path, CloudGrid], None]] = {".nc": write_netcdf, ".vol": write_vol, ".vdb": write_vdb}
 
 
 def read_sounding(path: Path, *, ground_pressure_pa: float = 101_325.0) -> Sounding:
@@ -237,10 +220,7 @@ def write_weather(path: Path, weather: Weather, *, droplet_radius_um: float | No
 
 
 def write_clouds(path: Path, grid: CloudGrid) -> None:
-    """Write an extinction field, in the format of the name's suffix.
-
-    Raises `OutputError` if the suffix is another, the field is none, or the file cannot be written.
-    """
+    """Write an extinction field in the suffix' format. `OutputError`: another suffix, no field, no writing."""
     with _explained(path, OutputError, "the clouds cannot be written"):
         write = _by_suffix(path, _WRITERS)
         check_clouds(grid)
@@ -248,10 +228,7 @@ def write_clouds(path: Path, grid: CloudGrid) -> None:
 
 
 def read_sky(path: Path) -> Weather | CloudGrid:
-    """Whatever a file holds: a snapshot or an extinction field.
-
-    Raises `AssetError` if there is no such file or its content is neither, `ResourceError` if memory is too small.
-    """
+    """A snapshot or an extinction field. `AssetError`: no such file, or neither; `ResourceError`: no memory."""
     with _explained(path, AssetError, "the file cannot be used as weather"):
         read = _by_suffix(path, _READERS)
         if not path.is_file():
@@ -265,10 +242,7 @@ def read_sky(path: Path) -> Weather | CloudGrid:
 
 
 def size_of(path: Path) -> tuple[int, float | None] | None:
-    """Cells of a file's field, and how wide a state of the air that is periodic is, m; None: it cannot be read.
-
-    Nothing but the head of the file is read.
-    """
+    """Cells of a file's field and width of a periodic snapshot, m, by its head; None: it cannot be read."""
     try:
         if path.suffix.lower() == ".nc":
             return netcdf_size(path)

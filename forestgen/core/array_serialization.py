@@ -10,12 +10,15 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from forestgen.core.cache import DiskCache
 
 _HEAD = struct.Struct("<Q")
 _ALIGNED = 64
@@ -57,6 +60,18 @@ def unpack(data: bytes | bytearray | NDArray[np.uint8], classes: Sequence[type])
         return _value(header["tree"], arrays, {one.__name__: one for one in classes})
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError, struct.error) as error:
         raise UnreadableError(str(error)) from error
+
+
+def read_packed(store: DiskCache, key: str, classes: Sequence[type]) -> Any:
+    """What is kept under a key, of the first of the classes; None where there is nothing, or no such thing: dropped."""
+    data = store.read(key)
+    if data is not None:
+        with suppress(UnreadableError):
+            found = unpack(data, classes)
+            if isinstance(found, classes[0]):
+                return found
+        store.drop(key)
+    return None
 
 
 def _tree(value: Any, arrays: list[NDArray[Any]]) -> Any:

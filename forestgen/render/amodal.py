@@ -1,14 +1,14 @@
 """Amodal counts: which samples of the image hit a plant when it stands alone.
 
-Each exemplar has a scene of its own, in which it stands unmoved, and each plant's rays are brought into the
-exemplar's frame. So all plants of an exemplar are traced in one launch, whatever hides whatever, and the number of
-scenes is that of exemplars. Rays run only through the pixels that the plant's projected hull can touch: `outlines`.
+Each exemplar has a scene of its own, in which it stands unmoved, and each plant's rays are brought into the exemplar's
+frame. So all plants of an exemplar are traced in one launch, and the number of scenes is that of exemplars. Rays run
+only through the pixels that the plant's projected hull can touch: `outlines`.
 
 A sample that hits a plant in the identity pass must hit it here. The rays of the two passes are equal to the last bit
 because the frames change as Embree changes them for an instance: the inverse is the adjoint over the determinant in
-single precision, each operation rounded; rays are then transformed with fused multiply-adds. In tests/system distances
-and barycentric coordinates of the two are compared bit by bit. OptiX does not tell how it transforms rays: on
-CUDA, samples within rounding error of an edge may differ.
+single precision, each operation rounded; rays are then transformed with fused multiply-adds. Tests in tests/system
+compare distances and barycentric coordinates bit by bit. OptiX does not tell how it transforms rays: on CUDA, samples
+within rounding error of an edge may differ.
 """
 
 from __future__ import annotations
@@ -21,13 +21,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.compiled import compiled
 from forestgen.geometry.mesh import Hull, hull_of
 from forestgen.plants.exemplar import Exemplar
 from forestgen.render.build import load, to_mesh
 from forestgen.render.frame import Amodal
 from forestgen.render.identity.tracer import SceneTracer, pixel_rays, sample_offsets
-from forestgen.render.variant import drjit, mitsuba, using
+from forestgen.render.variant import dr, mi, using
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
@@ -80,29 +79,6 @@ def _windows(box: NDArray[np.float64], anywhere: NDArray[np.bool_], size_px: tup
     return np.where(shown[:, None], window, 0).astype(np.int32)
 
 
-class _Alone:
-    """Exemplars of one tracer, each in a scene of its own; built when first asked for, kept for the next camera."""
-
-    def __init__(self) -> None:
-        self._hulls: dict[int, Hull] = {}
-        self._scenes: dict[int, Any] = {}
-        self._triangles = 0
-
-    def hull(self, number: int, exemplar: Exemplar) -> Hull:
-        if number not in self._hulls:
-            self._hulls[number] = hull_of([organ.mesh for organ in exemplar.organs])
-        return self._hulls[number]
-
-    def scene(self, number: int, exemplar: Exemplar) -> Any:
-        if number in self._scenes:
-            return self._scenes[number]
-        scene = alone_scene(exemplar)
-        if self._triangles + exemplar.triangles <= _TRIANGLES_KEPT:
-            self._scenes[number] = scene
-            self._triangles += exemplar.triangles
-        return scene
-
-
 def alone_scene(exemplar: Exemplar) -> Any:
     """A scene of the current variant that holds one exemplar in its own frame.
 
@@ -114,7 +90,19 @@ def alone_scene(exemplar: Exemplar) -> Any:
     return load({"group": {"type": "shapegroup", **meshes}, "instance": instance})
 
 
-_alone: WeakKeyDictionary[SceneTracer, _Alone] = WeakKeyDictionary()
+# Of a tracer: hulls, and scenes that hold one exemplar each, kept for the next camera.
+_kept: WeakKeyDictionary[SceneTracer, tuple[dict[int, Hull], dict[int, Any]]] = WeakKeyDictionary()
+
+
+def _alone(tracer: SceneTracer, number: int) -> Any:
+    """The scene of one exemplar."""
+    exemplars, scenes = tracer.spec.exemplars, _kept[tracer][1]
+    if number in scenes:
+        return scenes[number]
+    scene = alone_scene(exemplars[number])
+    if sum(exemplars[one].triangles for one in (*scenes, number)) <= _TRIANGLES_KEPT:
+        scenes[number] = scene
+    return scene
 
 
 def trace_amodal(
@@ -144,26 +132,27 @@ def trace_amodal(
     ids = np.unique(np.asarray(plant_ids, dtype=np.uint32))
     rows = tracer.spec.instances.rows_of(ids)
     exemplar = tracer.spec.instances.exemplar[rows]
-    alone = _alone.setdefault(tracer, _Alone())
+    hulls, _ = _kept.setdefault(tracer, ({}, {}))
     offsets = sample_offsets(samples)
     window, box = np.zeros((len(ids), 4), dtype=np.int32), np.full((len(ids), 4), np.nan)
     parts: list[tuple[NDArray[np.int64], NDArray[np.uint16]]] = []
     with using(tracer.variant):
         for number in np.unique(exemplar).tolist():
             members = np.flatnonzero(exemplar == number)
-            model = tracer.spec.exemplars[number]
             with timer("amodal: outlines"):
-                found = outlines(alone.hull(number, model), tracer.spec.instances.transform[rows[members]], camera)
+                if number not in hulls:
+                    hulls[number] = hull_of([organ.mesh for organ in tracer.spec.exemplars[number].organs])
+                found = outlines(hulls[number], tracer.spec.instances.transform[rows[members]], camera)
             window[members], box[members] = found.window_px, found.full_box_px
             with timer("amodal: build"):
-                scene = alone.scene(number, model)
+                scene = _alone(tracer, number)
             with timer("amodal: trace"):
                 for chunk in _chunks(members, window):
                     counts = _trace(scene, tracer, camera, rows[chunk], window[chunk], offsets)
                     window[chunk], counts = _cut_to_hits(window[chunk], counts)
                     parts.append((chunk, counts))
                     advance(len(chunk))
-        drjit().flush_malloc_cache()
+        dr.flush_malloc_cache()
     first, hits = _in_order(window, parts)
     return Amodal(plant_id=ids, samples=samples, window_px=window, first=first, hits=hits, full_box_px=box)
 
@@ -213,7 +202,6 @@ def _trace(
     offsets: NDArray[np.float64],
 ) -> NDArray[np.uint16]:
     """Counts of the windows of plants of one exemplar, one window after another."""
-    mi, dr = mitsuba(), drjit()
     samples = len(offsets)
     first = _first(window)
     counts = np.zeros(first[-1], dtype=np.uint16)
@@ -246,7 +234,6 @@ def alone_rays(
 
     `frame` is a device array of `frames_of_plants`, `plant` (P,) its rows.
     """
-    mi, dr = mitsuba(), drjit()
     samples = len(offsets)
     index = dr.arange(mi.UInt32, len(plant) * samples)
     pixel = index // samples
@@ -269,35 +256,18 @@ def alone_rays(
     return mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*along)), active
 
 
-@compiled
-def _cut_to_hits(window, counts):  # type: ignore[no-untyped-def]
+def _cut_to_hits(window: NDArray[np.int32], counts: NDArray[np.uint16]) -> tuple[NDArray[np.int32], NDArray[np.uint16]]:
     """Windows without their empty borders, and the counts of what is left; 0 where nothing is hit."""
-    tight = np.zeros_like(window)
-    kept, start = 0, 0
-    for plant in range(len(window)):
-        width, height = window[plant, 2], window[plant, 3]
-        left, right, top, bottom = width, -1, height, -1
-        for y in range(height):
-            for x in range(width):
-                if counts[start + y * width + x] > 0:
-                    left, right = min(left, x), max(right, x)
-                    top, bottom = min(top, y), y
+    tight, kept, start = np.zeros_like(window), [counts[:0]], 0
+    for row, (left, top, width, height) in enumerate(window.tolist()):
+        pixels = counts[start : start + width * height].reshape(height, width)
         start += width * height
-        if bottom >= 0:
-            tight[plant, 0], tight[plant, 1] = window[plant, 0] + left, window[plant, 1] + top
-            tight[plant, 2], tight[plant, 3] = right - left + 1, bottom - top + 1
-            kept += tight[plant, 2] * tight[plant, 3]
-    result = np.empty(kept, dtype=counts.dtype)
-    kept, start = 0, 0
-    for plant in range(len(window)):
-        width, height = window[plant, 2], window[plant, 3]
-        x0, y0 = tight[plant, 0] - window[plant, 0], tight[plant, 1] - window[plant, 1]
-        for y in range(tight[plant, 3]):
-            for x in range(tight[plant, 2]):
-                result[kept] = counts[start + (y0 + y) * width + x0 + x]
-                kept += 1
-        start += width * height
-    return tight, result
+        rows, columns = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))
+        if len(rows):
+            part = pixels[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+            tight[row] = left + columns[0], top + rows[0], part.shape[1], part.shape[0]
+            kept.append(part.ravel())
+    return tight, np.concatenate(kept)
 
 
 def _in_order(

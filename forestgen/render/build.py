@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.surfaces import SpectralBsdfs
-from forestgen.render.variant import mitsuba
+from forestgen.render.variant import mi
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera, SceneSpec
 
@@ -24,10 +24,7 @@ def origin_of(camera: Camera) -> NDArray[np.float64]:
 
 
 def ray_corners_m(camera: Camera) -> NDArray[np.float64]:
-    """(N, 3) metres, world: where `camera`'s rays start lies between these places.
-
-    Four corners of a plane if its rays are parallel, otherwise the one place of the camera.
-    """
+    """(N, 3) metres, world: `camera`'s rays start between these: four of a plane of parallel rays, or its place."""
     place = origin_of(camera)
     if not projection_of(camera).is_parallel:
         return place[None]
@@ -40,7 +37,6 @@ def to_mesh(
     mesh: Mesh, bsdf: Any | None = None, offset_m: NDArray[np.float64] | None = None, name: str = "mesh"
 ) -> Any:
     """A Mitsuba mesh of the current variant; without a `bsdf` it has geometry only."""
-    mi = mitsuba()
     properties = mi.Properties()
     vertices = mesh.vertices_m if offset_m is None else (mesh.vertices_m - offset_m).astype(np.float32)
     arrays: dict[str, NDArray[Any]] = {"vertex_positions": vertices, "faces": mesh.faces}
@@ -70,7 +66,7 @@ def fill(parameters: Any, key: str, values: NDArray[Any]) -> None:
     hundred times slower.
     """
     flat = np.ascontiguousarray(values).ravel()
-    if mitsuba().variant().startswith("scalar"):
+    if mi.variant().startswith("scalar"):
         np.copyto(parameters[key].numpy(), flat)
         parameters.set_dirty(key)
     else:
@@ -78,10 +74,7 @@ def fill(parameters: Any, key: str, values: NDArray[Any]) -> None:
 
 
 def plants_dict(spec: SceneSpec, origin_m: NDArray[np.float64], bsdfs: SpectralBsdfs | None) -> dict[str, Any]:
-    """Shape groups and instances; without BSDFs they have geometry only.
-
-    Instance i has the key ``instance-i``, so tables can follow its order.
-    """
+    """Shape groups and instances, ``instance-i`` the i-th; without BSDFs they have geometry only."""
     scene: dict[str, Any] = {}
     used = np.unique(spec.instances.exemplar)
     for index in used:
@@ -98,7 +91,7 @@ def plants_dict(spec: SceneSpec, origin_m: NDArray[np.float64], bsdfs: SpectralB
     matrix = np.tile(np.eye(4), (len(spec.instances), 1, 1))
     matrix[:, :3] = spec.instances.transform
     matrix[:, :3, 3] -= origin_m
-    transform_of = mitsuba().ScalarTransform4f
+    transform_of = mi.ScalarTransform4f
     for row, index in enumerate(spec.instances.exemplar.tolist()):
         place = transform_of(matrix[row])
         scene[f"instance-{row}"] = {"type": "instance", "to_world": place, "exemplar": reference[index]}
@@ -118,4 +111,4 @@ def scene_dict(spec: SceneSpec, origin_m: NDArray[np.float64], bsdfs: SpectralBs
 
 def load(scene: dict[str, Any]) -> Any:
     """Load a scene dictionary with many instances fast."""
-    return mitsuba().load_dict({"type": "scene", **scene}, parallel=True, optimize=False)
+    return mi.load_dict({"type": "scene", **scene}, parallel=True, optimize=False)

@@ -1,26 +1,23 @@
 """Images taken with a camera of any kind.
 
 Some projections are the renderer's own, as `Projection.sensor` says. Images of the others, such as fisheyes and
-panoramas, are assembled from views that it has:
-
-The faces of a cube around the camera are cut into square tiles. Each tile is rendered by a pinhole whose pixels, here
-called cells, are so small that an image pixel holds as many of them as it shall have samples, with one random ray
-through each cell. The ray's place in its cell depends on the seed alone, neither on the scene nor on other rays, and
-`ray_places` repeats the renderer's draw. So the direction of each sample is known exactly, and it is counted in the
-image pixel that `scene/projection.py` gives for this direction: edges are as sharp as by rays through the image's own
-pixels, and faces have no seams. A pixel is the mean of its samples, each weighted by the solid angle of its cell.
+panoramas, are assembled: the faces of a cube around the camera are cut into square tiles, each rendered by a pinhole
+whose pixels, here called cells, are so small that an image pixel holds as many of them as it shall have samples, with
+one random ray through each. The ray's place in its cell depends on the seed alone, and `ray_places` repeats the draw
+of the renderer's pinned version. So each sample's direction is known exactly, and it is counted in the image pixel that
+`scene/projection.py` gives for it: edges are as sharp as by rays through the image's own pixels, and faces have no
+seams. A pixel is the mean of its samples, each weighted by the solid angle of its cell.
 
 Decisions
 ---------
-- Samples by direction, not by interpolation of faces: that would blur by a face's pixel and see other edges than the
-  labels do.
+- Faces are not interpolated: that would blur by a face's pixel and see other edges than the labels do.
 - A tile has as many cells as its image pixels have samples together. Tiles are halved where image pixels differ much
   in size (a panorama's poles), where the fisheye's circle cuts them, and where they are large.
 - A pixel of the size of six cells or more holds a whole cell, so it has a sample: `LEAST_SAMPLES`, to which fewer are
   raised. Only beside a panorama's poles, where pixels are long and narrow, some stay empty; they take the mean of the
   samples of their neighbours, of one row where that has any.
-- The number of a pixel's samples varies, and a mean of a varying number gives samples of cells at the pixel's border
-  a little less weight: 3% less at eight samples a pixel, 0.2% at 64. That narrows a pixel; it changes no brightness.
+- A mean of a varying number of samples gives those of cells at the pixel's border a little less weight: 3% less at
+  eight samples a pixel, 0.2% at 64. That narrows a pixel; it changes no brightness.
 - A pixel that the fisheye's circle cuts is multiplied with the share of it inside: outside there is no light.
 """
 
@@ -29,14 +26,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import RenderError
+from forestgen.core.cache import BoundedCache
 from forestgen.core.randomness import child_seed
-from forestgen.render.variant import BLOCK_PX, SAMPLER, interruptible, mitsuba
+from forestgen.render.variant import BLOCK_PX, SAMPLER, interruptible, mi
 from forestgen.scene.projection import project, projection_of, rays
 from forestgen.scene.spec import Camera
 
@@ -89,7 +87,7 @@ def sensor_of(camera: Camera, samples: int, window: FilmWindow | None = None) ->
     return _sensor(sensor.plugin, axes, film(camera.size_px, window), {"type": SAMPLER, "sample_count": samples})
 
 
-def _square_view(world_from_view: Floats, size_px: int, window: FilmWindow) -> Any:
+def square_view(world_from_view: Floats, size_px: int, window: FilmWindow) -> Any:
     """A pinhole of 90 degrees across a square, with one random ray through each pixel of the window."""
     pinhole = {"type": "perspective", "fov": 90.0, "fov_axis": "x"}
     sampler = {"type": "independent", "sample_count": 1}
@@ -97,7 +95,6 @@ def _square_view(world_from_view: Floats, size_px: int, window: FilmWindow) -> A
 
 
 def _sensor(plugin: Mapping[str, Any], world_from_camera: Floats, film: dict[str, Any], sampler: dict[str, Any]) -> Any:
-    mi = mitsuba()
     matrix = np.eye(4)
     matrix[:3, :3] = world_from_camera * [-1.0, -1.0, 1.0]  # the renderer's x points left and its y up
     place = {"near_clip": _NEAR_M, "far_clip": _FAR_M, "to_world": mi.ScalarTransform4f(matrix)}
@@ -132,11 +129,13 @@ class Tile:
         return FilmWindow(self.column * self.cells, self.row * self.cells, self.cells, self.cells)
 
 
+_kept: BoundedCache[list[Tile]] = BoundedCache(16, lambda tiles: 1)  # slices of an image have the same tiles
+
+
 def assemble(
     integrator: Any, scene: Any, camera: Camera, *, samples: int, seed: int, window: FilmWindow | None = None
 ) -> Floats:
-    """(H, W, 4) as `sensors.capture` gives it; the integrator's blocks are `BLOCK_PX` wide."""
-    check_ray_places()
+    """(H, W, 4) as `capture` gives it; the integrator's blocks are `BLOCK_PX` wide."""
     part = FilmWindow(0, 0, *camera.size_px) if window is None else window
     total = np.zeros((part.height, part.width, 5))  # four channels and the weight
     first = child_seed(seed, "tiles") % 2**32
@@ -144,7 +143,7 @@ def assemble(
         # The renderer numbers a film's rays from its seed times its pixels on: no two tiles share a number.
         own = -(-first // tile.cells**2) % 2**32
         first = (own + 1) * tile.cells**2
-        view = _square_view(camera.world_from_camera @ _FACES[tile.face], tile.size_px, tile.window)
+        view = square_view(camera.world_from_camera @ _FACES[tile.face], tile.size_px, tile.window)
         image = interruptible(integrator, scene, view, own, 1)
         _sort_into(total, camera, part, tile, ray_places(tile.cells, own), image)
     return _developed(total, camera, part)
@@ -222,30 +221,18 @@ def _share_inside(camera: Camera, part: FilmWindow) -> Floats:
 
 def tiles_of(camera: Camera, samples: int, part: FilmWindow) -> list[Tile]:
     """The tiles that together see a part of an image, with `samples` cells for each of its pixels."""
-    numbers = tuple(sorted(camera.numbers.items()))
-    return list(_tiles(camera.projection, camera.size_px, camera.hfov_deg, numbers, samples, part))
+    lens = camera.projection, camera.size_px, camera.hfov_deg, tuple(sorted(camera.numbers.items()))
+    return _kept.get((*lens, samples, part), lambda: _tiles(camera, samples, part))
 
 
-@lru_cache(maxsize=16)  # slices of an image have the same tiles
-def _tiles(
-    projection: str,
-    size_px: tuple[int, int],
-    hfov_deg: float,
-    numbers: tuple[tuple[str, float], ...],
-    samples: int,
-    part: FilmWindow,
-) -> tuple[Tile, ...]:
-    place, axes = (0.0, 0.0, 0.0), np.eye(3)
-    camera = Camera("", place, axes, size_px, hfov_deg, projection=projection, numbers=dict(numbers))
-    directions, gap = _seen(camera, part)
-    count = 1 << _FIRST_LEVEL
-    return tuple(
+def _tiles(camera: Camera, samples: int, part: FilmWindow) -> list[Tile]:
+    (directions, gap), count = _seen(camera, part), 1 << _FIRST_LEVEL
+    coarse = product(range(6), range(count), range(count))
+    return [
         tile
-        for face in range(6)
-        for row in range(count)
-        for column in range(count)
+        for face, row, column in coarse
         for tile in _halved(camera, samples, directions, gap, Tile(face, _FIRST_LEVEL, column, row, 0))
-    )
+    ]
 
 
 def _halved(camera: Camera, samples: int, directions: Floats, gap: float, tile: Tile) -> Iterator[Tile]:
@@ -318,7 +305,6 @@ def ray_places(cells: int, seed: int) -> Floats:
 @lru_cache(maxsize=64)
 def _cell_numbers(cells: int) -> NDArray[np.uint64]:
     """(cells, cells) the renderer's number of each cell: blocks in a spiral, and along Morton's curve in each."""
-    mi = mitsuba()
     spiral = mi.Spiral(mi.ScalarVector2u(cells, cells), mi.ScalarVector2u(0, 0), BLOCK_PX, 1)
     x, y = np.meshgrid(np.arange(BLOCK_PX), np.arange(BLOCK_PX))
     morton = np.zeros((BLOCK_PX, BLOCK_PX), dtype=np.uint64)
@@ -332,20 +318,6 @@ def _cell_numbers(cells: int) -> NDArray[np.uint64]:
     return numbers
 
 
-@lru_cache(maxsize=1)
-def check_ray_places() -> None:
-    """Compare `ray_places` with where rays of the renderer meet a plane; `RenderError` if its version draws others."""
-    mi = mitsuba()
-    cells, seed = 2 * BLOCK_PX + 5, 12345
-    plane = {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, 1]).rotate([0, 1, 0], 180)}
-    scene = mi.load_dict({"type": "scene", "plane": {**plane, "to_world": plane["to_world"].scale([2, 2, 1])}})
-    hits = mi.load_dict({"type": "aov", "aovs": "point:position", "block_size": BLOCK_PX})
-    view = _square_view(np.eye(3), cells, FilmWindow(0, 0, cells, cells))
-    met = (interruptible(hits, scene, view, seed, 1)[..., :2].astype(np.float64) + 1.0) * cells / 2
-    if np.abs(met - ray_places(cells, seed)).max() > 1e-3:
-        raise RenderError("this version of Mitsuba draws its rays otherwise than assembled images count on")
-
-
 def least_samples(camera: Camera) -> int:
     """Samples a pixel of one capture, to which fewer are raised."""
     return LEAST_SAMPLES if is_assembled(camera) else 1
@@ -354,10 +326,7 @@ def least_samples(camera: Camera) -> int:
 def capture(
     integrator: Any, scene: Any, camera: Camera, *, samples: int, seed: int, window: FilmWindow | None = None
 ) -> NDArray[np.float64]:
-    """(H, W, 4) three channels and alpha of any camera; of a window only that part.
-
-    Samples are a pixel; Ctrl-C stops it. Outside of a fisheye's circle everything is 0.
-    """
+    """(H, W, 4) three channels and alpha, of a window that part; 0 outside of a fisheye's circle. Ctrl-C stops it."""
     if is_assembled(camera):
         return assemble(integrator, scene, camera, samples=samples, seed=seed, window=window)
     image = interruptible(integrator, scene, sensor_of(camera, samples, window), seed, samples)

@@ -8,10 +8,10 @@ Decisions
 - Between two bricks there is one rectangle, with a medium on either side, or on one where a brick borders on nothing.
   Two boxes that touch leak: a ray that is lifted off the face of one may land inside the other without entering it.
 - A brick holds its cells and one more on every side, so that interpolation between two bricks is the same from both; at
-  the border of the field those are the cells at the border once more, as the renderer has it for the whole field.
+  the border of the field the cells at the border once more, as the renderer has it for the whole field.
 - A ray that passes a face starts again behind it, by up to 9e-5 of its largest coordinate along the face's normal, and
   what lies between is not counted. Bricks are therefore large where the field has many cells.
-- The camera stands in a small sphere of nothing, with the medium outside. The sphere must not cut a face, so faces are
+- The camera stands in a small sphere of nothing, with the medium outside, which must not cut a face: so faces are
   placed such that the camera is near the middle of its brick.
 """
 
@@ -24,10 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.optical_depth import largest_in_boxes
 from forestgen.core.errors import RenderError
 from forestgen.render.build import ray_corners_m
 from forestgen.render.sky import phase_function
-from forestgen.render.variant import mitsuba
+from forestgen.render.variant import mi
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
@@ -56,7 +57,8 @@ def divide(clouds: CloudGrid, place_m: Floats, side_cells: int = SIDE_CELLS) -> 
     at = ((place_m - np.asarray(clouds.low_m)) / np.asarray(clouds.cell_m)).clip(-1e6, 1e6)
     while True:
         cuts = tuple(_cuts(count, int(np.floor(one)), side_cells) for count, one in zip(counts, at, strict=True))
-        cloudy = _cloudy(clouds.extinction_per_m, cuts)
+        most = largest_in_boxes(clouds.extinction_per_m, [one[:-1] for one in cuts[::-1]])
+        cloudy = most.transpose(2, 1, 0) > 0  # or borders on cloud that its interpolation reaches
         if cloudy.sum() <= _MOST_BRICKS:
             break
         side_cells *= 2
@@ -71,25 +73,12 @@ def _cuts(count: int, cell: int, side_cells: int) -> NDArray[np.int64]:
     return np.unique(np.concatenate([[0], inner, [count]])).astype(np.int64)
 
 
-def _cloudy(extinction_per_m: NDArray[np.float32], cuts: tuple[NDArray[np.int64], ...]) -> NDArray[np.bool_]:
-    """(bricks along x, y, z) which hold any cloud, or border on some that their interpolation reaches."""
-    from scipy.ndimage import maximum_filter
-
-    reach = maximum_filter(extinction_per_m, size=3, mode="nearest")
-    for axis, starts in zip((2, 1, 0), cuts, strict=True):
-        reach = np.maximum.reduceat(reach, starts[:-1], axis=axis)
-    return np.asarray(reach.transpose(2, 1, 0) > 0)
-
-
 def brick_shapes(
     clouds: CloudGrid, bricks: Bricks, origin_m: Floats, *, albedo: float | None = None
 ) -> tuple[dict[str, Any], list[Any]]:
-    """The faces of the bricks, as Mitsuba's dictionaries by name, and their media.
-
-    `albedo` is in place of the clouds' own; with 0 they only take light away.
-    """
+    """Faces of the bricks, Mitsuba's dictionaries by name, and media; `albedo` 0: they only take light away."""
     media = _media(clouds, bricks, origin_m, clouds.albedo if albedo is None else albedo)
-    null = mitsuba().load_dict({"type": "null"})
+    null = mi.load_dict({"type": "null"})
     shapes: dict[str, Any] = {}
     edges = [
         low + np.asarray(cuts) * size - shift
@@ -122,11 +111,10 @@ def _rectangle(edges: list[Floats], axis: int, place: tuple[int, int, int]) -> A
     for column, other in enumerate(((axis + 1) % 3, (axis + 2) % 3)):
         low, high = edges[other][place[other]], edges[other][place[other] + 1]
         matrix[other, column], matrix[other, 3] = (high - low) / 2, (high + low) / 2
-    return mitsuba().ScalarTransform4f(matrix)
+    return mi.ScalarTransform4f(matrix)
 
 
 def _media(clouds: CloudGrid, bricks: Bricks, origin_m: Floats, albedo: float) -> list[Any]:
-    mi = mitsuba()
     phase = mi.load_dict(phase_function(clouds.phase))
     padded = np.pad(clouds.extinction_per_m, 1, mode="edge")
     low, size = np.asarray(clouds.low_m) - origin_m, np.asarray(clouds.cell_m)
@@ -149,10 +137,7 @@ def _media(clouds: CloudGrid, bricks: Bricks, origin_m: Floats, albedo: float) -
 
 
 def camera_shell(clouds: CloudGrid, bricks: Bricks, media: list[Any], camera: Camera) -> dict[str, Any]:
-    """What lets a camera stand in a cloud: nothing, if there is none around it.
-
-    Raises `RenderError` for parallel rays, which start all over a plane.
-    """
+    """Lets a camera stand in a cloud, if there is one. `RenderError`: parallel rays, which start all over a plane."""
     low_m, high_m = np.asarray(clouds.low_m), np.asarray(clouds.high_m)
     if projection_of(camera).is_parallel:
         corners = ray_corners_m(camera)
@@ -171,6 +156,6 @@ def camera_shell(clouds: CloudGrid, bricks: Bricks, media: list[Any], camera: Ca
         return {}
     radius = _SHELL_M + (0.0 if camera.lens is None else camera.lens.aperture_radius_m)
     radius = min(radius, max(float(np.min([place - low_m, high_m - place])) / 2, 1e-4))
-    null = mitsuba().load_dict({"type": "null"})
+    null = mi.load_dict({"type": "null"})
     shell = {"type": "sphere", "center": [0.0, 0.0, 0.0], "radius": radius, "bsdf": null}
     return {"camera-shell": shell | {"exterior": media[number]}}

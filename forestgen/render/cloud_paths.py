@@ -3,21 +3,21 @@
 A path starts at a point below, in or above the clouds and flies by delta tracking (Woodcock et al. 1965): the grid is
 cut into bricks of 8 x 8 x 8 cells, each with the largest value that can occur in it, and a walk from brick to brick
 draws collisions at that rate, of which the share sigma / largest is real. The field between the cells' centres is
-the one that atmosphere/optical_depth.py integrates and that the renderer reads. At a collision the light of the sun
-is gathered through the clouds by ratio tracking (Novak et al. 2014) from a random point of its disc, and the path goes
-on in a direction drawn from the phase function. Where it leaves the clouds upwards it takes the sky's radiance of that
-direction; downwards it meets a level Lambertian plain without end, which stands for the land around.
+that of atmosphere/optical_depth.py and of the renderer. At a collision the light of the sun is gathered through the
+clouds by ratio tracking (Novak et al. 2014) from a random point of its disc, and the path goes on in a direction drawn
+from the phase function. Where it leaves the clouds upwards it takes the sky's radiance of that direction; downwards it
+meets a level Lambertian plain without end, which stands for the land around.
 
 Clouds are grey, so one path serves all channels. Of the sun a path yields its share, to be multiplied by the sun's
 light in any channels. Light is kept apart by how often the plain has reflected it, never, once, or more often, as from
-a white plain: radiance is a polynomial of the plain's albedo, so that the plain can have any colour afterwards.
+a white plain: radiance is a polynomial of the plain's albedo, so the plain can have any colour afterwards.
 
 Decisions
 ---------
 - No largest depth. Paths whose weight has fallen below a tenth end by chance, and from 1024 scatterings on one path in
   a thousand does at each; both keep the mean. Cutting off at 64 loses 1% of a cumulus' light.
-- Of the paths that meet the plain a share goes on that is about its albedo, at least 0.3.
-- A third and later reflection has the plain's mean albedo in all channels.
+- Of the paths that meet the plain a share goes on that is about its albedo, at least 0.3. A third and later reflection
+  has the plain's mean albedo in all channels.
 - Random numbers belong to a ray's number and the number of its path (SplitMix64 from a hash of both), so results
   do not depend on threads.
 
@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.optical_depth import advanced, clipped, entered, inside
+from forestgen.atmosphere.optical_depth import advanced, clipped, entered, inside, largest_in_boxes
 from forestgen.core.compiled import compiled, inlined, unowned_view
 from forestgen.core.threads import parallel_for
 
@@ -90,18 +90,12 @@ class Gathered(NamedTuple):
 def field_of(clouds: CloudGrid) -> CloudField:
     """The grid with its border repeated and the largest value of each brick."""
     grid = np.asarray(clouds.extinction_per_m, dtype=np.float32)
-    value = np.pad(grid, 1, mode="edge")
-    most = value
-    for axis, count in enumerate(grid.shape):
-        # Points of a brick lie between the centres of its own cells and one more at either side.
-        starts = np.arange(0, count, BRICK)
-        parts = [np.take(most, range(n, min(n + BRICK, count) + 2), axis=axis).max(axis=axis) for n in starts]
-        most = np.stack(parts, axis=axis)
+    value, most = np.pad(grid, 1, mode="edge"), largest_in_boxes(grid, [np.arange(0, n, BRICK) for n in grid.shape])
     low, high = np.asarray(clouds.low_m, dtype=np.float64), np.asarray(clouds.high_m, dtype=np.float64)
     phase = clouds.phase
     scattering = np.array([clouds.albedo, phase.forward, phase.backward, phase.forward_share])
     per_m = np.array(grid.shape[::-1]) / (high - low)
-    return CloudField(np.ascontiguousarray(value), np.ascontiguousarray(most), low, per_m, scattering)
+    return CloudField(np.ascontiguousarray(value), most, low, per_m, scattering)
 
 
 def gather(
@@ -143,7 +137,7 @@ def gather(
 @compiled
 def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, samples, disc, first, end, out):  # type: ignore[no-untyped-def]
     """Add the light of rays `first` to `end` to `out` (N, 3, C + 1); lengths are from the grid's low corner."""
-    value, most = unowned_view(value), unowned_view(most)
+    value, most = unowned_view((value, most))
     per_x, per_y, per_z = per_m
     albedo, forward, backward, share = scattering
     sun_x, sun_y, sun_z, sun_cos = sun

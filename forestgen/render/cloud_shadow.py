@@ -1,16 +1,12 @@
 """How clouds lie over a scene: their heights, the transport of light that these allow, and their shadow.
 
-A thunderhead two kilometres off rains to the ground. Its rain is far from the site, as its cloud is: light from it
-comes to all parts of the site from about the same direction. So rain counts within a distance of the site and the
-cameras, and is left out beyond. Clouds and fog count all over the field: ground out there would stand in them.
-
 `farfield` renders the clouds once, as seen from one place, and has their light and shadow fall on the scene from
-outside. That holds where the clouds are high above all that the cameras see near them: nothing of the scene stands in
-or above them, and light from one cloud reaches all parts of the site from about the same direction. The condition is a
-gap between the highest plant, ground or camera and the clouds' lowest layer: of at least 100 m, and of at least half of
-the site's diagonal; rain counts within as much of the site. `exact` has no condition, and costs more for each camera.
-Of rain farther off `farfield` shows what stands before the sky, and its shadow, but not that it veils the ground behind
-it.
+outside. That holds where the clouds are high above all that the cameras see near them, so that light from one cloud
+reaches all parts of the site from about the same direction: the gap between the highest plant, ground or camera and the
+clouds' lowest layer is at least 100 m, and at least half of the site's diagonal. `exact` has no condition, and costs
+more for each camera. Clouds and fog count all over the field: ground out there would stand in them. Rain counts within
+as much of the site and the cameras as the gap; of rain farther off `farfield` shows what stands before the sky, and its
+shadow, but not that it veils the ground behind it.
 
 The condition is on the safe side of what was measured: above a stand of 100 x 100 m under broken clouds from 60 m on, a
 gap of a third of the diagonal, the forest's mean radiance differed from `exact` by 0.1 +- 0.7% and parts of the image
@@ -21,8 +17,7 @@ The shadow is a partly transparent rectangle at the clouds' base, which the sun'
 beside the site it lies lower. It holds the share of the sun's light that comes down to each place of it, mean over the
 disc and over the place's own area, by exact integrals of the field above it (atmosphere/optical_depth.py). It reaches
 as far as the field and, away from the sun, as far as the shadow of its tops: land beyond the site sends its light to
-it, and shadows on it are seen. Between plane and ground the disc that light is sampled on makes the penumbra, so
-shadows soften as they should and sunflecks under the canopy stay discs.
+it. Between plane and ground the disc that light is sampled on makes the penumbra.
 """
 
 from __future__ import annotations
@@ -41,9 +36,9 @@ from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import RecipeError
 from forestgen.render.build import ray_corners_m
-from forestgen.render.job import CloudTransport
+from forestgen.render.frame import CloudTransport
 from forestgen.render.light import SUN_RADIUS_DEG
-from forestgen.render.variant import mitsuba
+from forestgen.render.variant import mi
 from forestgen.scene.spec import Camera, SceneSpec
 
 THICKEST_RAIN_PER_M = 0.01  # heavy rain, of 4 to 5 g/m^3; in the thinnest fog one sees as far
@@ -168,10 +163,7 @@ def cloud_transport_of(
 
 
 def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
-    """Raise `RecipeError` where clouds are too near to measure light at a point.
-
-    The plane of their shadow would lie among the plants, or below the point.
-    """
+    """`RecipeError`: clouds so near that the plane of their shadow would lie among the plants or below a point."""
     near = _too_near(spec, [("the point", float(point_m[2]))], [np.asarray(point_m)])
     if near is not None:
         raise RecipeError(
@@ -277,7 +269,6 @@ def shadow_rectangle(spec: SceneSpec, origin_m: Floats) -> dict[str, Any] | None
     plane = shadow_plane_of(spec, origin_m)
     if plane is None:
         return None
-    mi = mitsuba()
     centre, half = (plane.low_m + plane.high_m) / 2 - origin_m[:2], (plane.high_m - plane.low_m) / 2
     place = mi.ScalarTransform4f().translate([centre[0], centre[1], plane.height_m - origin_m[2]])
     bitmap = mi.Bitmap(np.ascontiguousarray((1.0 - plane.transmittance)[..., None].astype(np.float32)))

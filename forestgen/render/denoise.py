@@ -15,11 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.identity.sums import SAMPLES, Values, pixel_sums
-from forestgen.render.identity.surface import albedo, shading_normal, sun_visible
+from forestgen.render.identity.surface import (
+    SAMPLES,
+    Values,
+    albedo,
+    corners_of,
+    pixel_sums,
+    shading_normal,
+    sun_visible,
+)
 from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.skies.model import sky_model_of
-from forestgen.render.variant import drjit, mitsuba
+from forestgen.render.variant import dr, mi, mitsuba
 from forestgen.scene.spec import Camera
 
 _SHADE = 0.15  # light in the shade, by that of a surface that faces the sun
@@ -43,14 +50,13 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
     """The rays' colours and shading normals, three channels each."""
 
     def values(hits: Hits) -> list[Any]:
-        mi, dr = mitsuba(), drjit()
-        facing = tracer.geometric_normal(hits)
-        smooth = shading_normal(tracer, hits, facing)
+        facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
+        smooth = shading_normal(tracer, hits, corners, facing)
         shade = mi.Float(1.0)
         if sky_model_of(tracer.spec.sky).has_sun:
             lit = sun_visible(tracer, camera, hits, facing)
             shade = _SHADE + (1.0 - _SHADE) * dr.select(lit, dr.abs(dr.dot(smooth, tracer.to_sun)), 0.0)
-        colour = dr.select(hits.valid, albedo(tracer, hits) * shade, 1.0)
+        colour = dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
         return [*colour, *dr.select(hits.valid, smooth, 0.0)]
 
     return values

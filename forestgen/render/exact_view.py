@@ -2,7 +2,7 @@
 
 Whole: all in one scene, clouds as bricks (render/cloud_bricks.py), by the renderer's volume path tracer. For fog, for
 cameras in or above the clouds, and for assembled cameras. A path ends where it leaves the world or by chance, never by
-a number of scatterings: through clouds of an optical depth of 100 it takes hundreds of them.
+a number of scatterings: an optical depth of 100 takes hundreds of them.
 
 Parted: where all plants, the ground and the camera lie below the lowest cloud. A path is cut where it passes from the
 scene to the clouds or back:
@@ -12,13 +12,13 @@ scene to the clouds or back:
 2. All other light enters a path, seen from the camera, where it leaves the scene. Paths among surfaces are the
    renderer's (`EscapeScene` finds where they leave); random walks through the clouds from there on are our own
    (render/volume_random_walk.py), and find the sun, scattered, and the sky.
-3. A walk that leaves the clouds downwards meets the scene again. One in `_DOWN_EVERY` is followed there in the whole
+3. Of the walks that leave the clouds downwards and meet the scene again, one in `_DOWN_EVERY` is followed in the whole
    way, at that many times its weight. So light that goes to and fro between forest and clouds is counted once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,10 +30,10 @@ from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render import cloud_bricks
 from forestgen.render.build import load, origin_of, ray_corners_m, scene_dict
 from forestgen.render.capture import FilmWindow, capture, is_assembled
-from forestgen.render.job import RenderJob, Timer
+from forestgen.render.frame import RenderJob, Timer
 from forestgen.render.light import along, emitters_of, has_sun, sky_map, sun_disc, sun_radiance
 from forestgen.render.surfaces import SpectralBsdfs
-from forestgen.render.variant import CLOUD_ROULETTE_DEPTH, SCALAR, mitsuba, path_tracer, using
+from forestgen.render.variant import CLOUD_ROULETTE_DEPTH, SCALAR, mi, path_tracer, using
 from forestgen.render.volume_random_walk import WalkField, disc_parameters
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import SceneSpec
@@ -85,7 +85,7 @@ class EscapeScene:
         # everything and shines upwards: from below it has no light to give, which costs no shadow ray.
         lamp = {
             "type": "rectangle",
-            "to_world": mitsuba().ScalarTransform4f().translate([0.0, 0.0, top_m + 2 * _MARGIN_M]),
+            "to_world": mi.ScalarTransform4f().translate([0.0, 0.0, top_m + 2 * _MARGIN_M]),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 1.0}},
         }
         self._scenes = [load({**scene, "lamp": lamp, "box": box}) for box in self._boxes]
@@ -102,7 +102,7 @@ class EscapeScene:
 
     def _image(self, tracer: Any, which: int, order: tuple[int, ...] | None, film: tuple[Any, ...]) -> Floats:
         """(pixels, 3) of the inner or outer box, which shines with its coordinates in an order or with 1."""
-        parameters = mitsuba().traverse(self._boxes[which])
+        parameters = mi.traverse(self._boxes[which])
         vertices = np.array(parameters["vertex_positions"]).reshape(-1, 3)
         code = np.ones_like(vertices) if order is None else vertices[:, list(order)]
         parameters[_CODE] = np.ascontiguousarray(code, dtype=np.float32).ravel()
@@ -133,7 +133,6 @@ class EscapeScene:
 
 def _box(top_m: float, half_m: float, bottom_m: float) -> Any:
     """A black box that shines inwards."""
-    mi = mitsuba()
     middle, reach = (top_m + bottom_m) / 2, (top_m - bottom_m) / 2
     code = {"type": "mesh_attribute", "name": _CODE}
     box = mi.load_dict(
@@ -153,11 +152,11 @@ class ExactView:
     """A scene with its clouds, ready to be captured."""
 
     def __init__(self, job: RenderJob, timer: Timer) -> None:
-        self._job, self._timer = job, timer
+        self.job, self.timer = job, timer
         spec, camera = job.spec, job.camera
         assert spec.clouds is not None
-        self._origin = origin = origin_of(camera)
-        self._bsdfs = bsdfs = SpectralBsdfs()
+        self.origin = origin = origin_of(camera)
+        self.bsdfs = bsdfs = SpectralBsdfs()
         with timer("radiance: build"):
             surfaces = scene_dict(spec, origin, bsdfs)
             bricks = cloud_bricks.divide(spec.clouds, origin)
@@ -167,40 +166,35 @@ class ExactView:
             self._whole = load({**surfaces, **shapes, **shell, **emitters})
             self._tracer = endless_tracer()
             gap = None if is_assembled(camera) else clear_air_m(spec, float(ray_corners_m(camera)[:, 2].max()))
-            self._parts = None if gap is None else _Parts(job, bsdfs, surfaces, bricks, gap, timer)
+            self._parts = None if gap is None else _Parts(self, surfaces, bricks, gap)
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         with using(SCALAR):
             return self._take(channels, samples, number)
 
     def _take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
-        with self._timer("radiance: repaint"):
-            self._bsdfs.repaint(channels)
+        with self.timer("radiance: repaint"):
+            self.bsdfs.repaint(channels)
         if self._parts is None:
-            with self._timer("light paths"):
-                return _captured(self._tracer, self._whole, self._job, samples, ("whole", *number))
+            with self.timer("light paths"):
+                return _captured(self._tracer, self._whole, self.job, samples, ("whole", *number))
         # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
         image = self._parts.by_sun((samples + 1) // 2, number)
-        return image + self._parts.by_clouds(channels, samples, number, self._followed)
+        return image + self._parts.by_clouds(channels, samples, number, self.followed)
 
-    def _followed(self, place_m: Floats, direction: Floats, seed: int) -> Floats:
+    def followed(self, place_m: Floats, direction: Floats, seed: int) -> Floats:
         """(N, 3) radiance that comes from the scene with its clouds to (N, 3) places, one path each."""
-        mi = mitsuba()
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(seed)
         result = np.empty((len(place_m), 3))
-        rows, broken = list(range(len(place_m))), 0
-        for _ in range(_TRIES):
-            for row in rows:
-                ray = mi.RayDifferential3f(mi.Ray3f(place_m[row].tolist(), direction[row].tolist()))
-                result[row] = self._tracer.sample(self._whole, sampler, ray)[0]
-            rows = np.flatnonzero(~np.isfinite(result).all(axis=1)).tolist()
-            broken += len(rows)
-            if not rows:
-                return result
-            if broken > _FEW_BROKEN + _BROKEN_SHARE * len(place_m):
-                break
-        raise _broken(broken, len(place_m))
+
+        def follow(row: int) -> None:
+            ray = mi.RayDifferential3f(mi.Ray3f(place_m[row].tolist(), direction[row].tolist()))
+            result[row] = self._tracer.sample(self._whole, sampler, ray)[0]
+
+        for row in range(len(place_m)):
+            follow(row)
+        return _mended(result, len(place_m), lambda attempt, row: follow(row))
 
 
 def endless_tracer() -> Any:
@@ -209,10 +203,7 @@ def endless_tracer() -> Any:
 
 
 def clear_air_m(spec: SceneSpec, camera_m: float) -> tuple[float, float] | None:
-    """World heights of the top of all surfaces and the camera, and of the lowest cloud; None if they meet.
-
-    `camera_m` is where the camera's highest ray starts.
-    """
+    """World heights of the top of surfaces and the rays' starts (`camera_m`), and of the lowest cloud; or None."""
     assert spec.clouds is not None
     clouds = spec.clouds
     cloudy = np.flatnonzero(clouds.extinction_per_m.any(axis=(1, 2)))
@@ -238,23 +229,17 @@ class _Parts:
     """The parted way."""
 
     def __init__(
-        self,
-        job: RenderJob,
-        bsdfs: SpectralBsdfs,
-        surfaces: dict[str, Any],
-        bricks: cloud_bricks.Bricks,
-        gap_m: tuple[float, float],
-        timer: Timer,
+        self, view: ExactView, surfaces: dict[str, Any], bricks: cloud_bricks.Bricks, gap_m: tuple[float, float]
     ) -> None:
-        self._job, self._timer = job, timer
-        spec, origin = job.spec, origin_of(job.camera)
+        self._job, self._timer, origin = view.job, view.timer, view.origin
+        job, spec = view.job, view.job.spec
         assert spec.clouds is not None
         self._field = WalkField.of(spec.clouds, origin)
         self._disc, self._by_sun = None, None
         if has_sun(spec.sky):
             self._disc = _disc_of(spec)
             shapes, _ = cloud_bricks.brick_shapes(spec.clouds, bricks, origin, albedo=0.0)
-            sun = bsdfs.add(lambda channels: sun_disc(spec.sky, channels))
+            sun = view.bsdfs.add(lambda channels: sun_disc(spec.sky, channels))
             self._by_sun = load({**surfaces, **shapes, "sun": sun})
             self._thinned = path_tracer("volpath", job.max_depth)
         top, lowest = gap_m
@@ -323,30 +308,33 @@ class _Parts:
 
 
 def _captured(tracer: Any, scene: Any, job: RenderJob, samples: int, name: tuple[str | int, ...]) -> Floats:
-    """(H, W, 3) image of the volume path tracer.
+    """(H, W, 3) image of the volume path tracer."""
+    image = capture(tracer, scene, job.camera, samples=samples, seed=child_seed(job.seed, *name))[..., :3]
+
+    def again(attempt: int, row: int, column: int) -> None:
+        seed, window = child_seed(job.seed, *name, "again", attempt, row, column), FilmWindow(column, row, 1, 1)
+        image[row, column] = capture(tracer, scene, job.camera, samples=samples, seed=seed, window=window)[0, 0, :3]
+
+    return _mended(image, samples * image[..., 0].size, again)
+
+
+def _mended(result: Floats, paths: int, again: Callable[..., None]) -> Floats:
+    """The result, its places without a number made `again`, by the attempt and where they are.
 
     Now and then a path of the renderer's through bricks ends in no number (one in half a million was seen; why is not
-    known). Its pixel is taken once more. `RenderError`: there are many such paths, so that something else is wrong.
+    known). `RenderError`: there are many such paths, so that something else is wrong.
     """
-    image = capture(tracer, scene, job.camera, samples=samples, seed=child_seed(job.seed, *name))[..., :3]
-    count, paths = 0, samples * image[..., 0].size
+    count = 0
     for attempt in range(_TRIES):
-        broken = np.argwhere(~np.isfinite(image).all(axis=2)).tolist()
+        broken = np.argwhere(~np.isfinite(result).all(axis=-1)).tolist()
         count += len(broken)
         if not broken:
-            return image
+            return result
         if count > _FEW_BROKEN + _BROKEN_SHARE * paths:
             break
-        for row, column in broken:
-            seed = child_seed(job.seed, *name, "again", attempt, row, column)
-            window = FilmWindow(column, row, 1, 1)
-            again = capture(tracer, scene, job.camera, samples=samples, seed=seed, window=window)
-            image[row, column] = again[0, 0, :3]
-    raise _broken(count, paths)
-
-
-def _broken(count: int, paths: int) -> RenderError:
-    return RenderError(
+        for place in broken:
+            again(attempt, *place)
+    raise RenderError(
         f"{count} of {paths} paths of light through the clouds end in no number",
         hint="the image would be wrong; move the camera by a few metres, or choose coarser clouds",
     )

@@ -1,16 +1,63 @@
-"""The contract between renderer and labels: what one camera saw. Imports no renderer."""
+"""The contracts of rendering: what to render and until when, and what one camera saw. Imports no renderer."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.spectrum import Band
-from forestgen.scene.spec import Camera
+from forestgen.render.wavelengths import Mode
+from forestgen.scene.colour import Channels
+from forestgen.scene.spec import Camera, SceneSpec
+
+CloudTransport = Literal["farfield", "exact"]
+Timer = Callable[[str], AbstractContextManager[Any]]
+
+
+@dataclass(frozen=True)
+class StoppingCriterion:
+    """When an image is done. Samples are light paths a pixel, over all passes."""
+
+    samples: int  # exactly; with a target or a time budget the first ones, from which the noise is judged
+    target_error: float | None = None  # relative error
+    target_error_p95: float | None = None  # its 95th percentile
+    time_budget_s: float | None = None
+    most_samples: int = 65536  # with a target or a time budget
+
+    @property
+    def open_ended(self) -> bool:
+        return not (self.target_error is None and self.target_error_p95 is None and self.time_budget_s is None)
+
+
+@dataclass(frozen=True)
+class RenderJob:
+    """What to render, and how well."""
+
+    spec: SceneSpec
+    camera: Camera
+    until: StoppingCriterion
+    seed: int  # of the frame
+    mode: Mode = "rgb"  # a camera with bands is rendered at wavelengths whatever it says
+    max_depth: int = 64  # longest path through the canopy; clouds have their own
+    cloud_transport: CloudTransport = "farfield"
+    position_m: NDArray[np.float32] | None = None  # (H, W, 3) world, of what pixels show, NaN sky; None: near the site
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether light is traced through the clouds' volume and the scene together."""
+        return self.spec.clouds is not None and self.cloud_transport == "exact"
+
+
+class View(Protocol):
+    """A scene, ready to be captured."""
+
+    def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> NDArray[np.float64]:
+        """(H, W, 3) radiance in three channels, by independent paths for each `number` of replicate and pass."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +120,7 @@ class Radiance:
     bands: tuple[Band, ...] = ()  # of the channels; none: linear Rec. 709
     replicates: int = 0  # independent estimates behind each variance
     open_irradiance: tuple[float, ...] = ()  # of level ground in the open, clouds left out, by channel: lux, or W/m²/nm
-    relative_error: float = float("nan")  # standard error over value, mean of the pixels: render/noise.py
+    relative_error: float = float("nan")  # standard error over value, mean of the pixels: render/rendering.py
     relative_error_p95: float = float("nan")  # its 95th percentile
     stopped_by: str = "samples"  # why no more: "target_error", "most_samples" or "time_budget_s" where one was set
 

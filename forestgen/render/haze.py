@@ -1,45 +1,41 @@
 """Aerial perspective: the haze between the camera and what it sees.
 
 A surface at the distance d is seen as L exp(-sigma d) + A (1 - exp(-sigma d)), channel by channel, where A is the
-airlight: what the haze in the ray's direction would shine with if it went on for ever.
+airlight: what haze without end would shine with in the ray's direction.
 
 - Airlight is the light of sun, sky and ground that haze scatters once into the ray: the mean of their radiance,
-  weighted by the phase function (render/haze.py). The sky's radiance is that at the ground, so what was scattered
-  before is in it.
-- A long path must end in the horizon's colour, which the sky model has and which the weighted mean meets only roughly:
-  from 0.9 under an overcast sky to 1.0, 1.3 and 1.4 in blue, green and red at a sun of 40 degrees. So A is multiplied
-  by this ratio, by azimuth, in level directions, and by less of it up and down: by a third of what it is beyond 1 at 10
-  degrees from the level. A black thing at the visibility is then as Koschmieder has it.
+  weighted by the phase function. The sky's radiance is that at the ground, so earlier scattering is in it.
+- A long path must end in the horizon's colour, which the sky model has and the weighted mean meets only roughly (0.9
+  under an overcast sky; 1.0, 1.3 and 1.4 in blue, green and red at a sun of 40 degrees). So A is multiplied by this
+  ratio, by azimuth, in level directions, and less up and down: by a third of what it is beyond 1 at 10 degrees from
+  the level. A black thing at the visibility is then as Koschmieder has it.
 - sigma of a channel is the mean over its wavelengths, weighted by the daylight: exact for a grey surface nearby.
-- The sky is seen through no haze but its own. A ray that leaves the world below the horizon sees the airlight alone.
+- The sky is seen through no haze but its own; a ray that leaves the world below the horizon sees the airlight alone.
 
 Pixels that see surfaces and sky: with s the share of surfaces, T the mean of exp(-sigma d) over them and K the sky's
-radiance there, the pixel becomes T L + (1 - T) (1 - s) K + (1 - T) s A, which is linear in L, so its variance is that
-of L times T². s and T come from rays of the identity pass, which are much cheaper than light paths. Within a pixel,
-near and far surfaces are taken to be equally bright. K is known under a clear or overcast sky; with clouds it is the
-mean of the neighbours that see nothing but sky.
+radiance there, the pixel becomes T L + (1 - T) (1 - s) K + (1 - T) s A, linear in L, so its variance is that of L times
+T². s and T come from rays of the identity pass, much cheaper than light paths. Within a pixel, near and far surfaces
+are taken to be equally bright. K is known under a clear or overcast sky; with clouds it is the mean of the neighbours
+that see nothing but sky.
 
-Valid while the haze is thin over the scene: light on its way to a plant is not dimmed, blur and the shadows of clouds
-and plants in the haze are left out. Beyond an optical depth of about 1 to the farthest plants, fog should be simulated
-(`sky.clouds`): `haze_notes` in render/rendering.py says so.
+Valid while the haze is thin over the scene: light on its way to a plant is not dimmed, and blur and shadows in the haze
+are left out. Beyond an optical depth of about 1 to the farthest plants, fog should be simulated (`sky.clouds`);
+`haze_notes` in render/rendering.py says so.
 
-Under clouds the airlight is that of the sky through them, as it is at the middle of the site, and of the share of the
-sun that their shadow lets through in the mean; the ratio at the horizon counts by as much of it as this share. One
-airlight serves all: that some of the haze lies in the sun and some in shadow is not seen.
-
-Clouds fade into the clear sky behind them, by the haze on the way to where half of what they take of the light is
-taken. On this way, which leads upwards, the haze gets thinner with height, by e in 1500 m. Where clouds shade the haze,
+Under clouds the airlight is that of the sky through them at the middle of the site and of the share of the sun that
+their shadow lets through in the mean, by which the ratio at the horizon counts, too. One airlight serves all of the
+haze, in sun and shadow. Clouds fade into the clear sky behind them, by the haze on the way to where half of what they
+take of the light is taken; on this way the haze gets thinner with height, by e in 1500 m. Where clouds shade the haze,
 its airlight stands in for the clear sky, by the share of the sun that they take.
 
 Extinction
 ----------
 Koschmieder (1924): a black thing at the meteorological range V is just seen against the horizon, with a contrast of
-2%, so the extinction at 550 nm is 3.912 / V. It has two parts. At 50 km the sum falls as wavelength^-1.7 in the
-visible, where Kruse has 1.6.
+2%, so the extinction at 550 nm is 3.912 / V. At 50 km it falls as wavelength^-1.7 in the visible (Kruse: 1.6).
 
 - Air's molecules: 1.16e-5 /m at 550 nm and sea level (V = 337 km), as wavelength^-4; Rayleigh's phase function.
-- Aerosol: the rest, as wavelength^-q. q is 1.3, as in atmosphere/daylight.py, and 0.585 V^(1/3), V in kilometres, below
-  6 km, where particles are large (Kruse, McGlauchlin and McQuistan 1962); a Henyey-Greenstein lobe of g = 0.65, as in
+- Aerosol: the rest, as wavelength^-q with q = 1.3, and 0.585 V^(1/3), V in kilometres, below 6 km, where particles are
+  large (Kruse, McGlauchlin and McQuistan 1962); a Henyey-Greenstein lobe of g = 0.65. q and g as in
   atmosphere/daylight.py.
 
 References
@@ -65,12 +61,12 @@ from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
 from forestgen.render.cloud_shadow import base_of, shadow_of
 from forestgen.render.frame import Radiance
-from forestgen.render.identity.sums import SAMPLES, Values, pixel_sums
+from forestgen.render.identity.surface import SAMPLES, Values, pixel_sums
 from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.light import along, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map_directions
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
-from forestgen.render.variant import SCALAR, drjit, mitsuba, using
+from forestgen.render.variant import SCALAR, dr, mi, using
 from forestgen.render.wavelengths import ColourAtOnce, Mode, Quadrature, quadrature_of
 from forestgen.scene.colour import Channels
 from forestgen.scene.projection import world_rays
@@ -185,10 +181,7 @@ def through_haze(
     timer: Callable[[str], Any],
     seen: Seen | None = None,
 ) -> Radiance:
-    """The image as the sky's haze shows it; the very same where there is none.
-
-    `seen` is what the camera sees through the haze's `extinction_towards`; None: it is traced.
-    """
+    """The image as the sky's haze, if any, shows it. `seen` is through `extinction_towards`; None: it is traced."""
     sky = tracer.spec.sky
     extinction = extinction_towards(camera, sky, mode)
     if extinction is None or sky.visibility_m is None:
@@ -304,7 +297,6 @@ def seen_values(extinction_per_m: Floats) -> Values:
     """Whether a ray sees anything, whether a surface, and the transmittances (C,) of the haze before that."""
 
     def values(hits: Hits) -> list[Any]:
-        mi, dr = mitsuba(), drjit()
         good = mi.Bool(True) if hits.rays.valid is None else hits.rays.valid
         surface = hits.valid | (good & (hits.rays.direction.z < 0))
         ray = dr.zeros(mi.Float, dr.width(hits.distance_m))

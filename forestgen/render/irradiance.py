@@ -1,7 +1,7 @@
 """Light at points of a scene, and colour charts in it: under each of its lights alone, wavelength by wavelength.
 
 Light at a point is what a flat sensor with a cosine response would measure there. A white Lambertian patch of 2 mm lies
-at the point and a camera 2 mm above looks at it: its radiance is E / pi. The renderer's own path tracer so measures
+at the point and a camera 2 mm above looks at it: its radiance is E / pi. So the renderer's own path tracer measures
 irradiance with the light samples that it takes on plants, the sun's disc included.
 
 Sun and sky shine in scenes of their own. At a wavelength each gives its transfer factor
@@ -13,11 +13,10 @@ So T is measured at 33 wavelengths from 300 to 2500 nm, straight lines between t
 has the full resolution of the spectra. All wavelengths of a replicate follow the same random numbers: noise moves a
 spectrum up and down and hardly bends it. Standard errors come from the scatter of independent replicates.
 
-A colour chart is rendered at 81 wavelengths, and as images in both of the renderer's modes. Sun and sky are rendered
-apart and added. The image of the spectral mode is made of eight replicates with the nodes and weights of any image's
-(render/wavelengths.py). Their places in the strata follow each other by the golden ratio, which all but removes the
-noise of the choice of wavelengths: what remains is the mode's own error and the noise of paths. The image of the colour
-mode is one pass in linear Rec. 709.
+A colour chart is rendered at 81 wavelengths, and as images in both of the renderer's modes, sun and sky apart and
+added. The image of the spectral mode is made of eight replicates with the nodes and weights of any image's
+(render/wavelengths.py), whose places in the strata follow each other by the golden ratio: that all but removes the
+noise of the choice of wavelengths. The image of the colour mode is one pass in linear Rec. 709.
 """
 
 from __future__ import annotations
@@ -39,16 +38,7 @@ from forestgen.render.cloud_shadow import shadow_rectangle
 from forestgen.render.light import has_sun, sky_light, sun_disc
 from forestgen.render.skies.model import daylight_of
 from forestgen.render.surfaces import SpectralBsdfs
-from forestgen.render.variant import (
-    BLOCK_PX,
-    ROULETTE_DEPTH,
-    SAMPLER,
-    SCALAR,
-    interruptible,
-    mitsuba,
-    path_tracer,
-    using,
-)
+from forestgen.render.variant import BLOCK_PX, ROULETTE_DEPTH, SAMPLER, SCALAR, interruptible, mi, path_tracer, using
 from forestgen.render.wavelengths import ColourBySpectrum
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.colour_checker import axes_of
@@ -210,12 +200,11 @@ def _patch(normal: Floats) -> dict[str, Any]:
     matrix = np.eye(4)
     matrix[:3, :3] = axes_of(normal) * _PATCH_M
     white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}
-    return {"type": "rectangle", "to_world": mitsuba().ScalarTransform4f(matrix), "bsdf": white}
+    return {"type": "rectangle", "to_world": mi.ScalarTransform4f(matrix), "bsdf": white}
 
 
 def _sensor(normal: Floats, spp: int) -> Any:
     """A camera that sees the patch and nothing else."""
-    mi = mitsuba()
     right, up, towards = axes_of(normal).T
     matrix = np.eye(4)
     matrix[:3] = np.stack([-right, up, -towards, 2 * _PATCH_M * towards], axis=1)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.spectrum import LUMINANCE
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, sky_model_of
-from forestgen.render.variant import SKY_BESIDE_SUN_WEIGHT, mitsuba
+from forestgen.render.variant import SKY_BESIDE_SUN_WEIGHT, mi
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Sky
 
@@ -47,10 +47,7 @@ def along(values: NDArray[np.floating], direction: Floats) -> Floats:
 
 
 def sky_map(sky: Sky, channels: Channels) -> NDArray[np.float32]:
-    """(MAP_ROWS, MAP_COLUMNS, 3) radiance of the sky without its sun, black below the horizon; see `map_directions`.
-
-    W/m²/sr/nm at the wavelengths; or linear Rec. 709 in cd/m².
-    """
+    """(MAP_ROWS, MAP_COLUMNS, 3) radiance without the sun, black below the horizon: W/m²/sr/nm; colour in cd/m²."""
     result = np.zeros((MAP_ROWS, MAP_COLUMNS, 3), dtype=np.float32)
     result[: MAP_ROWS // 2 + 1] = sky_model_of(sky).radiance(sky, daylight_of(sky).sky, channels)
     return _within_gamut(result) if channels.wavelength_nm is None else result
@@ -95,7 +92,6 @@ def sky_light(sky: Sky, channels: Channels) -> dict[str, Any]:
 
 def sun_disc(sky: Sky, channels: Channels) -> dict[str, Any]:
     """The sun: a disc that shines."""
-    mi = mitsuba()
     to_sun = sky.to_sun
     radius = _SUN_DISTANCE_M * np.tan(np.radians(SUN_RADIUS_DEG))
     centre = (_SUN_DISTANCE_M * to_sun).tolist()
@@ -111,7 +107,6 @@ def sun_disc(sky: Sky, channels: Channels) -> dict[str, Any]:
 
 def envmap(image: NDArray[np.float32]) -> dict[str, Any]:
     """An `envmap` dictionary of an equirectangular image; see `skies.model.map_directions`."""
-    mi = mitsuba()
     # Mitsuba's map is y-up: its direction for (u, v) is (sin(2 pi u) sin(pi v), cos(pi v), -cos(2 pi u) sin(pi v)).
     # Rotating y to z by 90 degrees about x turns that into azimuth 90 degrees - 2 pi u, measured from x over y.
     columns = image.shape[1]

@@ -1,28 +1,26 @@
 """Light of a cloudy sky on a scene far below it.
 
 Clouds are traced alone (render/cloud_paths.py), over a plain of the region's albedo, once for each sky: into a map of
-the radiance by direction at one place of the site, at the height of the canopy. The map lights the scene from
-infinitely far away. It holds the sky and what clouds scatter of it and of the sun; the sun's disc shines through the
-shadow plane of render/cloud_shadow.py.
+the radiance by direction at one place of the site, at the height of the canopy, which lights the scene from infinitely
+far away. It holds the sky and what clouds scatter of it and of the sun; the sun's disc shines through the shadow plane
+of render/cloud_shadow.py.
 
 Decisions
 ---------
-- A light that is infinitely far away is the same everywhere, but land a kilometre off, which an aerial view shows, is
-  under other clouds. So the light of the map on what a pixel shows is multiplied by the ratio of the level irradiances
-  there and at the map's place (`Overland`). Measured against `exact` on the forest under cumulus
-  (benchmarks/cloud_views.py): 0.0 +- 0.7% over views from the ground, over the crowns and from 180 m up, each within
-  2.3% with noise of 0.9 to 2.1%. Without the ratio the irradiance is 13 to 20% off in the mean over the whole field,
-  with it 1 to 2%, and 5% RMS from place to place. An emissive plane at the clouds' base would need no ratio; but it has
-  no directions and ends with the field.
-- The map has 1.4 degrees a row and column. It is not denoised: what it lights averages over hundreds of its pixels, and
-  a denoiser would add a bias.
+- Land a kilometre off, which an aerial view shows, is under other clouds. So the light of the map on what a pixel shows
+  is multiplied by the ratio of the level irradiances there and at the map's place (`Overland`). Against `exact` on the
+  forest under cumulus (benchmarks/cloud_views.py): 0.0 +- 0.7% over views from the ground, over the crowns and from 180
+  m up, each within 2.3% with noise of 0.9 to 2.1%. Without the ratio the irradiance is 13 to 20% off in the mean over
+  the whole field, with it 1 to 2%, and 5% RMS from place to place. An emissive plane at the clouds' base would need no
+  ratio, but has no directions and ends with the field.
+- The map has 1.4 degrees a row and column, and is not denoised: what it lights averages over hundreds of its pixels.
 - Clouds are grey. So the sun's light comes through alike at all wavelengths, and the sky's differs only by how it
   spreads over the sky: the share by direction is baked at six wavelengths, with straight lines between. The plain has
   the colour of the terrain, mostly that of the distance; a baked sky holds the light by the number of its reflections.
-- The nodes are noisy, by 4% in the two bakes that were looked at, and near the map's place that noise lies on every
-  pixel alike. There the ratio is known to be 1. So what the middle node misses is added to the nodes around it too, in
-  proportion to the correlation of their noise after smoothing. The measurements above are from before that.
-- Baked skies are kept in memory by a hash of their content. All cameras of a scene, and later images under the same
+- The nodes are noisy, by 4% in two bakes, and near the map's place that noise lies on every pixel alike, where the
+  ratio is known to be 1. So what the middle node misses is added to the nodes around it too, in proportion to the
+  correlation of their noise after smoothing. The measurements above are from before that.
+- Baked skies are kept in memory by a hash of their content: all cameras of a scene, and later images under the same
   sky, share one. The random numbers are the same for all skies: the hash is of floats, whose last digits differ from
   machine to machine and with the threads of linear algebra.
 """

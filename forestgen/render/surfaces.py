@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.render.variant import mitsuba
+from forestgen.render.variant import mi
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Material, Terrain
 from forestgen.scene.surfaces import film_factor
@@ -130,7 +130,7 @@ class SpectralBsdfs:
     def add(self, recipe: Recipe) -> Any:
         """A BSDF or emitter that is made, and later repainted, by a function of the channels to a dictionary."""
         # Unoptimised: lobes that happen to be equal in one pass must not become one object for all.
-        made = mitsuba().load_dict(recipe(self.channels), optimize=False)
+        made = mi.load_dict(recipe(self.channels), optimize=False)
         self._made.append((made, recipe))
         return made
 
@@ -138,7 +138,6 @@ class SpectralBsdfs:
         """Give all objects the values of other channels, in place: scenes that hold them need no new building."""
         if channels == self.channels:
             return
-        mi = mitsuba()
         for made, recipe in self._made:
             repaint(made, mi.load_dict(recipe(channels), optimize=False))
         self.channels = channels
@@ -146,7 +145,6 @@ class SpectralBsdfs:
 
 def repaint(old: Any, new: Any) -> None:
     """Copy the parameters of one Mitsuba object to another that was made alike."""
-    mi = mitsuba()
     scalar = mi.variant().startswith("scalar")  # where an array's `numpy` is the array itself and no copy
     target, source = mi.traverse(old), mi.traverse(new)
     for key in target.keys():  # noqa: SIM118 - no mapping of Python's
@@ -309,7 +307,7 @@ def _textured(material: Material, channels: Channels) -> dict[str, Any]:
 
 def _bitmap(image: NDArray[Any]) -> dict[str, Any]:
     """A texture of linear values, row 0 at v = 0, that repeats."""
-    bitmap = mitsuba().Bitmap(np.ascontiguousarray(image, dtype=np.float32))
+    bitmap = mi.Bitmap(np.ascontiguousarray(image, dtype=np.float32))
     return {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "repeat", "format": "fp16"}
 
 
@@ -331,5 +329,5 @@ def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
 
 
 def _painted_ground(colour: NDArray[np.float32]) -> dict[str, Any]:
-    bitmap = mitsuba().Bitmap(np.ascontiguousarray(colour))
+    bitmap = mi.Bitmap(np.ascontiguousarray(colour))
     return {"type": "diffuse", "reflectance": {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "repeat"}}

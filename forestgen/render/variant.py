@@ -18,7 +18,7 @@ import os
 import sys
 import sysconfig
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from pathlib import Path
@@ -101,7 +101,6 @@ def using(variant: str) -> Iterator[Any]:
 
     Mitsuba's own context changes back, and each change takes 0.1 s: its integrators in Python are loaded anew.
     """
-    mi = mitsuba()
     if mi.variant() != variant:
         mi.set_variant(variant)
     yield mi
@@ -111,6 +110,20 @@ def drjit() -> Any:
     """The `drjit` module, after LLVM's place is known."""
     mitsuba()
     return importlib.import_module("drjit")
+
+
+class _Lazy:
+    """A module that is loaded when it is first used."""
+
+    def __init__(self, load: Callable[[], Any]) -> None:
+        self._load = load
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._load(), name)
+
+
+mi: Any = _Lazy(mitsuba)
+dr: Any = _Lazy(drjit)
 
 
 def tracing_variant() -> str:
@@ -177,13 +190,10 @@ def renderer_errors() -> Iterator[None]:
 
 
 def interruptible(integrator: Any, scene: Any, sensor: Any, seed: int, samples: int) -> NDArray[np.float32]:
-    """(H, W, C) image of the scalar variant; Ctrl-C stops it within a fraction of a second.
-
-    Raises `RenderError` if the renderer failed, `MemoryError` if it ran out of memory.
-    """
+    """(H, W, C) scalar image; Ctrl-C stops it in a fraction of a second. `RenderError` or `MemoryError`: it failed."""
 
     def work() -> NDArray[np.float32]:
-        mitsuba().set_variant(SCALAR)
+        mi.set_variant(SCALAR)
         return np.array(integrator.render(scene, sensor=sensor, seed=seed, spp=samples))
 
     with ThreadPoolExecutor(1, "forestgen-render") as pool:
@@ -204,23 +214,20 @@ def interruptible(integrator: Any, scene: Any, sensor: Any, seed: int, samples: 
 
 def check_scalar() -> str:
     """Trace one ray in the scalar variant; what was used."""
-    mi = mitsuba()
     with mi.variant_context(SCALAR):
         scene = mi.load_dict({"type": "scene", "shape": {"type": "sphere"}})
         hit = scene.ray_intersect_preliminary(mi.Ray3f([0, 0, -5], [0, 0, 1]))
         if abs(hit.t - 4.0) > 1e-4:
             raise RuntimeError(f"a ray that should travel 4 m travels {hit.t} m")
-        return f"works, {drjit().thread_count()} threads"
+        return f"works, {dr.thread_count()} threads"
 
 
 def check_llvm() -> str:
     """Compile and run a kernel in the LLVM variant."""
-    mi = mitsuba()
     library = find_llvm()
     if library is None:
         raise RuntimeError("no libLLVM found")
     with mi.variant_context(LLVM):
-        dr = drjit()
         total = dr.sum(dr.arange(mi.Float, 100))[0]
         if total != 4950:
             raise RuntimeError(f"the sum of 0 to 99 came out as {total}")
@@ -230,4 +237,4 @@ def check_llvm() -> str:
 def path_tracer(kind: str, max_depth: int, **more: Any) -> Any:
     """A path tracer of Mitsuba's, with the settings of all images."""
     settings = {"type": kind, "max_depth": max_depth, "rr_depth": ROULETTE_DEPTH, "block_size": BLOCK_PX}
-    return mitsuba().load_dict(settings | more)
+    return mi.load_dict(settings | more)

@@ -1,8 +1,7 @@
 """A view of a scene that is built once and captured pass after pass, in other channels and with other seeds.
 
-`ClearView` has scenes without clouds. Under clouds that are far above the scene, `FarfieldView` lights it by a sky that
-was rendered once. Both follow their paths by paths/. exact_view.py has Mitsuba trace the clouds' volume together with
-the scene.
+`ClearView` has scenes without clouds; `FarfieldView` lights a scene far below clouds by a sky that was rendered once.
+Both follow their paths by paths/. exact_view.py has Mitsuba trace the clouds' volume together with the scene.
 
 Under far clouds three parts add up: light of the sky on the scene, from a map that all cameras share (render/sky.py)
 and corrected for what lies elsewhere; light of the sun on the scene, through the clouds' shadow
@@ -13,7 +12,6 @@ sky. When that holds: render/cloud_shadow.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -26,12 +24,11 @@ from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render import sky
 from forestgen.render.build import origin_of
 from forestgen.render.cloud_paths import gather
-from forestgen.render.cloud_shadow import ShadowPlane, base_of, shadow_plane_of
+from forestgen.render.cloud_shadow import base_of, shadow_plane_of
+from forestgen.render.frame import RenderJob, Timer, View
 from forestgen.render.identity import SceneTracer
-from forestgen.render.job import RenderJob, Timer, View
-from forestgen.render.light import has_sun, sky_map, sun_irradiance, sun_radiance
-from forestgen.render.paths.scattering import Surfaces
-from forestgen.render.paths.tracer import Image, PathTracer, Sky, Sun
+from forestgen.render.light import has_sun, sky_map, sun_irradiance
+from forestgen.render.paths.tracer import PathTracer
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.colour import Channels
 from forestgen.scene.projection import rays
@@ -59,60 +56,19 @@ def build_view(job: RenderJob, progress: Progress, timer: Timer, tracer: SceneTr
     return FarfieldView(job, tracer, progress, timer)
 
 
-class LitScene:
-    """A scene under a sky that is infinitely far away, ready to be seen by one camera in any channels.
-
-    `radiance` is the sky in channels, as `light.sky_map` has it; `shadow` is what clouds let through of the sun's
-    light, None: all.
-    """
-
-    def __init__(
-        self,
-        tracer: SceneTracer,
-        camera: Camera,
-        max_depth: int,
-        radiance: Callable[[Channels], NDArray[np.float32]],
-        shadow: ShadowPlane | None = None,
-    ) -> None:
-        self._tracer, self._radiance, self._shadow = tracer, radiance, shadow
-        self._shown: Channels | None = None
-        with using(tracer.variant):
-            self._surfaces = Surfaces(tracer)
-            self._paths = PathTracer(tracer, camera, self._surfaces, max_depth)
-
-    def show(self, channels: Channels) -> None:
-        """Have the surfaces and lights of these channels."""
-        if channels == self._shown:
-            return
-        spec = self._tracer.spec
-        with using(self._tracer.variant):
-            self._surfaces.show(channels)
-            self._sky = Sky(self._radiance(channels), sampled=spec.clouds is not None)
-            self._sun = None
-            if has_sun(spec.sky):
-                light, disc = sun_irradiance(spec.sky, channels), sun_radiance(spec.sky, channels)
-                self._sun = Sun(spec.sky.to_sun, light, disc, self._shadow, self._tracer.origin_m)
-        self._shown = channels
-
-    def take(self, samples: int, seed: int) -> Image:
-        """An image in the channels that are shown, by independent paths for each seed."""
-        with using(self._tracer.variant):
-            return self._paths.take(self._sky, self._sun, samples, seed)
-
-
 class ClearView:
     """A scene under a clear or overcast sky."""
 
     def __init__(self, job: RenderJob, tracer: SceneTracer, timer: Timer) -> None:
         self._seed, self._timer = job.seed, timer
         with timer("radiance: build"):
-            self._lit = LitScene(tracer, job.camera, job.max_depth, partial(sky_map, job.spec.sky))
+            self._paths = PathTracer(tracer, job.camera, job.max_depth, partial(sky_map, job.spec.sky))
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         with self._timer("radiance: repaint"):
-            self._lit.show(channels)
+            self._paths.show(channels)
         with self._timer("light paths"):
-            image = self._lit.take(samples, child_seed(self._seed, "clear", *number))
+            image = self._paths.take(samples, child_seed(self._seed, "clear", *number))
         return np.asarray(image.by_sky + image.by_sun + image.beyond, dtype=np.float64)
 
 
@@ -132,14 +88,14 @@ class FarfieldView:
             shadow = shadow_plane_of(spec, origin_of(job.camera)) if has_sun(spec.sky) else None
             advance(1)
         with timer("radiance: build"):
-            self._lit = LitScene(tracer, job.camera, job.max_depth, baked.radiance, shadow)
+            self._paths = PathTracer(tracer, job.camera, job.max_depth, baked.radiance, shadow)
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         job = self._job
         with self._timer("radiance: repaint"):
-            self._lit.show(channels)
+            self._paths.show(channels)
         with self._timer("light paths"):
-            found = self._lit.take(samples, child_seed(job.seed, "farfield", *number))
+            found = self._paths.take(samples, child_seed(job.seed, "farfield", *number))
         image: Floats = found.by_sky.astype(np.float64)
         if self._land is not None and job.position_m is not None:
             image = image * self._land.ratio(channels, job.position_m)

@@ -1,12 +1,12 @@
 """Random walks of light through a cloud field, followed backwards from rays that enter it: compiled.
 
-A ray flies by Woodcock's delta tracking over small boxes of the grid, each with a largest extinction of its own (a
-regular march from box to box; Szirmay-Kalos et al. 2011). At every scattering the sun is looked for: a point of its
-disc is drawn and the optical depth towards it integrated piece by piece, exactly (as atmosphere/optical_depth.py does).
-Past `_CERTAIN_DEPTH` the march goes on only as far as a random optical depth, exponentially distributed, and counts
-e^-depth of the certain part if the sun is reached before: of the same mean, and short in thick clouds.
+A ray flies by Woodcock's delta tracking over small boxes of the grid, each with a largest extinction of its own
+(Szirmay-Kalos et al. 2011). At every scattering the sun is looked for: a point of its disc is drawn and the optical
+depth towards it integrated piece by piece, exactly (as atmosphere/optical_depth.py does). Past `_CERTAIN_DEPTH` the
+march goes on only as far as a random optical depth, exponentially distributed, and counts e^-depth of the certain part
+if the sun is reached before: of the same mean, and short in thick clouds.
 
-A walk ends where it leaves the field. Upwards it sees the sky; downwards it is handed back to the caller. After
+A walk ends where it leaves the field: upwards it sees the sky, downwards it is handed back to the caller. After
 `_FREE_SCATTERINGS` absorption is by chance; before, by weight.
 
 References
@@ -24,7 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.optical_depth import advanced, clipped, corners, entered, inside, mixed, piece
+from forestgen.atmosphere.optical_depth import (
+    advanced,
+    clipped,
+    corners,
+    entered,
+    inside,
+    largest_in_boxes,
+    mixed,
+    piece,
+)
 from forestgen.core.compiled import compiled, unowned_view
 from forestgen.core.threads import parallel_for
 from forestgen.render.cloud_paths import scrambled
@@ -37,10 +46,7 @@ Floats = NDArray[np.float64]
 
 
 def disc_parameters(centre_m: Floats, radius_m: float) -> Floats:
-    """(13,) the sun as a disc that shines evenly: its centre, two radii across it, unit normal to the origin, area.
-
-    The centre (3,) is in metres from the frame's origin.
-    """
+    """(13,) an even disc by its centre from the origin, m: it, two radii across, unit normal to the origin, area."""
     normal = -centre_m / np.linalg.norm(centre_m)
     first = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.9 else [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first)
@@ -70,16 +76,11 @@ class WalkField:
 
     @classmethod
     def of(cls, clouds: CloudGrid, origin_m: Floats) -> WalkField:
-        from scipy.ndimage import maximum_filter
-
         value = np.ascontiguousarray(clouds.extinction_per_m, dtype=np.float32)
-        most = maximum_filter(value, size=3, mode="nearest")
-        for axis in range(3):
-            most = np.maximum.reduceat(most, np.arange(0, value.shape[axis], _BOX_CELLS), axis=axis)
         phase = clouds.phase
         return cls(
             value,
-            np.ascontiguousarray(most),
+            largest_in_boxes(value, [np.arange(0, n, _BOX_CELLS) for n in value.shape]),
             np.asarray(clouds.low_m) - origin_m,
             np.asarray(clouds.cell_m),
             np.array([clouds.albedo, phase.forward, phase.backward, phase.forward_share]),
@@ -98,7 +99,7 @@ class WalkField:
 
 @compiled
 def _walk(value, most, low, cell, optics, disc, seed, first_ray, end_ray, leaves, heading, light, weight):  # type: ignore[no-untyped-def]
-    value, most = unowned_view(value), unowned_view(most)
+    value, most = unowned_view((value, most))
     albedo, g1, g2, share = optics[0], optics[1], optics[2], optics[3]
     scale_x, scale_y, scale_z = 1.0 / cell[0], 1.0 / cell[1], 1.0 / cell[2]
     state = np.zeros(1, dtype=np.uint64)

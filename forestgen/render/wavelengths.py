@@ -1,10 +1,11 @@
 """Which wavelengths an image's passes are rendered at, and how its channels are made of them.
 
-A pass holds three wavelengths. The channels of an image are integrals over wavelength, c = integral of r_c(l) L(l) dl,
-and are estimated by N nodes: the density p of the nodes is cut into N strata of equal share, a node lies at the same
-random place u in each of them, and c = sum of r_c(l_k) L(l_k) / (N p(l_k)). u is uniform, so the estimate is
-unbiased; from replicate to replicate it goes on by the golden ratio, so that all places together are even, and the
-mean's error from the choice of wavelengths is smaller than the replicates' scatter says.
+A pass holds three wavelengths, a short, a middle and a long one. The channels of an image are integrals over
+wavelength, c = integral of r_c(l) L(l) dl, and are estimated by N nodes: the density p of the nodes is cut into N
+strata of equal share, a node lies at the same random place u in each of them, and c = sum of r_c(l_k) L(l_k) /
+(N p(l_k)). u is uniform, so the estimate is unbiased; from replicate to replicate it goes on by the golden ratio, so
+that all places together are even, and the mean's error from the choice of wavelengths is smaller than the replicates'
+scatter says.
 
 - Colour: 12 nodes, 4 passes. One u for all nodes (Cranley and Patterson 1976), since the responses fade out at both
   ends: the rule is then one of a periodic function. p is the cube root of the sum of the responses' sizes. Measured on
@@ -13,14 +14,12 @@ mean's error from the choice of wavelengths is smaller than the replicates' scat
 - Bands: each has nodes of its own, p in proportion to its response times the light in the open, so that all count
   alike: water vapour takes nine tenths of the light from parts of some bands. One node for each 40 nm of a band's
   width, at most 4, and what is left over in the last pass goes to the widest. Bands share passes, not nodes.
-
-Within a replicate each pass has short, middle and long wavelengths.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -79,9 +78,10 @@ class ColourBySpectrum(Quadrature):
     passes = COLOUR_NODES // 3
 
     def draw(self, rng: np.random.Generator, number: int) -> tuple[Pass, ...]:
-        strata, response = _colour_strata()
-        node_nm, per_nm = strata.nodes(COLOUR_NODES, _place(rng, number))
-        wavelength, _ = observer()
+        wavelength, response = observer()
+        size = np.abs(response).sum(axis=0) ** _COLOUR_POWER
+        density = np.interp((wavelength[:-1] + wavelength[1:]) / 2, wavelength, size)
+        node_nm, per_nm = _nodes(wavelength, density, COLOUR_NODES, _place(rng, number))
         value = np.stack([np.interp(node_nm, wavelength, row) for row in response])
         return _passes(node_nm, value / (COLOUR_NODES * per_nm))
 
@@ -109,7 +109,7 @@ class BandsBySpectrum(Quadrature):
         places, rows = [], []
         for index, (band, count) in enumerate(zip(self.bands, self.nodes(), strict=True)):
             edges, response = _bins(band)
-            node_nm, per_nm = _Strata(edges, self._density(edges, response)).nodes(count, _place(rng, number))
+            node_nm, per_nm = _nodes(edges, self._density(edges, response), count, _place(rng, number))
             weight = np.interp(node_nm, edges, response) / np.trapezoid(response, edges) / (count * per_nm)
             rows.append(np.zeros((len(self.bands), count)))
             rows[-1][index] = weight
@@ -132,31 +132,18 @@ def quadrature_of(camera: Camera, mode: Mode, light: Spectrum | None = None) -> 
     return ColourBySpectrum() if mode == "spectral" else ColourAtOnce()
 
 
-@dataclass(frozen=True)
-class _Strata:
-    """A density over wavelength, constant in bins."""
+def _nodes(edges_nm: Floats, density: Floats, count: int, place: float) -> tuple[Floats, Floats]:
+    """(count,) nm, the same `place` in [0, 1) of each of `count` strata; (count,) the density there, per nm.
 
-    edges_nm: Floats  # (B + 1,)
-    density: Floats  # (B,) of any scale
-
-    def nodes(self, count: int, place: float) -> tuple[Floats, Floats]:
-        """(count,) nm, the same `place` in [0, 1) of each of `count` strata; (count,) the density there, per nm."""
-        lit = self.density > 0
-        start, density = self.edges_nm[:-1][lit], self.density[lit]
-        total = np.concatenate([[0.0], np.cumsum(density * np.diff(self.edges_nm)[lit])])
-        at = (np.arange(count) + place) / count * total[-1]
-        bin_ = np.clip(np.searchsorted(total, at, side="right") - 1, 0, len(start) - 1)
-        node = start[bin_] + (at - total[bin_]) / density[bin_]
-        return node, density[bin_] / total[-1]
-
-
-@cache
-def _colour_strata() -> tuple[_Strata, Floats]:
-    """Density of the nodes of colour; (3, W) responses at the observer's wavelengths."""
-    wavelength, response = observer()
-    size = np.abs(response).sum(axis=0) ** _COLOUR_POWER
-    middle = (wavelength[:-1] + wavelength[1:]) / 2
-    return _Strata(wavelength, np.interp(middle, wavelength, size)), response
+    The density (B,), of any scale, is constant in bins between `edges_nm` (B + 1,).
+    """
+    lit = density > 0
+    start, density = edges_nm[:-1][lit], density[lit]
+    total = np.concatenate([[0.0], np.cumsum(density * np.diff(edges_nm)[lit])])
+    at = (np.arange(count) + place) / count * total[-1]
+    bin_ = np.clip(np.searchsorted(total, at, side="right") - 1, 0, len(start) - 1)
+    node = start[bin_] + (at - total[bin_]) / density[bin_]
+    return node, density[bin_] / total[-1]
 
 
 @lru_cache(maxsize=256)

@@ -29,11 +29,11 @@ from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.formats.format import known_formats, load_formats
 from forestgen.dataset.formats.shards import json_text, whole_file
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
-from forestgen.dataset.manifest import MANIFEST_NAME
+from forestgen.dataset.manifest import MANIFEST_NAME, SUMS_NAME, file_sum, write_sums
 from forestgen.dataset.manifest import SCHEMA as MANIFEST_SCHEMA
+from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.dataset.thumbnails import FOLDER_NAME as THUMBNAILS
 from forestgen.dataset.writer import write_dataset, write_map
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.load import LoadedRecipe

@@ -19,10 +19,9 @@ from typing import Any
 
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.manifest import file_sum
 from forestgen.dataset.files import make_folder, output_error
 from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
-from forestgen.dataset.manifest import is_run_folder
+from forestgen.dataset.manifest import file_sum, is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.assets import MAPS

@@ -16,12 +16,10 @@ from forestgen.core.errors import DatasetError, ForestgenError
 from forestgen.core.progress import Progress
 from forestgen.dataset.card import CARD_NAME
 from forestgen.dataset.check import Finding
-from forestgen.dataset.check.files import read_json, read_text
-from forestgen.dataset.check.files import MISUNDERSTOOD, UnreadableError, misunderstood
-from forestgen.dataset.manifest import SUMS_NAME, file_sum, read_sums
+from forestgen.dataset.check.files import MISUNDERSTOOD, UnreadableError, misunderstood, read_json, read_text
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.index import COLUMNS, INDEX_NAME, open_index, read_index
-from forestgen.dataset.manifest import MANIFEST_NAME
+from forestgen.dataset.manifest import MANIFEST_NAME, SUMS_NAME, file_sum, read_sums
 from forestgen.dataset.png import thumbnail_name
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.dataset.settings import DRAW

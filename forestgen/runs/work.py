@@ -34,8 +34,7 @@ from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.variant import mitsuba
 from forestgen.runs.contract import Done, Failed, FailureKind, Job, JobRecord, JobRun, Outcome, StorageBackend, Work
 from forestgen.runs.records import job_key, record_bytes, record_path
-from forestgen.scene.plan import check_memory
-from forestgen.scene.plan import make_plan
+from forestgen.scene.plan import check_memory, make_plan
 
 _FRAMES = "frames"  # of a staging folder: what belongs into the split's folder
 

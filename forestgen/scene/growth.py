@@ -27,7 +27,7 @@ from forestgen.plants.exemplar import Exemplar, as_solids
 from forestgen.plants.growing import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store, grow_exemplars
 from forestgen.plants.grown import woods_of
 from forestgen.plants.levels import PIXEL_STEPS_M, level_for
-from forestgen.plants.parameters import CrownProfile, PlantParameters
+from forestgen.plants.parameters import CrownProfile
 from forestgen.plants.registry import GENERATORS
 from forestgen.recipe.species import Building, Material, Species
 from forestgen.scene.building import exemplar_of, plan_buildings

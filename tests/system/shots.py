@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from forestgen.core.progress import Silent, Timings
-from forestgen.render.frame import Identity, Radiance, Surface
+from forestgen.render.frame import Identity, Radiance, RenderJob, StoppingCriterion, Surface
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.job import RenderJob, StoppingCriterion
 from forestgen.render.light import sky_map
-from forestgen.render.radiance import render_radiance
+from forestgen.render.paths.tracer import PathTracer
+from forestgen.render.rendering import render_radiance
 from forestgen.render.variant import cuda_devices
-from forestgen.render.views import LitScene
 from forestgen.render.wavelengths import Mode
 from forestgen.scene.colour import RGB
 from forestgen.scene.spec import Camera, SceneSpec
@@ -52,6 +51,6 @@ def need_cuda() -> None:
 
 def alpha(spec: SceneSpec, samples: int) -> np.ndarray:
     """(H, W) share of the light paths of the first camera that meet the scene; outside of a circle 1."""
-    lit = LitScene(SceneTracer(spec, Timings()), spec.cameras[0], 1, partial(sky_map, spec.sky))
+    lit = PathTracer(SceneTracer(spec, Timings()), spec.cameras[0], 1, partial(sky_map, spec.sky))
     lit.show(RGB)
     return 1.0 - lit.take(samples, seed=1).open

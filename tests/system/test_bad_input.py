@@ -351,7 +351,7 @@ def test_a_negative_seed_is_refused_by_every_command() -> None:
 
 def test_of_a_plants_files_all_appear_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk is full when the third file of five comes; what was there stays as it was."""
-    from forestgen.dataset import file_set as plant_files
+    from forestgen.dataset import files as plant_files
 
     written = 0
 

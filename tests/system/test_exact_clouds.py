@@ -16,7 +16,7 @@ from forestgen.render.build import load, origin_of, scene_dict
 from forestgen.render.capture import capture
 from forestgen.render.cloud_bricks import Bricks, brick_shapes, camera_shell, divide
 from forestgen.render.exact_view import ExactView, clear_air_m, endless_tracer
-from forestgen.render.job import RenderJob, StoppingCriterion
+from forestgen.render.frame import RenderJob, StoppingCriterion
 from forestgen.render.light import along, emitters_of, sky_light, sky_map
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, path_tracer, using
@@ -204,10 +204,10 @@ def test_paths_that_end_in_no_number_are_drawn_once_more_and_many_are_refused(mo
     with using(SCALAR):
         view = ExactView(shot, Timings())
         view._tracer = Unlucky([np.nan, 1.0, np.inf])
-        assert np.array_equal(view._followed(place, way, 1), np.ones((5, 3)))
+        assert np.array_equal(view.followed(place, way, 1), np.ones((5, 3)))
         view._tracer = Unlucky([np.nan] * 100)
         with pytest.raises(RenderError, match="end in no number"):
-            view._followed(place, way, 1)
+            view.followed(place, way, 1)
     broken = [2]
 
     def captured(tracer, scene, camera, *, samples, seed, window=None):

@@ -27,7 +27,7 @@ from forestgen.render.haze import (
     under_clouds,
 )
 from forestgen.render.identity import SceneTracer
-from forestgen.render.identity.sums import pixel_sums
+from forestgen.render.identity.surface import pixel_sums
 from forestgen.render.identity.tracer import sample_offsets
 from forestgen.render.skies.model import MAP_ROWS, daylight_of
 from forestgen.render.variant import SCALAR, drjit, mitsuba, using

@@ -9,10 +9,9 @@ import pytest
 from shots import radiance
 
 from forestgen.core.progress import Silent, Timings
-from forestgen.render import radiance as radiance_module
-from forestgen.render.job import RenderJob, StoppingCriterion
-from forestgen.render.noise import Estimate, Noise, Schedule, SliceSum, noise_of
-from forestgen.render.radiance import render_radiance, unfinished
+from forestgen.render import rendering as radiance_module
+from forestgen.render.frame import RenderJob, StoppingCriterion
+from forestgen.render.rendering import Estimate, Noise, Schedule, SliceSum, noise_of, render_radiance, unfinished
 from forestgen.scene.spec import SceneSpec
 from support.scenes import plain_ground, scattered_scene
 

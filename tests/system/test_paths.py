@@ -23,13 +23,12 @@ from forestgen.render.capture import capture
 from forestgen.render.cloud_shadow import ShadowPlane
 from forestgen.render.identity import SceneTracer
 from forestgen.render.light import along, sky_map
-from forestgen.render.paths.scattering import Local, Surfaces, face_tangents, paint_of
+from forestgen.render.paths.scattering import Local, face_tangents, paint_of
 from forestgen.render.paths.tracer import PathTracer, Sun, sequence_of
 from forestgen.render.paths.tracer import Sky as SkyOnDevice
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of
 from forestgen.render.surfaces import surface_bsdf
 from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
-from forestgen.render.views import LitScene
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Lens, Material, SceneSpec, Sky, WetGround
 from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
@@ -217,15 +216,14 @@ def test_light_samples_of_the_sky_change_the_noise_alone():
     spec = replace(spec, materials=glossy)
     bark = bark_texture(Bark(pattern="furrowed", tile_m=TILE_M, depth_m=0.004), REFLECTANCE, "post/bark")
     for one in (spec, post_scene(Material(REFLECTANCE, texture=bark))):
-        tracer = SceneTracer(one, Timings())
-        with using(LLVM):
-            surfaces = Surfaces(tracer)
-            surfaces.show(RGB)
-            paths = PathTracer(tracer, one.cameras[0], surfaces, 64)
-            found, looked_for = (
-                np.array([paths.take(SkyOnDevice(cloudy(), sampled=sampled), None, 64, k).by_sky for k in range(12)])
-                for sampled in (False, True)
-            )
+        paths = PathTracer(SceneTracer(one, Timings()), one.cameras[0], 64, lambda channels: cloudy())
+        images = []
+        for sampled in (False, True):
+            paths.show(RGB)
+            with using(LLVM):
+                paths._sky, paths._sun = SkyOnDevice(cloudy(), sampled=sampled), None
+            images.append(np.array([paths.take(64, k).by_sky for k in range(12)]))
+        found, looked_for = images
         assert looked_for.std(axis=0).mean() < 0.8 * found.std(axis=0).mean()
         assert_same(looked_for.astype(np.float64), found.astype(np.float64))
 
@@ -267,11 +265,11 @@ def test_a_lambertian_plane(zenith_deg):
     np.testing.assert_allclose(seen, ALBEDO / np.pi * on_level, rtol=0.003)
 
 
-def white_sky(spec: SceneSpec, max_depth: int = 4096) -> LitScene:
+def white_sky(spec: SceneSpec, max_depth: int = 4096) -> PathTracer:
     """The first camera under a sky of 1 all around."""
     overcast = replace(spec, sky=replace(spec.sky, kind="overcast"))
     ones = np.ones((MAP_ROWS, MAP_COLUMNS, 3), dtype=np.float32)
-    return LitScene(SceneTracer(overcast, Timings()), spec.cameras[0], max_depth, lambda channels: ones)
+    return PathTracer(SceneTracer(overcast, Timings()), spec.cameras[0], max_depth, lambda channels: ones)
 
 
 @pytest.mark.parametrize("leaf", [GREY, COLOURED], ids=["grey", "coloured"])
@@ -413,7 +411,7 @@ def test_a_hit_from_afar_does_not_shade_itself():
     tracer = SceneTracer(spec, Timings())
     assert np.abs(tracer.origin_m[:2]).max() < 1e-6
     for camera in spec.cameras:
-        lit = LitScene(tracer, camera, 2, partial(sky_map, spec.sky))
+        lit = PathTracer(tracer, camera, 2, partial(sky_map, spec.sky))
         lit.show(RGB)
         seen = lit.take(16, seed=1).by_sun
         assert np.ptp(seen[..., 1]) < 1e-3 * seen[..., 1].mean()
@@ -438,7 +436,7 @@ def test_cuda_and_llvm_see_the_same_light():
     need_cuda()
     spec, images = leafy_stand(size_px=(64, 40)), {}
     for variant in (LLVM, CUDA):
-        lit = LitScene(SceneTracer(spec, Timings(), variant), spec.cameras[0], 64, partial(sky_map, spec.sky))
+        lit = PathTracer(SceneTracer(spec, Timings(), variant), spec.cameras[0], 64, partial(sky_map, spec.sky))
         lit.show(RGB)
         found = [lit.take(32, seed=k) for k in range(4)]
         images[variant] = np.array([one.by_sky + one.by_sun + one.beyond for one in found], dtype=np.float64)

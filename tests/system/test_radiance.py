@@ -17,7 +17,7 @@ from forestgen.render.capture import sensor_of
 from forestgen.render.cloud_paths import gather
 from forestgen.render.cloud_shadow import base_of
 from forestgen.render.light import sky_light, sky_map, sun_disc, sun_irradiance
-from forestgen.render.noise import SliceSum, slice_sizes
+from forestgen.render.rendering import SliceSum, slice_sizes
 from forestgen.render.surfaces import SpectralBsdfs
 from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import sky_pixels

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from forestgen.core.frames import look_at
-from forestgen.render.capture import LEAST_SAMPLES, FilmWindow, capture, check_ray_places, tiles_of
+from forestgen.render.capture import LEAST_SAMPLES, FilmWindow, capture, ray_places, square_view, tiles_of
 from forestgen.render.light import envmap
 from forestgen.render.skies.model import map_directions
-from forestgen.render.variant import BLOCK_PX, SCALAR, mitsuba, using
+from forestgen.render.variant import BLOCK_PX, SCALAR, interruptible, mitsuba, using
 from forestgen.scene.projection import project, rays
 from forestgen.scene.spec import Camera, Lens
 
@@ -93,8 +93,15 @@ def pixels(fine: np.ndarray, parts: int) -> np.ndarray:
 
 
 def test_the_place_of_a_ray_in_its_pixel_is_known() -> None:
-    check_ray_places.cache_clear()
-    check_ray_places()
+    """Where rays of the renderer meet a plane; another version of it might draw others."""
+    cells, seed = 2 * BLOCK_PX + 5, 12345
+    with using(SCALAR) as mi:
+        place = mi.ScalarTransform4f().translate([0, 0, 1]).rotate([0, 1, 0], 180).scale([2, 2, 1])
+        scene = mi.load_dict({"type": "scene", "plane": {"type": "rectangle", "to_world": place}})
+        hits = mi.load_dict({"type": "aov", "aovs": "point:position", "block_size": BLOCK_PX})
+        view = square_view(np.eye(3), cells, FilmWindow(0, 0, cells, cells))
+        met = (interruptible(hits, scene, view, seed, 1)[..., :2].astype(np.float64) + 1.0) * cells / 2
+        assert np.abs(met - ray_places(cells, seed)).max() < 1e-3
 
 
 @pytest.mark.parametrize("camera", ASSEMBLED, ids=lambda camera: camera.name)

@@ -20,9 +20,9 @@ from forestgen.recipe.load import load_recipe
 from forestgen.render import wavelengths
 from forestgen.render.capture import capture
 from forestgen.render.denoise import denoise, denoise_bands, trace_guides
+from forestgen.render.frame import RenderJob, StoppingCriterion
 from forestgen.render.identity import SceneTracer
-from forestgen.render.job import RenderJob, StoppingCriterion
-from forestgen.render.radiance import _replicate
+from forestgen.render.rendering import _replicate
 from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import build_view
 from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBySpectrum, quadrature_of

@@ -85,15 +85,7 @@ class NoiseClouds(CloudSource[NoiseKeys]):
         keys = self.keys_of(request.drawn)
         if keys.cover == 0:
             return None
-        return cumulus_field(
-            centre_m=request.middle_of_site_m,
-            extent_m=keys.extent_m,
-            base_m=keys.base_m,
-            thickness_m=keys.thickness_m,
-            cover=keys.cover,
-            extinction_per_m=keys.extinction_per_m,
-            rng=child_rng(request.drawn.image_seed, "clouds"),
-        )
+        return cumulus_field(keys, request.middle_of_site_m, child_rng(request.drawn.image_seed, "clouds"))
 
 
 SOURCE = NoiseClouds()
@@ -121,31 +113,16 @@ def _spectral_noise(
 
 
 def cumulus_field(
-    *,
-    centre_m: tuple[float, float],
-    extent_m: float,
-    base_m: float,
-    thickness_m: float,
-    cover: float,
-    extinction_per_m: float,
-    rng: np.random.Generator,
-    cell_m: float = 26.0,
+    keys: NoiseKeys, centre_m: tuple[float, float], rng: np.random.Generator, cell_m: float = 26.0
 ) -> CloudGrid:
-    """A field of cumulus over a square of side `extent_m`, around world x and y.
-
-    Parameters
-    ----------
-    base_m, thickness_m : height of the flat base, and of the tallest cloud over it.
-    cover : share of the sky's area under cloud, as seen straight from below, in (0, 1].
-    extinction_per_m : at the top of the tallest cloud.
-    cell_m : side of a cell; the grid has (thickness / (cell / 2), extent / cell, extent / cell) cells.
-    """
+    """A field of cumulus around world x and y, of cells so wide and half as high; the cover is above 0."""
+    extent_m, thickness_m = keys.extent_m, keys.thickness_m
     across = max(16, round(extent_m / cell_m))
     up = max(8, round(thickness_m / (cell_m / 2.0)))
     cell = extent_m / across
     dz = thickness_m / up
     base_field = _spectral_noise((across, across), (cell, cell), min(1600.0, extent_m / 2), 3 * cell, 3.4, rng)
-    threshold = np.quantile(base_field, 1.0 - cover)
+    threshold = np.quantile(base_field, 1.0 - keys.cover)
     excess = np.clip((base_field - threshold) / (base_field.max() - threshold), 0.0, None)
     tops = thickness_m * np.minimum(1.0, 1.25 * excess**0.6)
 
@@ -156,12 +133,12 @@ def cumulus_field(
     depth = tops[None] - z[:, None, None] - bite
     rise = np.clip(depth / (1.2 * dz), 0.0, 1.0)
     profile = ((z + 0.5 * dz) / thickness_m) ** (2.0 / 3.0)
-    extinction = (extinction_per_m * rise * profile[:, None, None]).astype(np.float32)
+    extinction = (keys.extinction_per_m * rise * profile[:, None, None]).astype(np.float32)
     half = extent_m / 2.0
     return CloudGrid(
         extinction_per_m=extinction,
-        low_m=(centre_m[0] - half, centre_m[1] - half, base_m),
-        high_m=(centre_m[0] + half, centre_m[1] + half, base_m + thickness_m),
+        low_m=(centre_m[0] - half, centre_m[1] - half, keys.base_m),
+        high_m=(centre_m[0] + half, centre_m[1] + half, keys.base_m + thickness_m),
         albedo=ALBEDO,
         phase=droplet_phase(_DROPLET_UM),
     )

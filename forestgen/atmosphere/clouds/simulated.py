@@ -31,7 +31,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Annotated, ClassVar, Self, TypeVar
 
@@ -124,28 +124,24 @@ class SimulatedKeys(WeatherKeys, PlacedKeys):
         return self
 
 
+@dataclass(frozen=True, eq=False)
 class SimulatedClouds(CloudSource[SimulatedKeys]):
-    """Weather of a type, by values of the keys that a recipe leaves out.
-
-    At `time_s` the clouds are such as the type's name says; the wind is that aloft, the droplets' radius effective.
-    """
+    """Weather of a type, by values of the keys that a recipe leaves out."""
 
     Parameters = SimulatedKeys
 
-    def __init__(
-        self,
-        kind: str,
-        layers: Layers,
-        emission: Emission,
-        domain: Domain,
-        *,
-        cooling_k_per_h: float,
-        time_s: float,
-        wind_m_per_s: float,
-        droplet_radius_um: float,
-    ) -> None:
-        self.conditions = Conditions(kind, layers, emission, domain, cooling_k_per_h)
-        self.time_s, self.wind_m_per_s, self.droplet_radius_um = time_s, wind_m_per_s, droplet_radius_um
+    kind: str
+    layers: Layers
+    emission: Emission
+    domain: Domain
+    cooling_k_per_h: float
+    time_s: float  # at which the clouds are such as the type's name says
+    wind_m_per_s: float  # aloft
+    droplet_radius_um: float  # effective
+
+    @property
+    def conditions(self) -> Conditions:
+        return Conditions(self.kind, self.layers, self.emission, self.domain, self.cooling_k_per_h)
 
     def check(self, drawn: DrawnRecipe) -> None:
         self.scenario(drawn)
@@ -160,27 +156,19 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
         return clouds_of_air(request, keys, air.weather, air.droplet_radius_um, keys.centre_m(request))
 
     def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
-        """The state of the air at the recipe's time: from the cache, or simulated.
-
-        Raises `RecipeError` as `scenario` does, or if the simulation fails.
-        """
+        """The air at the recipe's time, kept or simulated. `RecipeError`: as `scenario`, or the simulation fails."""
         keys, scenario, time_s = self.keys_of(drawn), self.scenario(drawn), self.time_of(drawn)
         seed = drawn.recipe.seed if keys.seed is None else keys.seed
         try:
             weather = simulate(scenario, seed=seed, until_s=time_s, progress=progress, kept=weather_store())
         except ValueError as cause:
-            storm = isinstance(cause, UnstableError)  # any other: what no check before has seen
-            raise RecipeError(
-                "the weather cannot be simulated",
-                where=drawn.where("sky", "clouds"),
-                expected="air that stays slower than any storm"
-                if storm
-                else "air, and a box of it, that can be stepped",
-                got=str(cause),
-                hint="lower the emission or the wind, or make the cells of domain larger"
-                if storm
-                else "change the sounding, or the cells of domain",
-            ) from cause
+            expected, hint = "air, and a box of it, that can be stepped", "change the sounding, or the cells of domain"
+            if isinstance(cause, UnstableError):  # any other: what no check before has seen
+                expected = "air that stays slower than any storm"
+                hint = "lower the emission or the wind, or make the cells of domain larger"
+            where = drawn.where("sky", "clouds")
+            problem = "the weather cannot be simulated"
+            raise RecipeError(problem, where=where, expected=expected, got=str(cause), hint=hint) from cause
         return WeatherReport(weather, scenario.at(time_s).kind, self.droplet_radius_um_at(drawn, time_s))
 
     def time_of(self, drawn: DrawnRecipe) -> float:
@@ -194,10 +182,7 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
         return self.time_s
 
     def droplet_radius_um_at(self, drawn: DrawnRecipe, time_s: float) -> float:
-        """Effective radius of the droplets at a time: the recipe's, or the type's.
-
-        In a story's later phases it goes from the radius before to the new type's, linear over change_s.
-        """
+        """Effective radius: the recipe's or the type's, to which a story's phase goes, linear over change_s."""
         given = self.keys_of(drawn).droplet_radius_um
         if given is not None:
             return given
@@ -297,32 +282,20 @@ def _check_box(drawn: DrawnRecipe, conditions: Conditions, where: _Keys) -> None
     """Refuse a box of air smaller than the site, below the inversion, or of too many cells."""
     domain, widest_m = conditions.domain, max(drawn.recipe.site.size_m)
     inversion_m = conditions.layers.inversion_m if isinstance(conditions.layers, Layers) else 0.0
-    refused = None
     if widest_m > domain.extent_m:
-        refused = (
-            "the site is larger than the box of air in which its weather is simulated",
-            f"sky.clouds.domain.extent_m of at least {widest_m:g} m",
-            f"{domain.extent_m:g} m",
-            "make the domain larger, or the site smaller",
-        )
+        problem = "the site is larger than the box of air in which its weather is simulated"
+        expected, got = f"sky.clouds.domain.extent_m of at least {widest_m:g} m", f"{domain.extent_m:g} m"
+        hint = "make the domain larger, or the site smaller"
     elif inversion_m >= domain.height_m:
-        refused = (
-            "the box of air ends below the inversion",
-            f"a height_m of more than {inversion_m:g} m, the sounding's inversion_m",
-            f"{domain.height_m:g} m",
-            "raise domain.height_m, or lower sounding.inversion_m",
-        )
+        problem = "the box of air ends below the inversion"
+        expected = f"a height_m of more than {inversion_m:g} m, the sounding's inversion_m"
+        got, hint = f"{domain.height_m:g} m", "raise domain.height_m, or lower sounding.inversion_m"
     elif max(domain.cells) > _MOST_CELLS:
-        cells = " x ".join(map(str, domain.cells))
-        refused = (
-            "too many cells",
-            f"at most {_MOST_CELLS} along a side",
-            cells,
-            "make cell_m and cell_height_m larger",
-        )
-    if refused is not None:
-        problem, expected, got, hint = refused
-        raise RecipeError(problem, where=drawn.where(*where, "domain"), expected=expected, got=got, hint=hint)
+        problem, expected = "too many cells", f"at most {_MOST_CELLS} along a side"
+        got, hint = " x ".join(map(str, domain.cells)), "make cell_m and cell_height_m larger"
+    else:
+        return
+    raise RecipeError(problem, where=drawn.where(*where, "domain"), expected=expected, got=got, hint=hint)
 
 
 FOG = SimulatedClouds(
@@ -330,48 +303,33 @@ FOG = SimulatedClouds(
     Layers(6.0, 0.0, 0.0, 60.0, 3.0, -5.0, 0.99, 0.985, 0.75),
     Emission(5.0, 15.0, 250.0, 0.5),
     Domain(1200.0, 160.0, 16.0, 5.0),
-    cooling_k_per_h=1.5,
-    time_s=1800.0,
-    wind_m_per_s=1.0,
-    droplet_radius_um=8.0,
-)
+    cooling_k_per_h=1.5, time_s=1800.0, wind_m_per_s=1.0, droplet_radius_um=8.0,
+)  # fmt: skip
 STRATUS = SimulatedClouds(
     "stratus",
     Layers(9.0, 550.0, 6.0, 600.0, 5.0, 2.0, 0.83, 0.97, 0.5),
     Emission(20.0, 60.0, 500.0, 0.3),
     Domain(4000.0, 1000.0, 62.5, 25.0),
-    cooling_k_per_h=0.6,
-    time_s=2400.0,
-    wind_m_per_s=4.0,
-    droplet_radius_um=8.0,
-)
+    cooling_k_per_h=0.6, time_s=2400.0, wind_m_per_s=4.0, droplet_radius_um=8.0,
+)  # fmt: skip
 STRATOCUMULUS = SimulatedClouds(
     "stratocumulus",
     Layers(17.0, 1900.0, 6.0, 1950.0, 6.0, 3.0, 0.385, 0.98, 0.35),
     Emission(80.0, 110.0, 900.0, 0.4),
     Domain(8000.0, 2600.0, 100.0, 50.0),
-    cooling_k_per_h=0.3,
-    time_s=3000.0,
-    wind_m_per_s=5.0,
-    droplet_radius_um=10.0,
-)
+    cooling_k_per_h=0.3, time_s=3000.0, wind_m_per_s=5.0, droplet_radius_um=10.0,
+)  # fmt: skip
 CUMULUS = SimulatedClouds(
     "cumulus",
     Layers(22.0, 1400.0, 6.8, 2250.0, 4.0, 4.0, 0.465, 0.5, 0.3),
     Emission(150.0, 180.0, 1200.0, 0.5),
     Domain(7200.0, 3000.0, 75.0, 62.5),
-    cooling_k_per_h=0.0,
-    time_s=2100.0,
-    wind_m_per_s=4.0,
-    droplet_radius_um=10.0,
-)
+    cooling_k_per_h=0.0, time_s=2100.0, wind_m_per_s=4.0, droplet_radius_um=10.0,
+)  # fmt: skip
 CUMULONIMBUS = SimulatedClouds(
     "cumulonimbus",
     Layers(27.0, 1400.0, 7.2, 7600.0, 1.0, -8.0, 0.5, 0.45, 0.3),
     Emission(120.0, 200.0, 6000.0, 2.0),
     Domain(24000.0, 12000.0, 375.0, 200.0),
-    cooling_k_per_h=0.0,
-    time_s=4200.0,
-    wind_m_per_s=4.0,
-    droplet_radius_um=15.0,
-)
+    cooling_k_per_h=0.0, time_s=4200.0, wind_m_per_s=4.0, droplet_radius_um=15.0,
+)  # fmt: skip

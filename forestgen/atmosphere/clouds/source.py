@@ -167,10 +167,7 @@ class CloudSource(Generic[KeysT]):
         raise NotImplementedError
 
     def grid(self, request: CloudRequest) -> CloudGrid | None:
-        """The clouds of an image, in the world's frame; None where the sky has none.
-
-        Raises `RecipeError` for weather that cannot be, or a file that cannot be read.
-        """
+        """The clouds of an image, world; None: there are none. `RecipeError`: impossible weather or a bad file."""
         raise NotImplementedError
 
     def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:

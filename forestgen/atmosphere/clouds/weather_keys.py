@@ -35,8 +35,7 @@ class SoundingSection(GivenSection):
         Number | None, _or_of_type("Of the air at the ground, degrees Celsius.", ge=-60, le=60)
     ] = None
     ground_pressure_hpa: Annotated[
-        Number | None,
-        Field(ge=400, le=1100, description="At the ground, hPa; also beside a file. Default: 1013.25."),
+        Number | None, Field(ge=400, le=1100, description="At the ground, hPa; also beside a file. Default: 1013.25.")
     ] = None
     mixed_layer_m: Annotated[
         NonNegative | None,
@@ -61,8 +60,7 @@ class SoundingSection(GivenSection):
     ] = None
     relative_humidity: Annotated[Fraction | None, _or_of_type("At the ground, 0 to 1, over water.")] = None
     relative_humidity_aloft: Annotated[
-        Fraction | None,
-        _or_of_type("Just below the inversion, 0 to 1; linear between it and the mixed layer's top."),
+        Fraction | None, _or_of_type("Just below the inversion, 0 to 1; linear between it and the mixed layer's top.")
     ] = None
     relative_humidity_above: Annotated[Fraction | None, _or_of_type("Above the inversion, 0 to 1.")] = None
 
@@ -133,8 +131,7 @@ class WeatherKeys(GivenSection):
     emission: Annotated[EmissionSection | None, _or_of_type("What the ground gives off.")] = None
     domain: Annotated[DomainSection | None, _or_of_type("The box that is simulated.")] = None
     cooling_k_per_h: Annotated[
-        Number | None,
-        _or_of_type("How fast the air below the inversion radiates its heat away, K/h.", ge=-10, le=10),
+        Number | None, _or_of_type("How fast the air below the inversion radiates its heat away, K/h.", ge=-10, le=10)
     ] = None
     wind_m_per_s: Annotated[NonNegative | None, _or_of_type("Speed of the wind aloft, m/s.", le=100)] = None
     wind_from_deg: Annotated[

@@ -26,10 +26,7 @@ _HALF, _SIXTH = np.float32(0.5), np.float32(1 / 6)
 
 
 class Transport:
-    """Carries ratios by a given velocity for a given step, in a box of (Z, Y, X) cells.
-
-    `openness` is that of `pressure.Boundaries`.
-    """
+    """Carries ratios by a velocity for a step, in (Z, Y, X) cells; `openness` as of `pressure.Pressure`."""
 
     def __init__(self, shape: tuple[int, int, int], openness: Velocity | None) -> None:
         self.shape, self.openness = shape, openness
@@ -43,9 +40,10 @@ class Transport:
         """Sets velocity (m/s, at the faces, ghosts filled) and step."""
         self._velocity = velocity
         self._per_m = tuple(np.float32(step_s / side) for side in cell_m)
-        x, y = self._per_m[:2]
-        z, rows, columns = self.shape
-        over_slabs(z, rows * columns, lambda a, b: _squeeze(self._squeeze, *velocity[:2], x, y, a + 2, b + 2))
+        (u, v, _), (x, y, _), inner = velocity, self._per_m, (slice(2, -2),) * 3
+        along_x, along_both = (part[inner] for part in self._squeeze)
+        along_x[:] = (_HALF * x) * np.diff(u[2:-2, 2:-2, 2:-1], axis=2)
+        along_both[:] = along_x + (_HALF * y) * np.diff(v[2:-2, 2:-1, 2:-2], axis=1)
         for part in self._squeeze:
             fill_sides(part[2:-2])
 
@@ -68,26 +66,9 @@ class Transport:
 
 
 @unchecked
-def _squeeze(out, u, v, cx, cy, first, end):  # type: ignore[no-untyped-def]
-    rows, columns = u.shape[1], u.shape[2]
-    for k in range(first, end):
-        for j in range(2, rows - 2):
-            for i in range(2, columns - 2):
-                x = _HALF * cx * (u[k, j, i + 1] - u[k, j, i])
-                out[0, k, j, i] = x
-                out[1, k, j, i] = x + _HALF * cy * (v[k, j + 1, i] - v[k, j, i])
-
-
-@unchecked
 def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first, end):  # type: ignore[no-untyped-def]
     """Half a step along x and then y, or along y and then x."""
-    ratio, out, u, v, squeeze = (
-        unowned_view(ratio),
-        unowned_view(out),
-        unowned_view(u),
-        unowned_view(v),
-        unowned_view(squeeze),
-    )
+    ratio, out, u, v, squeeze = unowned_view((ratio, out, u, v, squeeze))
     rows = ratio.shape[1]
     plane, work = np.empty(ratio.shape[1:], np.float32), np.empty((6, ratio.shape[2]), np.float32)
     x, y = _HALF * cx, _HALF * cy
@@ -98,9 +79,9 @@ def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first
         by_x, by_both = squeeze[0, k], squeeze[1, k]
         if x_first:
             _sweep_x(plane, u[k], squeeze[:, k], _ZERO, -_ONE, x, opened_x, least, 0, rows, work)
-            _sweep_y(plane, v[k], by_x, by_both, -_ONE, y, opened_y, least, work)
+            _sweep_rows(plane, v[k], by_x, -_ONE, by_both, -_ONE, y, opened_y, least, work)
         else:
-            _sweep_y(plane, v[k], by_both, by_x, _ONE, y, opened_y, least, work)
+            _sweep_rows(plane, v[k], by_both, _ONE, by_x, _ONE, y, opened_y, least, work)
             _sweep_x(plane, u[k], squeeze[:, k], _ONE, _ZERO, x, opened_x, least, 2, rows - 2, work)
         out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
 
@@ -108,7 +89,7 @@ def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first
 @unchecked
 def _sweep_x(plane, u, squeeze, before, after, per_m, opened, least, first, end, work):  # type: ignore[no-untyped-def]
     """Rows of a plane, each along itself. A cell's air is 1 + before x squeeze, and then 1 + after x squeeze."""
-    plane, u, squeeze = unowned_view(plane), unowned_view(u), unowned_view(squeeze)
+    plane, u, squeeze = unowned_view((plane, u, squeeze))
     m = plane.shape[1]
     courant, rest, flux, air = work[0], work[1], work[2], work[3]
     for j in range(first, end):
@@ -126,14 +107,9 @@ def _sweep_x(plane, u, squeeze, before, after, per_m, opened, least, first, end,
 
 
 @unchecked
-def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work):  # type: ignore[no-untyped-def]
+def _sweep_rows(plane, v, squeeze, sign, squeeze_after, sign_after, per_m, opened, least, work):  # type: ignore[no-untyped-def]
     """Columns of a plane, all at once, row by row. A cell's air is 1 + sign x squeeze, before and after."""
-    plane, v, squeeze, squeeze_after = (
-        unowned_view(plane),
-        unowned_view(v),
-        unowned_view(squeeze),
-        unowned_view(squeeze_after),
-    )
+    plane, v, squeeze, squeeze_after = unowned_view((plane, v, squeeze, squeeze_after))
     rows = plane.shape[0]
     before, air = np.empty_like(plane), np.empty_like(plane)
     south, north = work[0], work[1]
@@ -152,7 +128,7 @@ def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work)
             else:
                 _fluxes_by_terrain(north, low, a, b, c, d, rest_south, rest_north, opened[j - 1], opened[j + 1])
         if j >= 3:
-            _settle(plane[j - 1], air[j - 1], south, north, squeeze_after[j - 1], sign, least)
+            _settle(plane[j - 1], air[j - 1], south, north, squeeze_after[j - 1], sign_after, least)
         south, north = north, south
         rest_south, rest_north = rest_north, rest_south
 
@@ -160,35 +136,16 @@ def _sweep_y(plane, v, squeeze, squeeze_after, sign, per_m, opened, least, work)
 @unchecked
 def _along_z(field, w, squeeze, per_m, opened, least, first, end):  # type: ignore[no-untyped-def]
     """Columns upwards, for rows [first, end). Nothing passes the ground or the ceiling."""
-    field, w, squeeze = unowned_view(field), unowned_view(w), unowned_view(squeeze)
+    field, w, squeeze = unowned_view((field, w, squeeze))
     layers, m = field.shape[0], field.shape[2]
-    before, air = np.empty((layers, m), np.float32), np.empty((layers, m), np.float32)
-    work = np.zeros((6, m), np.float32)
-    below, above = work[0], work[1]
-    rest_below, rest_above = work[2], work[3]
-    low, high = work[4], work[5]
-    top = layers - 3
+    plane, work = np.zeros((layers, m), np.float32), np.empty((6, m), np.float32)
     for j in range(first, end):
-        for k in range(2, layers - 2):
-            before[k] = field[k, j]
-        below[:] = _ZERO
-        for k in range(2, layers - 2):
-            _air(air[k], squeeze[1, k, j], -_ONE)
-            _scaled(low, w[k, j], per_m)
-            _scaled(high, w[k + 1, j], per_m)
-            _remains(rest_above, air[k], low, high)
-            if k > 2:
-                a, b, c, d = before[max(k - 2, 2)], before[k - 1], before[k], before[min(k + 1, top)]
-                if opened is None:
-                    _fluxes(above, low, a, b, c, d, rest_below, rest_above)
-                else:
-                    o, p = opened[2][k - 1, j], opened[2][k + 1, j]
-                    _fluxes_by_terrain(above, low, a, b, c, d, rest_below, rest_above, o, p)
-                _settle(field[k - 1, j], air[k - 1], below, above, squeeze[1, k - 1, j], _ONE, least)
-                below, above = above, below
-            rest_below, rest_above = rest_above, rest_below
-        above[:] = _ZERO
-        _settle(field[top, j], air[top], below, above, squeeze[1, top, j], _ONE, least)
+        plane[2:-2] = field[2:-2, j]
+        plane[1], plane[-2] = plane[2], plane[-3]  # no slope is seen beyond ground and ceiling
+        opened_z = None if opened is None else opened[2][:, j]
+        lost = squeeze[1, :, j]
+        _sweep_rows(plane, w[:, j], lost, -_ONE, lost, _ONE, per_m, opened_z, least, work)
+        field[2:-2, j] = plane[2:-2]
 
 
 @unchecked

@@ -13,12 +13,11 @@ One step from t to t + h:
 4. the wind a whole step on by the middle's advection and the mean of both ends' buoyancy; pressure again.
 
 For gravity waves this is the leapfrog of Stoermer and Verlet: stable up to 2 over their frequency, and it feeds or
-damps none. Parts: `momentum`, `advection`, `pressure`, `microphysics`; constants and limits in `parameters`. Second
-order in space and time, but for sources of phase.
+damps none. Second order in space and time, but for sources of phase. Constants and limits are in `parameters`.
 
-The wind's fields hold single precision. Heat is stepped as its difference from the air at rest. The result does not
-depend on the number of threads, and a step depends on nothing but the weather that it is given: so a run
-that was saved and taken up again is the same to the last bit.
+The wind's fields hold single precision; heat is stepped as its difference from the air at rest. The result does not
+depend on the number of threads, and a step on nothing but the weather that it is given: a run that was saved and taken
+up again is the same to the last bit.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ from forestgen.atmosphere.fluid.parameters import (
     fixed_limit_s,
     moving_limit_s,
 )
-from forestgen.atmosphere.fluid.pressure import Boundaries, Pressure, solid_cells
+from forestgen.atmosphere.fluid.pressure import Pressure, solid_cells
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import Sounding, saturation_ratio
 from forestgen.core.threads import at_once
@@ -102,11 +101,9 @@ def _wind_around(grid: AirGrid, air: Background, solid: NDArray[np.bool_] | None
     """The sounding's wind, made to flow around terrain."""
     u, v, w = (np.zeros(tuple(n + 4 for n in grid.shape), np.float32) for _ in range(3))
     u[2:-2], v[2:-2] = air.wind_m_per_s.T.astype(np.float32)[:, :, None, None]
-    sides = Boundaries(solid)
-    sides.apply((u, v, w))
-    if solid is not None and air.wind_m_per_s.any():
-        Pressure(grid, sides.openness).project((u, v, w))
-        sides.apply((u, v, w))
+    pressure = Pressure(grid, solid)
+    make = pressure.project if solid is not None and air.wind_m_per_s.any() else pressure.set_sides
+    make((u, v, w))
     return u[2:-2, 2:-2, 2:-1].copy(), v[2:-2, 2:-1, 2:-2].copy(), w[2:-1, 2:-2, 2:-2].copy()
 
 
@@ -121,9 +118,8 @@ class Air:
         self.grid, self.sounding, self.surface, self.physics = grid, sounding, surface, physics
         self.background = background(grid, sounding)
         self.solid = solid_cells(grid, surface)
-        self._sides = Boundaries(self.solid)
-        self._pressure = Pressure(grid, self._sides.openness)
-        self._transport = Transport(grid.shape, self._sides.openness)
+        self._pressure = Pressure(grid, self.solid)
+        self._transport = Transport(grid.shape, self._pressure.openness)
         self._ground = Ground(grid, surface, self.solid, self.background)
         self._confinement = Confinement(grid, physics.confinement, self.solid)
         padded = tuple(n + 4 for n in grid.shape)
@@ -175,11 +171,11 @@ class Air:
             raise ValueError(f"the weather has the grid {weather.grid}; this solver's is {self.grid}")
         np.subtract(weather.potential_temperature_k, self.background.rest_k, out=self._ratios[0][_INNER])
         if weather is not self._made:  # else its wind and water are still there
-            check_fields(_fields(weather))
+            check_fields(weather)
             u, v, w = self._wind
             u[2:-2, 2:-2, 2:-1], v[2:-2, 2:-1, 2:-2] = weather.east_m_per_s, weather.north_m_per_s
             w[2:-1, 2:-2, 2:-2] = weather.up_m_per_s
-            self._sides.apply(self._wind)
+            self._pressure.set_sides(self._wind)
             for to, water in zip(self._ratios[1:], (weather.vapour, weather.cloud, weather.rain), strict=True):
                 to[_INNER] = water
         lift(self._lift, *self._ratios, self.background, 1.0)
@@ -214,9 +210,7 @@ class Air:
         w += np.float32(step_s) * self._lift[1:-1]
         if self._calm.any():
             w *= (1 / (1 + step_s * self._calm[1:-1])).astype(np.float32)[:, None, None]
-        self._sides.apply(out)
         self._pressure.project(out)
-        self._sides.apply(out)
 
     def _carry_ratios(self, step_s: float) -> None:
         heat, vapour, cloud, rain = self._ratios
@@ -273,7 +267,7 @@ class Air:
             temperature_ratio=self.background.temperature_ratio,
             solid=self.solid,
         )
-        check_fields(_fields(after))
+        check_fields(after)
         fastest = max(at_once([partial(_largest, field) for field in (u, v, w)]))
         if fastest > self.physics.fastest_m_per_s:
             raise UnstableError(
@@ -290,18 +284,6 @@ def _largest(field: Field) -> float:
 
 class _TooLongError(UnstableError):
     """The air speeds up within the step."""
-
-
-def _fields(weather: Weather) -> dict[str, Field]:
-    return {
-        "east wind": weather.east_m_per_s,
-        "north wind": weather.north_m_per_s,
-        "upward wind": weather.up_m_per_s,
-        "potential temperature": weather.potential_temperature_k,
-        "vapour": weather.vapour,
-        "cloud": weather.cloud,
-        "rain": weather.rain,
-    }
 
 
 class Ground:

@@ -46,62 +46,27 @@ def lift(out: Field, heat: Field, vapour: Field, cloud: Field, rain: Field, air:
     rest = still[1:] + still[:-1]  # of just such numbers as the fields hold: air at rest has no buoyancy at all
     layers, rows, columns = out.shape
     light, gravity = np.float32(VAPOUR_LIGHTNESS), np.float32(0.5 * GRAVITY_M_PER_S2)
-    given = (per_k, rest, light, gravity, np.float32(share), np.float32(1 - share))
-    over_slabs(layers - 2, rows * columns, lambda a, b: _lift(out, heat, vapour, cloud, rain, *given, a + 1, b + 1))
+    new, old = np.float32(share), np.float32(1 - share)
 
+    def work(first: int, end: int) -> None:
+        low, high = (slice(first + k, end + k) for k in (2, 3))  # of cells, below and above the faces
+        (warm, hot), (damp, wet), (c, d), (e, f) = (
+            [field[part, 2:-2, 2:-2] for part in (low, high)] for field in (heat, vapour, cloud, rain)
+        )
+        moist = light * ((damp + wet) - rest[first:end, None, None]) - ((c + e) + (d + f))
+        scale, to = (_HALF * per_k)[first + 1 : end + 1, None, None], out[first + 1 : end + 1]
+        to[:] = new * (scale * (warm + hot) + gravity * moist) + old * to
 
-@unchecked
-def _lift(out, heat, vapour, cloud, rain, per_k, rest, light, gravity, new, old, first, end):  # type: ignore[no-untyped-def]
-    out, heat, vapour, cloud, rain = (
-        unowned_view(out),
-        unowned_view(heat),
-        unowned_view(vapour),
-        unowned_view(cloud),
-        unowned_view(rain),
-    )
-    rows, columns = out.shape[1], out.shape[2]
-    water = np.empty(columns, np.float32)
-    for k in range(first, end):
-        for j in range(rows):
-            _weight(water, cloud[k + 1, j + 2], rain[k + 1, j + 2], cloud[k + 2, j + 2], rain[k + 2, j + 2])
-            h, q = heat[k + 1 : k + 3, j + 2], vapour[k + 1 : k + 3, j + 2]
-            scale = _HALF * per_k[k]
-            to = out[k, j]
-            low, high, damp, wet = h[0], h[1], q[0], q[1]
-            for i in range(columns):
-                moist = light * ((damp[i + 2] + wet[i + 2]) - rest[k - 1]) - water[i]
-                to[i] = new * (scale * (low[i + 2] + high[i + 2]) + gravity * moist) + old * to[i]
-
-
-@unchecked
-def _weight(out, a, b, c, d):  # type: ignore[no-untyped-def]
-    for i in range(out.size):
-        out[i] = (a[i + 2] + b[i + 2]) + (c[i + 2] + d[i + 2])
+    over_slabs(layers - 2, rows * columns, work)
 
 
 def carry_rest(heat: Field, up: Field, air: Background, step_s: float, thickness_m: float) -> None:
-    """Adds what the vertical wind carries of the air at rest: heat -= step x w d(theta_0)/dz, conserving its sum.
-
-    `up` is the vertical velocity at the faces.
-    """
+    """heat -= step x w d(theta_0)/dz, conserving its sum; `up` is the vertical velocity w at the faces."""
     jump = np.zeros(len(air.potential_temperature_k) + 1)
     jump[1:-1] = np.diff(air.potential_temperature_k)
     slope = (0.5 * step_s / thickness_m * jump).astype(np.float32)
-    layers, rows, columns = heat.shape
-    size = (rows - 4) * (columns - 4)
-    over_slabs(layers - 4, size, lambda a, b: _carry_rest(heat, up, slope, a + 2, b + 2))
-
-
-@unchecked
-def _carry_rest(heat, up, slope, first, end):  # type: ignore[no-untyped-def]
-    heat, up = unowned_view(heat), unowned_view(up)
-    rows, columns = heat.shape[1], heat.shape[2]
-    for k in range(first, end):
-        below, above = slope[k - 2], slope[k - 1]
-        for j in range(2, rows - 2):
-            row, low, high = heat[k, j], up[k, j], up[k + 1, j]
-            for i in range(2, columns - 2):
-                row[i] -= below * low[i] + above * high[i]
+    faces, inner = slope[:, None, None] * up[2:-1, 2:-2, 2:-2], heat[2:-2, 2:-2, 2:-2]
+    inner -= faces[:-1] + faces[1:]
 
 
 def change_phases(
@@ -122,7 +87,7 @@ def change_phases(
 
 @unchecked
 def _change(heat, vapour, cloud, rain, rest, exner, pressure, density, gone, threshold, swept, drying, first, end):  # type: ignore[no-untyped-def]
-    heat, vapour, cloud, rain = unowned_view(heat), unowned_view(vapour), unowned_view(cloud), unowned_view(rain)
+    heat, vapour, cloud, rain = unowned_view((heat, vapour, cloud, rain))
     rows, columns = heat.shape[1], heat.shape[2]
     for k in range(first, end):
         ratio, per_pa, warming = exner[k], _SCALE_PA / pressure[k], _LATENT_K / exner[k]
@@ -186,51 +151,32 @@ def fall(
     thickness_m: float,
     flow_density_kg_per_m3: float,
 ) -> None:
-    """Lets drops fall by a distance, and adds what reaches the ground to `fallen_kg_per_m2` (Y, X).
-
-    `ground` (Y, X) is the number of the lowest cell of air in each column.
-    """
+    """Drops fall by a distance, the rest into `fallen_kg_per_m2` (Y, X); `ground` (Y, X) is the lowest cell of air."""
     whole, part = divmod(distance_m / thickness_m, 1.0)
     layers, rows, columns = rain.shape
-    given = (min(int(whole), layers), np.float32(part), flow_density_kg_per_m3 * thickness_m)
-    size = (layers - 4) * (columns - 4)
-    over_slabs(rows - 4, size, lambda a, b: _fall(rain, fallen_kg_per_m2, ground, *given, a, b))
+    cells, share, mass = min(int(whole), layers - 4), np.float32(part), flow_density_kg_per_m3 * thickness_m
+    number = np.arange(layers - 4)[:, None, None]
+
+    def work(first: int, end: int) -> None:
+        here, lowest = rain[2:-2, first + 2 : end + 2, 2:-2], ground[first:end]
+        raining = (here > 0).any(axis=0)
+        lost = np.cumsum(np.where(number - cells < lowest, here, 0), axis=0, dtype=np.float64)[-1]
+        shifted = np.zeros((layers - 2, *lowest.shape), np.float32)  # by whole cells; nothing above and below
+        shifted[1 : layers - 3 - cells] = np.where(number[cells:] - cells >= lowest, here[cells:], 0)
+        flux = np.zeros((layers - 3, *lowest.shape), np.float32)  # through the bottom of each; none through the ceiling
+        flux[:-1] = _drop(shifted[2:], shifted[1:-1], shifted[:-2], share, number == lowest)
+        lost += np.take_along_axis(flux, lowest[None], axis=0)[0]
+        after = np.maximum((shifted[1:-1] - flux[:-1]) + flux[1:], _ZERO)
+        here[:] = np.where(raining & (number >= lowest), after, here)
+        fallen_kg_per_m2[first:end] += np.where(raining, mass * lost, 0.0)
+
+    over_slabs(rows - 4, (layers - 4) * (columns - 4), work)
 
 
-@unchecked
-def _fall(rain, fallen, ground, cells, share, mass, first, end):  # type: ignore[no-untyped-def]
-    rain, fallen = unowned_view(rain), unowned_view(fallen)
-    layers, columns = rain.shape[0] - 4, rain.shape[2] - 4
-    column = np.zeros(layers + 4, np.float32)  # shifted by whole cells, two of nothing on each side
-    flux = np.zeros(layers + 1, np.float32)  # through the bottom of each; nothing enters at the top
-    for j in range(first, end):
-        for i in range(columns):
-            lowest, lost, any_rain = ground[j, i], 0.0, False
-            for k in range(layers):
-                column[k + 2] = _ZERO
-            for k in range(layers):
-                value = rain[k + 2, j + 2, i + 2]
-                any_rain = any_rain or value > _ZERO
-                if k - cells >= lowest:
-                    column[k - cells + 2] = value
-                else:
-                    lost += value
-            if not any_rain:
-                continue
-            for k in range(lowest, layers):
-                flux[k] = _drop(column[k + 3], column[k + 2], column[k + 1], share, k == lowest)
-            lost += flux[lowest]
-            for k in range(lowest, layers):
-                rain[k + 2, j + 2, i + 2] = max((column[k + 2] - flux[k]) + flux[k + 1], _ZERO)
-            fallen[j, i] += mass * lost
-
-
-@unchecked
-def _drop(above, here, below, share, at_ground):  # type: ignore[no-untyped-def]
-    """Flux of a column that moves down by a share of a cell (see `advection`)."""
+def _drop(above: Field, here: Field, below: Field, share: np.float32, at_ground: NDArray[np.bool_]) -> Field:
+    """Flux of columns that move down by a share of a cell (see `advection`)."""
     ahead, behind = below - here, here - above
-    if ahead * behind <= _ZERO or at_ground:
-        return share * here
     want = share * (_ONE - share) * abs((np.float32(2) - share) * ahead + (_ONE + share) * behind) / np.float32(6)
-    size = min(want, min(share * abs(ahead), (_ONE - share) * abs(behind)))
-    return share * here + (size if ahead > _ZERO else -size)
+    size = np.minimum(want, np.minimum(share * abs(ahead), (_ONE - share) * abs(behind)))
+    size = np.where((ahead * behind <= 0) | at_ground, _ZERO, np.where(ahead > 0, size, -size))
+    return np.asarray(share * here + size)

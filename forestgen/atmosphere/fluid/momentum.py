@@ -21,7 +21,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.parameters import Velocity
+from forestgen.atmosphere.fluid.parameters import AXES, Velocity
 from forestgen.atmosphere.grid import AirGrid
 from forestgen.core.compiled import unchecked, unowned_view
 from forestgen.core.threads import over_slabs
@@ -40,15 +40,12 @@ def advance_velocity(
     cell_m: tuple[float, float, float],
     viscosity_m2_per_s: float,
 ) -> None:
-    """out = base + step x (advection and viscosity of the carrier), for the components east, north, up, m/s.
-
-    The carrier is free of divergence. `out` may be `base`.
-    """
+    """out = base + step x (advection and viscosity of the divergence-free carrier), m/s; `out` may be `base`."""
     layers, rows, columns = carrier[0].shape
     step = np.float32(step_s)
     per_m = tuple(np.float32(1.0 / (24.0 * side)) for side in cell_m)
     smooth = tuple(np.float32(viscosity_m2_per_s / side**2) for side in cell_m)
-    for axis, back in enumerate(((0, 0, 1), (0, 1, 0), (1, 0, 0))):
+    for axis, back in enumerate(AXES):
 
         def work(first: int, end: int, axis: int = axis, back: tuple[int, int, int] = back) -> None:
             _advance(carrier[axis], base[axis], out[axis], *carrier, back, step, per_m, smooth, first + 2, end + 2)
@@ -59,27 +56,20 @@ def advance_velocity(
 @unchecked
 def _advance(q, base, out, u, v, w, back, step, per_m, smooth, first, end):  # type: ignore[no-untyped-def]
     """One component in layers [first, end). `back` points from a face to the one before it along the component."""
-    q, base, out, u, v, w = (
-        unowned_view(q),
-        unowned_view(base),
-        unowned_view(out),
-        unowned_view(u),
-        unowned_view(v),
-        unowned_view(w),
-    )
+    q, base, out, u, v, w = unowned_view((q, base, out, u, v, w))
     rows, columns = q.shape[1], q.shape[2]
     n = columns - 4
     below, above = np.empty((rows, n), np.float32), np.empty((rows, n), np.float32)
     south, north, east = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n + 1, np.float32)
     viscous = smooth[0] > 0.0
     for j in range(2, rows - 2):
-        _up_flux(below[j], q, w, back, per_m[2], first, j)
+        _flux(below[j], q, w, back, AXES[2], per_m[2], first, j)
     for k in range(first, end):
-        _north_flux(south, q, v, back, per_m[1], k, 2)
+        _flux(south, q, v, back, AXES[1], per_m[1], k, 2)
         for j in range(2, rows - 2):
-            _east_flux(east, q, u, back, per_m[0], k, j)
-            _north_flux(north, q, v, back, per_m[1], k, j + 1)
-            _up_flux(above[j], q, w, back, per_m[2], k + 1, j)
+            _flux(east, q, u, back, AXES[0], per_m[0], k, j)
+            _flux(north, q, v, back, AXES[1], per_m[1], k, j + 1)
+            _flux(above[j], q, w, back, AXES[2], per_m[2], k + 1, j)
             to = out[k, j, 2 : n + 2]
             _gather(to, base[k, j, 2 : n + 2], step, east, south, north, below[j], above[j])
             if viscous:
@@ -95,36 +85,13 @@ def _advance(q, base, out, u, v, w, back, step, per_m, smooth, first, end):  # t
 
 
 @unchecked
-def _east_flux(out, q, u, back, per_m, k, j):  # type: ignore[no-untyped-def]
-    n = out.size
-    a, b, c = k - back[0], j - back[1], 2 - back[2]
-    row = q[k, j]
-    _flux(out, u[k, j, 2 : n + 2], u[a, b, c : c + n], row[0:n], row[1 : n + 1], row[2 : n + 2], row[3 : n + 3], per_m)
-
-
-@unchecked
-def _north_flux(out, q, v, back, per_m, k, j):  # type: ignore[no-untyped-def]
-    n = out.size
-    a, b, c = k - back[0], j - back[1], 2 - back[2]
-    one, two = v[k, j, 2 : n + 2], v[a, b, c : c + n]
-    at = q[k]
-    _flux(out, one, two, at[j - 2, 2 : n + 2], at[j - 1, 2 : n + 2], at[j, 2 : n + 2], at[j + 1, 2 : n + 2], per_m)
-
-
-@unchecked
-def _up_flux(out, q, w, back, per_m, k, j):  # type: ignore[no-untyped-def]
-    n = out.size
-    a, b, c = k - back[0], j - back[1], 2 - back[2]
-    one, two = w[k, j, 2 : n + 2], w[a, b, c : c + n]
-    _flux(
-        out, one, two, q[k - 2, j, 2 : n + 2], q[k - 1, j, 2 : n + 2], q[k, j, 2 : n + 2], q[k + 1, j, 2 : n + 2], per_m
-    )
-
-
-@unchecked
-def _flux(out, one, two, a, b, c, d, per_m):  # type: ignore[no-untyped-def]
-    """Flux of a quantity whose values along the axis are a, b | c, d; the velocity is the mean of `one` and `two`."""
-    for i in range(out.size):
+def _flux(out, q, velocity, back, along, per_m, k, j):  # type: ignore[no-untyped-def]
+    """Flux of q along an axis into the row k, j; values a, b | c, d, velocity of two faces."""
+    n, (z, y, x) = out.size, along
+    one, two = velocity[k, j, 2 : n + 2], velocity[k - back[0], j - back[1], 2 - back[2] : 2 - back[2] + n]
+    a, b = q[k - 2 * z, j - 2 * y, 2 - 2 * x : 2 - 2 * x + n], q[k - z, j - y, 2 - x : 2 - x + n]
+    c, d = q[k, j, 2 : n + 2], q[k + z, j + y, 2 + x : 2 + x + n]
+    for i in range(n):
         speed = (one[i] + two[i]) * per_m
         even, odd = _SEVEN * (b[i] + c[i]) - (a[i] + d[i]), (d[i] - a[i]) - _THREE * (c[i] - b[i])
         out[i] = speed * even + abs(speed) * odd
@@ -153,23 +120,63 @@ class Confinement:
     """Work space of one grid. `strength` is dimensionless."""
 
     def __init__(self, grid: AirGrid, strength: float, solid: NDArray[np.bool_] | None) -> None:
-        shape, cell_m = grid.shape, grid.cell_m
-        self.shape = shape
-        self.per_m = tuple(np.float32(1 / side) for side in cell_m)
-        self.push_m = np.float32(strength * np.prod(cell_m) ** (1 / 3))
-        self._vorticity = np.zeros((4, *(n + 2 for n in shape)), np.float32)  # three components and the size
-        self._up = np.zeros(shape, np.float32)
+        self.shape = grid.shape
+        self.per_m = tuple(np.float32(1 / side) for side in grid.cell_m)
+        self.push_m = np.float32(strength * np.prod(grid.cell_m) ** (1 / 3))
+        # Vorticity at the cells' centres and one around, three components and the size.
+        self._omega = np.zeros((4, *(n + 2 for n in grid.shape)), np.float32)
+        self._up = np.zeros(grid.shape, np.float32)
         self._away = None if solid is None else _away_from(solid)
 
     def push(self, carrier: Velocity, velocity: Velocity, step_s: float) -> None:
         """Adds a step's confinement of the carrier's eddies to a velocity; both (Z + 4, Y + 4, X + 4)."""
         z, y, x = self.shape
-        vorticity, up, push = self._vorticity, self._up, np.float32(self.push_m * step_s)
-        given = (*velocity[:2], up, push, *self.per_m, self._away)
-        over_slabs(z + 2, y * x, lambda a, b: _vorticity(vorticity, *carrier, *self.per_m, a, b))
-        over_slabs(z, y * x, lambda a, b: _push(vorticity, *given, a, b))
-        velocity[2][2:-2, 2:-2, 2:-2] += up
-        velocity[2][3:-1, 2:-2, 2:-2] += up
+        push = np.float32(self.push_m * step_s)
+        over_slabs(z + 1, y * x, lambda a, b: self._find(*carrier, slice(a + 2, b + 2)))
+        self._omega[:, 0] = self._omega[:, 1]  # below the lowest layer as in it
+        over_slabs(z, y * x, lambda a, b: self._push(velocity, push, slice(a, b)))
+        velocity[2][2:-2, 2:-2, 2:-2] += self._up
+        velocity[2][3:-1, 2:-2, 2:-2] += self._up
+
+    def _find(self, u: Field, v: Field, w: Field, layers: slice) -> None:
+        """The vorticity in layers of the velocity, less each layer's mean: the shear of the mean wind is no eddy."""
+        x, y, z = (_QUARTER * one for one in self.per_m)
+        below, above = (slice(layers.start + k, layers.stop + k) for k in (-1, 1))
+        # Sums of the two faces of a cell.
+        up, along = w[layers] + w[above], v[layers, 1:-1] + v[layers, 2:]
+        across_low, across_high = (u[one, 1:-1, 1:-1] + u[one, 1:-1, 2:] for one in (below, above))
+        along_low, along_high = (v[one, 1:-1, 1:-1] + v[one, 2:, 1:-1] for one in (below, above))
+        north, south = (u[layers, one, 1:-1] + u[layers, one, 2:] for one in (slice(2, None), slice(0, -2)))
+        p, q, r, size = (part[layers.start - 1 : layers.stop - 1] for part in self._omega)
+        p[:] = (up[:, 2:, 1:-1] - up[:, :-2, 1:-1]) * y - (along_high - along_low) * z
+        q[:] = (across_high - across_low) * z - (up[:, 1:-1, 2:] - up[:, 1:-1, :-2]) * x
+        r[:] = (along[..., 2:] - along[..., :-2]) * x - (north - south) * y
+        for part in (p, q, r):
+            inner = part[:, 1:-1, 1:-1].reshape(len(part), -1)
+            # One number after another: so the sum does not depend on how it is cut.
+            mean = np.cumsum(inner, axis=1, dtype=np.float64)[:, -1] / inner.shape[1]
+            part -= mean.astype(np.float32)[:, None, None]
+        np.sqrt(p * p + q * q + r * r, out=size)
+
+    def _push(self, velocity: Velocity, push: np.float32, layers: slice) -> None:
+        """Push times N x omega, N the unit vector along the gradient of the vorticity's size: half to either face."""
+        x, y, z = self.per_m
+        p, q, r, size = self._omega[:, layers.start + 1 : layers.stop + 1]
+        below, above = (self._omega[3, layers.start + k : layers.stop + k, 1:-1, 1:-1] for k in (0, 2))
+        gx = (size[:, 1:-1, 2:] - size[:, 1:-1, :-2]) * x
+        gy = (size[:, 2:, 1:-1] - size[:, :-2, 1:-1]) * y
+        gz = (above - below) * z
+        scale = _HALF * push * size[:, 1:-1, 1:-1] / (np.sqrt(gx * gx + gy * gy + gz * gz) + _TINY_PER_S * x)
+        p, q, r = (one[:, 1:-1, 1:-1] for one in (p, q, r))
+        east, north, up = scale * (gy * r - gz * q), scale * (gz * p - gx * r), scale * (gx * q - gy * p)
+        if self._away is not None:
+            east, north, up = (one * self._away[layers] for one in (east, north, up))
+        self._up[layers] = up
+        u, v = (field[2:-2][layers, 2:-2, 2:-2] for field in velocity[:2])
+        u[:] = (u + east) + np.roll(east, 1, 2)
+        first, second = np.roll(north, 1, 1), north.copy()  # in one order of additions
+        first[:, 0], second[:, 0] = north[:, 0], north[:, -1]
+        v[:] = (v + first) + second
 
 
 def _away_from(solid: NDArray[np.bool_]) -> Field:
@@ -179,110 +186,3 @@ def _away_from(solid: NDArray[np.bool_]) -> Field:
         for axis in range(3):
             near = near | np.roll(near, 1, axis) | np.roll(near, -1, axis)
     return (~near).astype(np.float32)
-
-
-@unchecked
-def _vorticity(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
-    """At the cells' centres, from a cell before the first to one after the last, along each axis."""
-    out, u, v, w = unowned_view(out), unowned_view(u), unowned_view(v), unowned_view(w)
-    rows, columns = out.shape[2], out.shape[3]
-    x, y, z = _QUARTER * x_per_m, _QUARTER * y_per_m, _QUARTER * z_per_m
-    for a in range(first, end):
-        k = max(a + 1, 2)
-        for b in range(rows):
-            j = b + 1
-            above, below = v[k + 1, j : j + 2], v[k - 1, j : j + 2]
-            _turn(out[0, a, b], w[k : k + 2, j + 1], w[k : k + 2, j - 1], y, above, below, z)
-            _turn_up(out[1, a, b], u[k + 1, j], u[k - 1, j], z, w[k : k + 2, j], x)
-            _turn_flat(out[2, a, b], v[k, j : j + 2], x, u[k, j + 1], u[k, j - 1], y)
-        for part in range(3):
-            _less_mean(out[part, a])
-        for b in range(rows):
-            p, q, r, size = out[0, a, b], out[1, a, b], out[2, a, b], out[3, a, b]
-            for i in range(columns):
-                size[i] = np.sqrt(p[i] * p[i] + q[i] * q[i] + r[i] * r[i])
-
-
-@unchecked
-def _less_mean(layer):  # type: ignore[no-untyped-def]
-    """Takes the layer's mean away: that of the mean wind's shear, which is no eddy."""
-    rows, columns = layer.shape
-    total = 0.0
-    for j in range(1, rows - 1):
-        for i in range(1, columns - 1):
-            total += layer[j, i]
-    mean = np.float32(total / ((rows - 2) * (columns - 2)))
-    for j in range(rows):
-        for i in range(columns):
-            layer[j, i] -= mean
-
-
-@unchecked
-def _turn(out, w_north, w_south, y, v_above, v_below, z):  # type: ignore[no-untyped-def]
-    """dw/dy - dv/dz."""
-    a, b, c, d = w_north[0], w_north[1], w_south[0], w_south[1]
-    e, f, g, h = v_above[0], v_above[1], v_below[0], v_below[1]
-    for i in range(out.size):
-        rise = (a[i + 1] + b[i + 1]) - (c[i + 1] + d[i + 1])
-        out[i] = rise * y - ((e[i + 1] + f[i + 1]) - (g[i + 1] + h[i + 1])) * z
-
-
-@unchecked
-def _turn_up(out, u_above, u_below, z, w, x):  # type: ignore[no-untyped-def]
-    """du/dz - dw/dx."""
-    a, b = w[0], w[1]
-    for i in range(out.size):
-        shear = (u_above[i + 1] + u_above[i + 2]) - (u_below[i + 1] + u_below[i + 2])
-        out[i] = shear * z - ((a[i + 2] + b[i + 2]) - (a[i] + b[i])) * x
-
-
-@unchecked
-def _turn_flat(out, v, x, u_north, u_south, y):  # type: ignore[no-untyped-def]
-    """dv/dx - du/dy."""
-    a, b = v[0], v[1]
-    for i in range(out.size):
-        shear = (u_north[i + 1] + u_north[i + 2]) - (u_south[i + 1] + u_south[i + 2])
-        out[i] = ((a[i + 2] + b[i + 2]) - (a[i] + b[i])) * x - shear * y
-
-
-@unchecked
-def _push(vorticity, u, v, up, push, x_per_m, y_per_m, z_per_m, away, first, end):  # type: ignore[no-untyped-def]
-    vorticity, u, v, up = unowned_view(vorticity), unowned_view(u), unowned_view(v), unowned_view(up)
-    rows, columns = up.shape[1], up.shape[2]
-    east, north = np.empty(columns, np.float32), np.empty(columns, np.float32)
-    for k in range(first, end):
-        for j in range(rows):
-            _force(
-                vorticity[:, k + 1, j + 1], vorticity[3, k + 1, j], vorticity[3, k + 1, j + 2], vorticity[3, k, j + 1],
-                vorticity[3, k + 2, j + 1], east, north, up[k, j], _HALF * push, x_per_m, y_per_m, z_per_m,
-            )  # fmt: skip
-            if away is not None:
-                for i in range(columns):
-                    east[i] *= away[k, j, i]
-                    north[i] *= away[k, j, i]
-                    up[k, j, i] *= away[k, j, i]
-            _add(u[k + 2, j + 2, 2:], east)
-            _add(u[k + 2, j + 2, 3:], east)
-            _add(v[k + 2, j + 2, 2:], north)
-            _add(v[k + 2, 2 if j == rows - 1 else j + 3, 2:], north)
-            u[k + 2, j + 2, 2] += east[columns - 1]
-
-
-@unchecked
-def _force(vorticity, south, north, below, above, x, y, z, push, x_per_m, y_per_m, z_per_m):  # type: ignore[no-untyped-def]
-    """Push times N x omega into the rows x, y, z. N is the gradient of the vorticity's size, made a unit vector."""
-    p, q, r, size = vorticity[0], vorticity[1], vorticity[2], vorticity[3]
-    for i in range(x.size):
-        gx = (size[i + 2] - size[i]) * x_per_m
-        gy = (north[i + 1] - south[i + 1]) * y_per_m
-        gz = (above[i + 1] - below[i + 1]) * z_per_m
-        scale = push * size[i + 1] / (np.sqrt(gx * gx + gy * gy + gz * gz) + _TINY_PER_S * x_per_m)
-        x[i] = scale * (gy * r[i + 1] - gz * q[i + 1])
-        y[i] = scale * (gz * p[i + 1] - gx * r[i + 1])
-        z[i] = scale * (gx * q[i + 1] - gy * p[i + 1])
-
-
-@unchecked
-def _add(to, what):  # type: ignore[no-untyped-def]
-    for i in range(what.size):
-        to[i] += what[i]

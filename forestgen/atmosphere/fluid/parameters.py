@@ -14,11 +14,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.grid import AirGrid
+from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import (
     AIR_EXPONENT,
     AIR_KG_PER_KMOL,
@@ -27,7 +28,6 @@ from forestgen.atmosphere.sounding import (
     WATER_KG_PER_KMOL,
     Sounding,
 )
-from forestgen.core.compiled import unchecked, unowned_view
 from forestgen.core.threads import at_once, over_slabs
 
 HEAT_CAPACITY_J_PER_KG_K = GAS_CONSTANT_AIR_J_PER_KG_K / AIR_EXPONENT  # of dry air at constant pressure
@@ -35,6 +35,7 @@ VAPOUR_LIGHTNESS = AIR_KG_PER_KMOL / WATER_KG_PER_KMOL - 1  # 0.607: what a unit
 Floats = NDArray[np.float64]
 Field = NDArray[np.float32]
 Velocity = tuple[Field, Field, Field]  # east, north, up
+AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))  # a step along x, y and z in the arrays
 
 
 class UnstableError(ValueError):
@@ -117,35 +118,19 @@ def background(grid: AirGrid, sounding: Sounding) -> Background:
 def crossing_per_s(velocity: Velocity, cell_m: tuple[float, float, float]) -> float:
     """Largest rate at which air leaves a cell through its faces, in cells a second; the ghosts are filled."""
     layers, rows, columns = velocity[0].shape
-    most = np.zeros(layers - 4, np.float64)
-    per_m = tuple(np.float32(1 / side) for side in cell_m)
-    over_slabs(layers - 4, (rows - 4) * (columns - 4), lambda a, b: _crossing(most, *velocity, *per_m, a, b))
-    return float(most.max())
+    most: list[float] = []
 
+    def work(first: int, end: int) -> None:
+        total: Any = np.float32(0)
+        for field, side, (z, y, x) in zip(velocity, cell_m, AXES, strict=True):
+            low = field[first + 2 : end + 2, 2:-2, 2:-2]
+            high = field[first + 2 + z : end + 2 + z, 2 + y : rows - 2 + y, 2 + x : columns - 2 + x]
+            # fmax and fmin: what is no number is found, and named, where fields are checked
+            total = total + (np.fmax(high, 0) - np.fmin(low, 0)) * np.float32(1 / side)
+        most.append(float(total.max()))
 
-@unchecked
-def _crossing(most, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
-    u, v, w = unowned_view(u), unowned_view(v), unowned_view(w)
-    rows, columns = u.shape[1], u.shape[2]
-    rate = np.zeros(columns, np.float32)
-    for layer in range(first, end):
-        k = layer + 2
-        largest = np.zeros(columns, np.float32)
-        for j in range(2, rows - 2):
-            _out(rate, u[k, j], u[k, j, 1:], x_per_m, np.float32(0))
-            _out(rate, v[k, j], v[k, j + 1], y_per_m, np.float32(1))
-            _out(rate, w[k, j], w[k + 1, j], z_per_m, np.float32(1))
-            for i in range(2, columns - 2):
-                largest[i] = rate[i] if rate[i] > largest[i] else largest[i]
-        most[layer] = largest.max()
-
-
-@unchecked
-def _out(rate, low, high, per_m, keep):  # type: ignore[no-untyped-def]
-    zero = np.float32(0)
-    for i in range(min(high.size, rate.size)):
-        outwards = (high[i] if high[i] > zero else zero) - (low[i] if low[i] < zero else zero)
-        rate[i] = keep * rate[i] + outwards * per_m
+    over_slabs(layers - 4, (rows - 4) * (columns - 4), work)
+    return max(most)
 
 
 def fixed_limit_s(grid: AirGrid, air: Background, physics: Physics) -> float:
@@ -169,10 +154,13 @@ def moving_limit_s(crossing_per_s: float, lift_m_per_s2: float, thickness_m: flo
     return 2 * courant / (crossing_per_s + root)
 
 
-def check_fields(fields: dict[str, Field]) -> None:
+def check_fields(weather: Weather) -> None:
     """Raises UnstableError where a field is not finite."""
-    sums = at_once([partial(np.add.reduce, field, axis=None) for field in fields.values()])
-    for (name, field), total in zip(fields.items(), sums, strict=True):
+    names = ("east wind", "north wind", "upward wind", "potential temperature", "vapour", "cloud", "rain")
+    wind = (weather.east_m_per_s, weather.north_m_per_s, weather.up_m_per_s)
+    fields = (*wind, weather.potential_temperature_k, weather.vapour, weather.cloud, weather.rain)
+    sums = at_once([partial(np.add.reduce, field, axis=None) for field in fields])
+    for name, field, total in zip(names, fields, sums, strict=True):
         if np.isfinite(total):
             continue
         bad = np.argwhere(~np.isfinite(field))

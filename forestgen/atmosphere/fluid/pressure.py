@@ -20,38 +20,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.fluid.parameters import Field, Surface, UnstableError, Velocity
+from forestgen.atmosphere.fluid.parameters import AXES, Field, Surface, UnstableError, Velocity
 from forestgen.atmosphere.grid import AirGrid
-from forestgen.core.compiled import unchecked, unowned_view
-from forestgen.core.threads import at_once, cores, over_slabs
+from forestgen.core.threads import at_once, cores
 
+_INNER = (slice(2, -2),) * 3
 _MOST_ITERATIONS = 200  # hills take 13, cliffs half as high as the box 35, walls with slots of three cells 130
 _ENOUGH_PER_S = 1e-7  # root mean square of the divergence that is left, over terrain
 _TOO_MUCH_PER_S = 1e-5  # of what is left after all iterations: a step of 1 s makes that share of the air from nothing
-
-
-class Boundaries:
-    """The sides of a box, around `solid` cells (Z, Y, X) inside the terrain, if there are any.
-
-    `openness` per axis x, y, z is a field (Z + 4, Y + 4, X + 4): 1 at faces between two cells of air, 0 at others; None
-    without terrain.
-    """
-
-    def __init__(self, solid: NDArray[np.bool_] | None) -> None:
-        self.openness = None if solid is None else _openness(solid)
-
-    def apply(self, velocity: Velocity) -> None:
-        """Sets the velocity at the sides and its ghosts."""
-        u, v, w = velocity
-        if self.openness is not None:
-            for field, opened in zip(velocity, self.openness, strict=True):
-                field *= opened
-        w[2] = w[-2] = 0
-        at_once([partial(fill_sides, field) for field in velocity])
-        for field in (u, v):
-            field[1], field[0] = field[2], field[3]
-            field[-2], field[-1] = field[-3], field[-4]
-        w[1], w[0], w[-1] = -w[3], -w[4], -w[-3]
 
 
 def fill_sides(field: Field) -> None:
@@ -87,24 +63,45 @@ def solid_cells(grid: AirGrid, surface: Surface | None) -> NDArray[np.bool_] | N
 
 
 class Pressure:
-    """Solver of one grid. `potential` is a pressure over density, times the step: (Z, Y, X) m2/s."""
+    """Sides and solver of one grid, around `solid` cells (Z, Y, X) inside the terrain, if there are any.
 
-    def __init__(self, grid: AirGrid, openness: Velocity | None) -> None:
-        self.grid, self.openness = grid, openness
+    `openness` per axis x, y, z is a field (Z + 4, Y + 4, X + 4): 1 at faces between two cells of air, 0 at others; None
+    without terrain. A potential is a pressure over density, times the step: (Z, Y, X) m2/s.
+    """
+
+    def __init__(self, grid: AirGrid, solid: NDArray[np.bool_] | None) -> None:
+        self.grid, self.openness = grid, None if solid is None else _openness(solid)
         self.per_m = tuple(np.float32(1 / side) for side in grid.cell_m)
         self._inverse = _inverse_eigenvalues(grid)
-        self._divergence = np.zeros(grid.shape, np.float32)
+
+    def set_sides(self, velocity: Velocity) -> None:
+        """Sets the velocity at the sides and its ghosts."""
+        u, v, w = velocity
+        if self.openness is not None:
+            for field, opened in zip(velocity, self.openness, strict=True):
+                field *= opened
+        w[2] = w[-2] = 0
+        at_once([partial(fill_sides, field) for field in velocity])
+        for field in (u, v):
+            field[1], field[0] = field[2], field[3]
+            field[-2], field[-1] = field[-3], field[-4]
+        w[1], w[0], w[-1] = -w[3], -w[4], -w[-3]
 
     def project(self, velocity: Velocity) -> None:
-        """Takes the divergence out of a velocity (Z + 4, Y + 4, X + 4) in place; its faces at walls are set before.
-
-        The ghosts of the result are not filled, nor are the last faces of the sides.
-        """
-        z, y, x = self.grid.shape
-        out = self._divergence
-        over_slabs(z, y * x, lambda a, b: _divergence(out, *velocity, *self.per_m, a, b))
-        potential = self.solve(out) if self.openness is None else self._solve_around(out)
-        over_slabs(z, y * x, lambda a, b: _subtract(potential, *velocity, *self.per_m, self.openness, a, b))
+        """Sets the sides of a velocity (Z + 4, Y + 4, X + 4), and takes the divergence out of it, in place."""
+        self.set_sides(velocity)
+        u, v, w = velocity
+        x, y, z = self.per_m
+        divergence = np.diff(v[2:-2, 2:-1, 2:-2], axis=1) * y + np.diff(w[2:-1, 2:-2, 2:-2], axis=0) * z
+        divergence += np.diff(u[2:-2, 2:-2, 2:-1], axis=2) * x
+        potential = self.solve(divergence) if self.openness is None else self._solve_around(divergence)
+        for field, per_m, axis in ((u, x, 2), (v, y, 1)):
+            field[_INNER] -= (potential - np.roll(potential, 1, axis)) * per_m
+        w[3:-2, 2:-2, 2:-2] -= np.diff(potential, axis=0) * z
+        if self.openness is not None:
+            for field, opened in zip(velocity, self.openness, strict=True):
+                field[_INNER] *= opened[_INNER]
+        self.set_sides(velocity)
 
     def solve(self, divergence: Field) -> Field:
         """(Z, Y, X) potential whose Laplacian is the divergence, over the whole box."""
@@ -118,14 +115,10 @@ class Pressure:
         return potential
 
     def _solve_around(self, divergence: Field) -> Field:
-        """The same with the terrain's faces shut: conjugate gradients, preconditioned by the open box.
-
-        Raises `UnstableError` if they do not converge.
-        """
-        z, y, x = self.grid.shape
+        """The same with terrain, by preconditioned conjugate gradients. `UnstableError`: they do not converge."""
         potential = np.zeros_like(divergence)
         rest = divergence.copy()
-        along, bent, was = np.zeros_like(rest), np.empty_like(rest), np.inf
+        along, was = np.zeros_like(rest), np.inf
         for _ in range(_MOST_ITERATIONS):
             if _size(rest) < _ENOUGH_PER_S:
                 return potential
@@ -133,7 +126,7 @@ class Pressure:
             now = _dot(rest, better)
             along = better + np.float32(now / was) * along
             was = now
-            over_slabs(z, y * x, partial(_laplacian, bent, along, *self.per_m, self.openness))
+            bent = self._laplacian(along)
             length = np.float32(now / _dot(along, bent))
             potential += length * along
             rest -= length * bent
@@ -144,6 +137,20 @@ class Pressure:
                 f"{left:.2g} 1/s is left; expected {_TOO_MUCH_PER_S:g} or less. Flatter terrain or finer cells help"
             )
         return potential
+
+    def _laplacian(self, p: Field) -> Field:
+        """Divergence of the gradient through open faces."""
+        assert self.openness is not None
+        total = np.zeros_like(p)
+        for opened, per_m, axis, (z, y, x) in zip(self.openness, self.per_m, (2, 1, 0), AXES, strict=True):
+            layers, rows, columns = opened.shape
+            beyond = opened[2 + z : layers - 2 + z, 2 + y : rows - 2 + y, 2 + x : columns - 2 + x]
+            before, after = np.roll(p, 1, axis), np.roll(p, -1, axis)
+            if axis == 0:  # nothing passes ground and ceiling
+                before[0], after[-1] = p[0], p[-1]
+            total += (before - p) * opened[_INNER] * (per_m * per_m)
+            total += (after - p) * beyond * (per_m * per_m)
+        return total
 
 
 def _inverse_eigenvalues(grid: AirGrid) -> Field:
@@ -164,67 +171,3 @@ def _dot(a: Field, b: Field) -> float:
 def _size(a: Field) -> float:
     """Root mean square."""
     return float(np.sqrt(_dot(a, a) / a.size))
-
-
-@unchecked
-def _divergence(out, u, v, w, x_per_m, y_per_m, z_per_m, first, end):  # type: ignore[no-untyped-def]
-    out, u, v, w = unowned_view(out), unowned_view(u), unowned_view(v), unowned_view(w)
-    rows, columns = out.shape[1], out.shape[2]
-    for k in range(first, end):
-        for j in range(rows):
-            to, east, low, high = out[k, j], u[k + 2, j + 2], w[k + 2, j + 2], w[k + 3, j + 2]
-            south = v[k + 2, j + 2]
-            north = v[k + 2, 2] if j == rows - 1 else v[k + 2, j + 3]
-            for i in range(columns):
-                to[i] = (north[i + 2] - south[i + 2]) * y_per_m + (high[i + 2] - low[i + 2]) * z_per_m
-            for i in range(columns - 1):
-                to[i] += (east[i + 3] - east[i + 2]) * x_per_m
-            to[columns - 1] += (east[2] - east[columns + 1]) * x_per_m
-
-
-@unchecked
-def _subtract(p, u, v, w, x_per_m, y_per_m, z_per_m, opened, first, end):  # type: ignore[no-untyped-def]
-    p, u, v, w = unowned_view(p), unowned_view(u), unowned_view(v), unowned_view(w)
-    rows, columns = p.shape[1], p.shape[2]
-    for k in range(first, end):
-        for j in range(rows):
-            here = p[k, j]
-            east = u[k + 2, j + 2]
-            _slope(east[3 : columns + 2], here[: columns - 1], here[1:], x_per_m)
-            east[2] -= (here[0] - here[columns - 1]) * x_per_m
-            _slope(v[k + 2, j + 2, 2 : columns + 2], p[k, j - 1 if j > 0 else rows - 1], here, y_per_m)
-            if k > 0:
-                _slope(w[k + 2, j + 2, 2 : columns + 2], p[k - 1, j], here, z_per_m)
-            if opened is not None:
-                for i in range(2, columns + 2):
-                    u[k + 2, j + 2, i] *= opened[0][k + 2, j + 2, i]
-                    v[k + 2, j + 2, i] *= opened[1][k + 2, j + 2, i]
-                    w[k + 2, j + 2, i] *= opened[2][k + 2, j + 2, i]
-
-
-@unchecked
-def _slope(velocity, before, after, per_m):  # type: ignore[no-untyped-def]
-    for i in range(velocity.size):
-        velocity[i] -= (after[i] - before[i]) * per_m
-
-
-@unchecked
-def _laplacian(out, p, x_per_m, y_per_m, z_per_m, opened, first, end):  # type: ignore[no-untyped-def]
-    """Divergence of the gradient through open faces."""
-    out, p = unowned_view(out), unowned_view(p)
-    opened_x, opened_y, opened_z = unowned_view(opened[0]), unowned_view(opened[1]), unowned_view(opened[2])
-    layers, rows, columns = p.shape
-    xx, yy, zz = x_per_m * x_per_m, y_per_m * y_per_m, z_per_m * z_per_m
-    for k in range(first, end):
-        for j in range(rows):
-            for i in range(columns):
-                here, total = p[k, j, i], np.float32(0)
-                total += (p[k, j, i - 1 if i > 0 else columns - 1] - here) * opened_x[k + 2, j + 2, i + 2] * xx
-                total += (p[k, j, i + 1 if i < columns - 1 else 0] - here) * opened_x[k + 2, j + 2, i + 3] * xx
-                total += (p[k, j - 1 if j > 0 else rows - 1, i] - here) * opened_y[k + 2, j + 2, i + 2] * yy
-                total += (p[k, j + 1 if j < rows - 1 else 0, i] - here) * opened_y[k + 2, j + 3, i + 2] * yy
-                if k > 0:
-                    total += (p[k - 1, j, i] - here) * opened_z[k + 2, j + 2, i + 2] * zz
-                if k < layers - 1:
-                    total += (p[k + 1, j, i] - here) * opened_z[k + 3, j + 2, i + 2] * zz
-                out[k, j, i] = total

@@ -18,7 +18,6 @@ is kept with other weather, by the hash of what the hours of a day begin with.
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,7 +30,7 @@ from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables
 from forestgen.atmosphere.fluid.parameters import UnstableError
 from forestgen.atmosphere.grid import Weather
-from forestgen.atmosphere.simulate import described, read_weather, weather_store
+from forestgen.atmosphere.simulate import read_weather, weather_key, weather_store
 from forestgen.community.branch_modules.parameters import parameters_at
 from forestgen.community.branch_modules.state import LocalClimate, State, refuse_more_seeds, step_parameters
 from forestgen.community.branch_modules.step import NO_SEEDS, Arriving, step_forest
@@ -324,8 +323,7 @@ def shown_weather(drawn: DrawnRecipe, section: WeatherSection, state: Ecoclimate
     """The air at the end of the hours that are simulated of a day, from the cache or simulated."""
     clouds: Any = drawn.recipe.sky.clouds
     case = air_over(state, section, clouds.day or 0)
-    inputs = (code_hash(_SOURCES, _COMPUTE_WITH), section.hours, described(case))
-    key, store = hashlib.blake2b(repr(inputs).encode(), digest_size=20).hexdigest(), weather_store()
+    key, store = weather_key(code_hash(_SOURCES, _COMPUTE_WITH), section.hours, case), weather_store()
     kept = None if store is None else read_weather(store, key)
     if kept is not None:
         return kept

@@ -13,11 +13,14 @@ from forestgen.render.build import origin_of
 from forestgen.render.frame import Identity, Surface
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, sample_offsets
 from forestgen.render.skies.model import sky_model_of
-from forestgen.render.variant import drjit, mitsuba, using
+from forestgen.render.variant import dr, mi
 from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
 
-_RAYS_AT_ONCE = 2_000_000
+Places = list[tuple[Any, Any]]  # weights, Float, and rows of a table, UInt32
+Values = Callable[[Hits], Sequence[Any]]
+SAMPLES = 64  # a pixel, of `pixel_sums`: what the denoiser's guides and the haze need to know of a view
+_RAYS_AT_ONCE, _SUMMED_AT_ONCE = 2_000_000, 1_000_000
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
 # a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
 LIFT = 1e-5
@@ -44,31 +47,19 @@ def trace_identity(
     if faces:
         identity = replace(identity, exemplar=np.zeros(shape, np.uint32), face=np.zeros(shape, np.uint32))
     surface = empty_surface(height, width)
-    with using(tracer.variant):
-        with timer("identity: trace"):
-            block = max(1, _RAYS_AT_ONCE // (width * samples))
-            for first in range(0, height, block):
-                rows = slice(first, min(first + block, height))
-                _trace_samples(tracer, camera, samples, rows, identity)
-                advance(rows.stop - rows.start)
-        with timer("identity: surface"):
-            block = max(1, _RAYS_AT_ONCE // width)
-            for first in range(0, height, block):
-                trace_rows(tracer, camera, slice(first, min(first + block, height)), surface)
-        drjit().flush_malloc_cache()
+    with timer("identity: trace"):
+        for rows, hits in tracer.by_rows(camera, sample_offsets(samples), _RAYS_AT_ONCE):
+            _fill(identity, rows, _ids(tracer, hits))
+            advance(rows.stop - rows.start)
+    with timer("identity: surface"):
+        for rows, hits in tracer.by_rows(camera, np.array([0.5, 0.5]), _RAYS_AT_ONCE):
+            _fill(surface, rows, _ids(tracer, hits) | _light_and_shape(tracer, camera, hits))
+            surface.position_m[rows] = positions(camera, rows, surface.distance_m[rows])
     return identity, surface
-
-
-def _trace_samples(tracer: SceneTracer, camera: Camera, samples: int, rows: slice, identity: Identity) -> None:
-    """Fill `rows`, all samples of all their pixels in one launch."""
-    hits = tracer.trace(camera, sample_offsets(samples), rows.start, rows.stop - rows.start)
-    wanted = {name for name, field in vars(identity).items() if field is not None}
-    _fill(identity, rows, {name: values for name, values in _ids(tracer, hits).items() if name in wanted})
 
 
 def _ids(tracer: SceneTracer, hits: Hits) -> dict[str, Any]:
     """What is hit, by the names of the fields of `Identity` and `Surface`."""
-    mi, dr = mitsuba(), drjit()
     return {
         "plant_id": dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid),
         "part": dr.uint8_array_t(mi.UInt32)(dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)),
@@ -78,10 +69,24 @@ def _ids(tracer: SceneTracer, hits: Hits) -> dict[str, Any]:
 
 
 def _fill(target: Identity | Surface, rows: slice, found: dict[str, Any]) -> None:
-    drjit().eval(found)
+    """Write what was found into the arrays that the target has."""
+    found = {name: values for name, values in found.items() if getattr(target, name) is not None}
+    dr.eval(found)
     for name, values in found.items():
         field = getattr(target, name)
         field[rows] = np.array(values).reshape(field[rows].shape)
+
+
+def pixel_sums(tracer: SceneTracer, camera: Camera, wanted: Sequence[Values]) -> list[NDArray[np.float32]]:
+    """(C, H, W) for each of `wanted`: its C values by ray, summed over a pixel's `SAMPLES` rays, all in one launch."""
+    blocks = []
+    for _, hits in tracer.by_rows(camera, sample_offsets(SAMPLES), _SUMMED_AT_ONCE):
+        values = [list(one(hits)) for one in wanted]
+        dr.eval(values)  # together, and before the sums: each sum alone would trace all the rays again
+        sums = [[dr.block_sum(one, SAMPLES) for one in group] for group in values]
+        dr.eval(sums)
+        blocks.append([np.array(group).reshape(len(group), -1, camera.size_px[0]) for group in sums])
+    return [np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True)]
 
 
 def empty_surface(height: int, width: int) -> Surface:
@@ -102,21 +107,17 @@ def empty_surface(height: int, width: int) -> Surface:
     )
 
 
-def trace_rows(tracer: SceneTracer, camera: Camera, rows: slice, surface: Surface) -> None:
-    """Fill `rows` of `surface`."""
-    mi, dr = mitsuba(), drjit()
-    hits = tracer.trace(camera, np.array([0.5, 0.5]), rows.start, rows.stop - rows.start)
-    normal = tracer.geometric_normal(hits)
-    found = _ids(tracer, hits) | {
+def _light_and_shape(tracer: SceneTracer, camera: Camera, hits: Hits) -> dict[str, Any]:
+    """The other fields of `Surface` by name, positions left out."""
+    normal, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
+    return {
         "depth_m": dr.select(hits.valid, hits.distance_m * hits.rays.depth_share, dr.inf),
         "distance_m": dr.select(hits.valid, hits.distance_m, dr.inf),
         "normal": dr.ravel(normal),
-        "shading_normal": dr.ravel(shading_normal(tracer, hits, normal)),
-        "albedo": dr.ravel(albedo(tracer, hits)),
+        "shading_normal": dr.ravel(shading_normal(tracer, hits, corners, normal)),
+        "albedo": dr.ravel(albedo(tracer, hits, corners)),
         "sun_visible": dr.select(sun_visible(tracer, camera, hits, normal), mi.UInt32(1), 0),
     }
-    _fill(surface, rows, found)
-    surface.position_m[rows] = positions(camera, rows, surface.distance_m[rows])
 
 
 def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -136,95 +137,65 @@ def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> N
     return position
 
 
-def corners_of(tracer: SceneTracer, hits: Hits, active: Any) -> list[Any]:
-    """The triangle's three vertices, counted within the organ's mesh."""
-    mi, dr = mitsuba(), drjit()
-    return [dr.gather(mi.UInt32, tracer.table.corner, hits.face * 3 + k, active) for k in range(3)]
+def corners_of(tracer: SceneTracer, hits: Hits) -> Places:
+    """The triangle's three vertices, counted within the organ's mesh, with their barycentric weights."""
+    weights = 1.0 - hits.uv.x - hits.uv.y, hits.uv.x, hits.uv.y
+    rows = (dr.gather(mi.UInt32, tracer.table.corner, hits.face * 3 + k, hits.valid) for k in range(3))
+    return list(zip(weights, rows, strict=True))
 
 
-def barycentric_weights(hits: Hits) -> tuple[Any, Any, Any]:
-    """Of the triangle's three corners."""
-    return 1.0 - hits.uv.x - hits.uv.y, hits.uv.x, hits.uv.y
+def weighted_sum(kind: Any, table: Any, places: Places, active: Any) -> Any:
+    """Rows of a table of a kind of values, each times its weight."""
+    total = kind(0.0)
+    for weight, row in places:
+        total += weight * dr.gather(kind, table, row, active)
+    return total
 
 
-def shading_normal(tracer: SceneTracer, hits: Hits, normal: Any) -> Any:
+def shading_normal(tracer: SceneTracer, hits: Hits, corners: Places, normal: Any) -> Any:
     """Vertex normals interpolated, on the side of the geometric `normal`; that one where the mesh has none."""
-    corners = corners_of(tracer, hits, hits.valid)
-    return interpolated_normal(tracer, hits, corners, barycentric_weights(hits), normal)
-
-
-def interpolated_normal(
-    tracer: SceneTracer, hits: Hits, corners: Sequence[Any], weights: Sequence[Any], normal: Any
-) -> Any:
-    """`shading_normal` of hits whose corners and weights are known."""
-    mi, dr = mitsuba(), drjit()
     first = dr.gather(mi.UInt32, tracer.table.first_normal, hits.organ, hits.valid)
     smooth = hits.valid & (first != NONE)
-    local = mi.Vector3f(0.0)
-    for weight, corner in zip(weights, corners, strict=True):
-        local += weight * dr.gather(mi.Vector3f, tracer.table.vertex_normal, first + corner, smooth)
+    rows = [(weight, first + corner) for weight, corner in corners]
+    local = weighted_sum(mi.Vector3f, tracer.table.vertex_normal, rows, smooth)
     smooth &= dr.squared_norm(local) > 1e-12
     world = tracer.to_world(local, hits)
     world = dr.select(dr.dot(world, normal) < 0, -world, world)
     return dr.select(smooth, world, normal)
 
 
-def albedo(tracer: SceneTracer, hits: Hits) -> Any:
+def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     """Reflectance + transmittance at the hits, textures and the ground's distant colour included; 0 for the sky."""
-    mi, dr = mitsuba(), drjit()
     mean = dr.gather(mi.Color3f, tracer.table.albedo, hits.organ, hits.valid)
     first = dr.gather(mi.UInt32, tracer.table.first_uv, hits.organ, hits.valid)
     textured = hits.valid & (first != NONE)
-    corners, weights = corners_of(tracer, hits, hits.valid), barycentric_weights(hits)
-    u, v = vertex_uv(tracer, hits, corners, weights, textured)
+    u, v = vertex_uv(tracer, hits, corners, textured)
     offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
     colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
-    ground = ground_colour(tracer, hits, corners, weights, colour, (tracer.table.far_albedo, tracer.table.film_factor))
+    ground = ground_colour(tracer, hits, corners, colour, (tracer.table.far_albedo, tracer.table.film_factor))
     return dr.select(hits.valid, ground, 0.0)
 
 
-def ground_colour(
-    tracer: SceneTracer,
-    hits: Hits,
-    corners: Sequence[Any],
-    weights: Sequence[Any],
-    colour: Any,
-    of_ground: tuple[Any, Any],
-) -> Any:
+def ground_colour(tracer: SceneTracer, hits: Hits, corners: Places, colour: Any, of_ground: tuple[Any, Any]) -> Any:
     """`colour` of hits; the ground's is dimmed where it is wet, and that of the distance where it lies far.
 
     `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factor of a film of water.
     """
-    mi, dr = mitsuba(), drjit()
     ground = hits.valid & (hits.instance == 0)
     far_colour, film_factor = of_ground
-
-    def share_of(by_vertex: Any) -> Any:
-        share = mi.Float(0.0)
-        for weight, corner in zip(weights, corners, strict=True):
-            share += weight * dr.gather(mi.Float, by_vertex, corner, ground)
-        return dr.clip(share, 0.0, 1.0)
-
-    far = share_of(tracer.table.far_share)
-    near = (
-        colour
-        if tracer.table.wet_share is None
-        else colour * (1.0 - share_of(tracer.table.wet_share) * (1.0 - film_factor))
-    )
+    far = dr.clip(weighted_sum(mi.Float, tracer.table.far_share, corners, ground), 0.0, 1.0)
+    near = colour
+    if tracer.table.wet_share is not None:
+        wet = dr.clip(weighted_sum(mi.Float, tracer.table.wet_share, corners, ground), 0.0, 1.0)
+        near = colour * (1.0 - wet * (1.0 - film_factor))
     return dr.select(ground, near * (1.0 - far) + far_colour * far, colour)
 
 
-def vertex_uv(
-    tracer: SceneTracer, hits: Hits, corners: Sequence[Any], weights: Sequence[Any], textured: Any
-) -> tuple[Any, Any]:
+def vertex_uv(tracer: SceneTracer, hits: Hits, corners: Places, textured: Any) -> tuple[Any, Any]:
     """u and v of hits on textured meshes."""
-    mi, dr = mitsuba(), drjit()
     first = dr.gather(mi.UInt32, tracer.table.first_uv, hits.organ, textured)
     u, v = (
-        sum(
-            weight * dr.gather(mi.Float, tracer.table.uv, (first + corner) * 2 + axis, textured)
-            for weight, corner in zip(weights, corners, strict=True)
-        )
+        weighted_sum(mi.Float, tracer.table.uv, [(w, (first + c) * 2 + axis) for w, c in corners], textured)
         for axis in range(2)
     )
     return u, v
@@ -232,16 +203,11 @@ def vertex_uv(
 
 def bilinear(texel: Any, first: Any, width: Any, height: Any, u: Any, v: Any, active: Any) -> Any:
     """Colours of repeating textures as in Mitsuba's `bitmap`: texel centres at (i + 0.5) / width, row 0 at v = 0."""
-    mi, dr = mitsuba(), drjit()
-    result = mi.Color3f(0.0)
-    for weight, index in bilinear_places(first, width, height, u, v):
-        result += weight * dr.gather(mi.Color3f, texel, index, active)
-    return result
+    return weighted_sum(mi.Color3f, texel, bilinear_places(first, width, height, u, v), active)
 
 
-def bilinear_places(first: Any, width: Any, height: Any, u: Any, v: Any) -> list[tuple[Any, Any]]:
+def bilinear_places(first: Any, width: Any, height: Any, u: Any, v: Any) -> Places:
     """Weights and rows of the four texels around a place of a repeating texture."""
-    mi, dr = mitsuba(), drjit()
     x, y = ((t - dr.floor(t)) * mi.Float(size) - 0.5 for t, size in ((u, width), (v, height)))
     left, low = mi.Int32(dr.floor(x)), mi.Int32(dr.floor(y))
     columns, rows = mi.Int32(width), mi.Int32(height)
@@ -255,16 +221,11 @@ def bilinear_places(first: Any, width: Any, height: Any, u: Any, v: Any) -> list
 
 def _wrapped(index: Any, size: Any) -> Any:
     """Index of -1 to `size`, into a row that repeats."""
-    dr = drjit()
     return dr.select(index < 0, index + size, dr.select(index >= size, index - size, index))
 
 
 def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) -> Any:
-    """Whether nothing of the scene lies between the hits and the sun's centre; clouds do not count.
-
-    False everywhere under a sky without a sun.
-    """
-    mi, dr = mitsuba(), drjit()
+    """Whether nothing of the scene, clouds left out, hides the sun's centre; False under a sky without a sun."""
     point = tracer.start_of(camera, hits.rays) + hits.rays.direction * hits.distance_m
     sunny = dr.select(dr.dot(normal, tracer.to_sun) < 0, -normal, normal)  # leaves are lit through from below, too
     lift = LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)

@@ -19,7 +19,7 @@ from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.build import load, origin_of, plants_dict, to_mesh
 from forestgen.render.surfaces import LEAFLIKE
-from forestgen.render.variant import LLVM, drjit, mitsuba, require, tracing_variant, using
+from forestgen.render.variant import LLVM, dr, mi, require, tracing_variant, using
 from forestgen.scene.colour import RGB
 from forestgen.scene.projection import HASH_ROUNDS, LENS_STEPS, DeviceRays, Projection, Rays, projection_of
 from forestgen.scene.spec import Camera, Material, SceneSpec
@@ -142,7 +142,6 @@ def _joined(blocks: Sequence[NDArray[np.float32] | None], width: int) -> NDArray
 
 def uploaded(tables: Any) -> Any:
     """The fields of a dataclass on the device: arrays flat, and colours as opaque values."""
-    mi, dr = mitsuba(), drjit()
     fields: dict[str, Any] = {}
     for name, value in vars(tables).items():
         if isinstance(value, tuple):
@@ -171,7 +170,6 @@ def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, row
     scene, which makes tracing 2.5 times as fast as position by position. A lens' rays of (2,) go through its middle,
     those of (S, 2) through all of it.
     """
-    mi, dr = mitsuba(), drjit()
     offsets, width = np.atleast_2d(offset), camera.size_px[0]
     index = dr.arange(mi.UInt32, rows * width * len(offsets))
     pixel = index // len(offsets)
@@ -189,7 +187,6 @@ def pixel_rays(camera: Camera, column: Any, row: Any, dx: Any, dy: Any, number: 
     goes in as opaque values: one compiled kernel serves all cameras of a kind. The `number` of the sample in its pixel
     chooses the point of the lens; None: its middle.
     """
-    mi, dr = mitsuba(), drjit()
     width, height = camera.size_px
     axes = mi.Matrix3f([[dr.opaque(mi.Float, float(value)) for value in line] for line in camera.world_from_camera])
     x, y = mi.Float(column) + dx - width / 2, mi.Float(row) + dy - height / 2
@@ -204,7 +201,6 @@ def pixel_rays(camera: Camera, column: Any, row: Any, dx: Any, dy: Any, number: 
 
 def _uploaded(rays: Rays, projection: Projection) -> DeviceRays:
     """Rays (R,) of a projection that has no code for the tracer."""
-    mi = mitsuba()
     direction = mi.Vector3f(*(mi.Float(axis) for axis in rays.direction.T))
     depth_share = mi.Float(1.0) if projection.depth_is_distance else direction.z
     shift_m = mi.Vector3f(*(mi.Float(axis) for axis in rays.origin_m.T)) if projection.is_parallel else None
@@ -213,7 +209,6 @@ def _uploaded(rays: Rays, projection: Projection) -> DeviceRays:
 
 def _lens_points(column: Any, row: Any, number: Any) -> Any:
     """As `scene.projection.lens_points`."""
-    mi, dr = mitsuba(), drjit()
     keys = mi.sample_tea_32(mi.UInt32(column), mi.UInt32(row), HASH_ROUNDS)
     a, b = (mi.Float((shift + number * step) >> 8) * 2.0**-24 for shift, step in zip(keys, LENS_STEPS, strict=True))
     sine, cosine = dr.sincos(2 * np.pi * b)
@@ -240,7 +235,6 @@ def _slim(scene: dict[str, Any]) -> dict[str, Any]:
     An instance keeps its transform twice: as numbers, which the ray tracer's own structure is built from, and as 32
     device arrays for shading, which nothing here asks for. The latter give way to one transform that all share.
     """
-    mi = mitsuba()
     shared = mi.Transform4f()
     groups = {name: mi.load_dict(value) for name, value in scene.items() if name.startswith("exemplar-")}
     rest = {name: value for name, value in scene.items() if not name.startswith(("exemplar-", "instance-"))}
@@ -264,8 +258,7 @@ class SceneTracer:
         require(self.variant)
         # Of the cameras' own surroundings: a single camera stands in the origin, where coordinates are exact.
         self.spec, self.origin_m = spec, np.mean([origin_of(camera) for camera in spec.cameras], axis=0)
-        with using(self.variant) as mi, timer("identity: build"):
-            dr = drjit()
+        with using(self.variant), timer("identity: build"):
             scene = plants_dict(spec, self.origin_m, None)
             scene["terrain"] = to_mesh(spec.terrain.mesh, None, self.origin_m, "terrain")
             self.scene = load(_slim(scene) if self.variant == LLVM else scene)
@@ -276,7 +269,6 @@ class SceneTracer:
 
     def _registry_rows(self, instances: int) -> Any:
         """Table from the renderer's registry id of an instance to its row + 1; anything else maps to 0."""
-        mi, dr = mitsuba(), drjit()
         names = [shape.id() for shape in self.scene.shapes()]
         registry = np.array(dr.reinterpret_array(mi.UInt32, self.scene.shapes_dr())).astype(np.int64)
         placed = np.array([name.startswith("instance-") for name in names], dtype=bool)
@@ -288,15 +280,23 @@ class SceneTracer:
 
     def trace(self, camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> Hits:
         """Hits of the rays through sub-pixel positions of `rows` rows from `first_row`; order as in `camera_rays`."""
-        mi = mitsuba()
         rays = camera_rays(camera, offset, first_row, rows)
         active = mi.Bool(True) if rays.valid is None else rays.valid
         ray = mi.Ray3f(self.start_of(camera, rays), rays.direction)
         return self.looked_up(rays, self.scene.ray_intersect_preliminary(ray, coherent=True, active=active), active)
 
+    def by_rows(self, camera: Camera, offset: NDArray[np.float64], most_rays: int) -> Iterator[tuple[slice, Hits]]:
+        """Rows of the whole image, as many at a time as have so many rays, and their hits; in the tracer's variant."""
+        (width, height), samples = camera.size_px, len(np.atleast_2d(offset))
+        step = max(1, most_rays // (width * samples))
+        with using(self.variant):
+            for first in range(0, height, step):
+                last = min(first + step, height)
+                yield slice(first, last), self.trace(camera, offset, first, last - first)
+            dr.flush_malloc_cache()
+
     def looked_up(self, rays: DeviceRays, hit: Any, active: Any) -> Hits:
         """The hits that a `PreliminaryIntersection3f` of rays stands for."""
-        mi, dr = mitsuba(), drjit()
         valid = hit.is_valid() & active
         registry = dr.reinterpret_array(mi.UInt32, hit.instance)
         # Opaque, as all that changes from scene to scene: a literal would cost each image kernels of its own.
@@ -317,20 +317,17 @@ class SceneTracer:
 
     def start_of(self, camera: Camera, rays: DeviceRays) -> Any:
         """Where rays of the camera begin, in the frame of the scene's shapes."""
-        mi, dr = mitsuba(), drjit()
         place = mi.Point3f(*[dr.opaque(mi.Float, float(x)) for x in origin_of(camera) - self.origin_m])
         return place if rays.shift_m is None else place + rays.shift_m
 
     def face_in_exemplar(self, hits: Hits) -> Any:
         """Triangle of the exemplar with its organs one after another, or of the ground; 0 for the sky."""
-        mi, dr = mitsuba(), drjit()
         organ = dr.gather(mi.UInt32, self.table.first_organ, hits.instance, hits.valid)
         first = dr.gather(mi.UInt32, self.table.first_face, organ, hits.valid)
         return dr.select(hits.valid, hits.face - first, 0)
 
     def to_world(self, normal: Any, hits: Hits) -> Any:
         """Unit normals, world, of normals in their instances' frames."""
-        mi, dr = mitsuba(), drjit()
         m = [dr.gather(mi.Float, self.table.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
         turned = mi.Vector3f(
             *[m[3 * r] * normal.x + m[3 * r + 1] * normal.y + m[3 * r + 2] * normal.z for r in range(3)]
@@ -339,7 +336,6 @@ class SceneTracer:
 
     def direction_to_world(self, direction: Any, hits: Hits) -> Any:
         """World directions, of no special length, of directions in their instances' frames."""
-        mi, dr = mitsuba(), drjit()
         m = [dr.gather(mi.Float, self.table.rotation, hits.instance * 9 + k, hits.valid) for k in range(9)]
         rows = [mi.Vector3f(*m[3 * r : 3 * r + 3]) for r in range(3)]
         # Of an inverse transpose the cofactors are the matrix itself, but for its scale.
@@ -347,6 +343,5 @@ class SceneTracer:
 
     def geometric_normal(self, hits: Hits) -> Any:
         """Unit normals, world, towards the camera; 0 for the sky."""
-        mi, dr = mitsuba(), drjit()
         normal = self.to_world(dr.gather(mi.Vector3f, self.table.normal, hits.face, hits.valid), hits)
         return dr.select(hits.valid, dr.select(dr.dot(normal, hits.rays.direction) > 0, -normal, normal), 0.0)

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.identity.surface import (
-    barycentric_weights,
     bilinear_places,
     corners_of,
     ground_colour,
-    interpolated_normal,
+    shading_normal,
     vertex_uv,
+    weighted_sum,
 )
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, organs_of, uploaded
 from forestgen.render.surfaces import is_textured, relief_colour, surface_of
-from forestgen.render.variant import drjit, mitsuba
+from forestgen.render.variant import dr, mi
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import SceneSpec
 from forestgen.scene.surfaces import film_factor
@@ -138,7 +138,6 @@ class Local:
 
     def value(self, direction: Any) -> Any:
         """Color3f: radiance back along the path per light from `direction` on a surface that faces it."""
-        dr = drjit()
         up, onto = dr.dot(self.normal, direction), dr.dot(self.facet, direction)
         lit = (up > 0) & (onto > 0) & (dr.dot(self.facet, self.towards) > 0)
         matt = dr.select(lit, self.matt * (onto / np.pi), 0.0)
@@ -147,13 +146,12 @@ class Local:
 
     def _mirrored(self, direction: Any) -> Any:
         """Float: the gloss' share, by GGX with separable masking (Walter et al. 2007, eqs. 20, 33, 34)."""
-        half = drjit().normalize(self.towards + direction)
-        up, mirror = drjit().dot(self.normal, direction), fresnel(drjit().dot(half, direction), self.gloss.z)
+        half = dr.normalize(self.towards + direction)
+        up, mirror = dr.dot(self.normal, direction), fresnel(dr.dot(half, direction), self.gloss.z)
         return self.gloss.x * mirror * _lit(up, self.gloss.y * self.gloss.y) * self._glossy_density(half)
 
     def _glossy_density(self, half: Any) -> Any:
         """Float: density over the directions to which facets that are seen and lean to `half` reflect a path."""
-        dr = drjit()
         square = self.gloss.y * self.gloss.y
         view, facing = dr.dot(self.normal, self.towards), dr.dot(self.normal, half)
         spread = dr.square(1.0 - facing * facing * (1.0 - square))
@@ -162,7 +160,6 @@ class Local:
 
     def density(self, direction: Any) -> Any:
         """Float: density, over the sphere, of the directions in which `sample` has paths go on."""
-        dr = drjit()
         up = dr.dot(self.normal, direction)
         even = dr.maximum(dr.dot(self.facet, direction), 0.0) / np.pi
         glossy = self._glossy_density(dr.normalize(self.towards + direction))
@@ -171,7 +168,6 @@ class Local:
 
     def sample(self, lobe: Any, first: Any, second: Any) -> tuple[Any, Any]:
         """Unit directions in which paths go on, and Color3f by which their light is multiplied, of (P,) in [0, 1)."""
-        mi, dr = mitsuba(), drjit()
         passes = lobe < self.chance.x
         rest = (lobe - self.chance.x) / dr.maximum(1.0 - self.chance.x, 1e-6)
         glossy = ~passes & (rest < self.chance.y)
@@ -193,14 +189,12 @@ class Local:
 
 def _lit(cosine: Any, square: Any) -> Any:
     """Share of facets that are not hidden at an angle; `square` of the facets' width."""
-    dr = drjit()
     up = dr.square(dr.maximum(cosine, 1e-6))
     return 2.0 / (1.0 + dr.sqrt(1.0 + square * (1.0 - dr.minimum(up, 1.0)) / up))
 
 
 def fresnel(cosine: Any, index: Any) -> Any:
     """Reflectance for unpolarised light from a medium of index 1."""
-    dr = drjit()
     inner = dr.sqrt(dr.maximum(1.0 - (1.0 - cosine * cosine) / dr.square(dr.maximum(index, 1.0)), 0.0))
     across = (cosine - index * inner) / (cosine + index * inner)
     along = (index * cosine - inner) / (index * cosine + inner)
@@ -209,7 +203,6 @@ def fresnel(cosine: Any, index: Any) -> Any:
 
 def _visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
     """Vector3f: normals of facets that are seen from `view` (Heitz 2018)."""
-    mi, dr = mitsuba(), drjit()
     stretched = dr.normalize(mi.Vector3f(width * view.x, width * view.y, dr.maximum(view.z, 1e-6)))
     length = stretched.x * stretched.x + stretched.y * stretched.y
     aside = dr.select(
@@ -238,25 +231,22 @@ class Surfaces:
 
     def at(self, hits: Hits) -> Local:
         """The surfaces at hits; where none is hit, anything."""
-        mi, dr = mitsuba(), drjit()
         tracer, valid = self._tracer, hits.valid
         towards = -hits.rays.direction
         geometric = tracer.geometric_normal(hits)
-        corners, weights = corners_of(tracer, hits, valid), barycentric_weights(hits)
-        normal = interpolated_normal(tracer, hits, corners, weights, geometric)
+        corners = corners_of(tracer, hits)
+        normal = shading_normal(tracer, hits, corners, geometric)
         normal = dr.select(dr.dot(normal, towards) < 0, -normal, normal)
         matt = dr.gather(mi.Color3f, self._paint.matt, hits.organ, valid)
         offset, width, height = (
             dr.gather(mi.UInt32, self._relief.texture, hits.organ * 3 + k, valid) for k in range(3)
         )
         textured = valid & (width > 0)
-        u, v = vertex_uv(tracer, hits, corners, weights, textured)
+        u, v = vertex_uv(tracer, hits, corners, textured)
         places = bilinear_places(offset, width, height, u, v)
-        colour, relief = mi.Color3f(0.0), mi.Vector3f(0.0)
-        for weight, texel in places:
-            colour += weight * dr.gather(mi.Color3f, self._paint.texel, texel, textured)
-            relief += weight * dr.gather(mi.Vector3f, self._relief.normal, texel, textured)
-        colour = ground_colour(tracer, hits, corners, weights, colour, (self._paint.far, self._paint.film_factor))
+        colour = weighted_sum(mi.Color3f, self._paint.texel, places, textured)
+        relief = weighted_sum(mi.Vector3f, self._relief.normal, places, textured)
+        colour = ground_colour(tracer, hits, corners, colour, (self._paint.far, self._paint.film_factor))
         matt = dr.select(textured, colour, matt)
         return Local(
             towards,
@@ -271,7 +261,6 @@ class Surfaces:
 
     def _facet(self, hits: Hits, normal: Any, towards: Any, relief: Any, textured: Any) -> Any:
         """Normals of the relief; one that leans away from where the path came from is turned about the surface's."""
-        mi, dr = mitsuba(), drjit()
         first = dr.gather(mi.UInt32, self._relief.first_tangent, hits.organ, textured)
         rough = textured & (first != NONE)
         local = dr.gather(mi.Vector3f, self._relief.tangent, first + hits.primitive, rough)

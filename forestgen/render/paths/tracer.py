@@ -2,7 +2,7 @@
 
 All paths of a block of pixels go one scattering further together, as arrays of Dr.Jit, and those that ended are
 dropped. A kernel knows no instance and no material: what a hit means is looked up (`render/identity/tracer.py`,
-`scattering.py`). So one kernel serves any scene. It runs on LLVM; on CUDA it has not been tried. ADR 0013 has the
+`scattering.py`), so one kernel serves any scene. It runs on LLVM; on CUDA it has not been tried. ADR 0013 has the
 measurements.
 
 Light of the sun is sampled at each scattering, and that of a sky with clouds; all skies are met where a path leaves the
@@ -11,8 +11,8 @@ places in the sums, so the image does not depend on the number of threads.
 
 Random numbers are points that fill the unit square evenly, for each pixel and each choice of a path its own: Sobol's
 first two dimensions, scrambled by hashes as Owen scrambles (Burley 2020, "Practical hash-based Owen scrambling"). Any
-first N points are spread evenly, best where N is a power of two, and every choice shuffles them anew. A point is a
-function of seed, pixel, number and choice: it does not depend on other points, nor on where work is cut.
+first N points are spread evenly, best where N is a power of two. A point is a function of seed, pixel, number and
+choice: it does not depend on other points, nor on where work is cut.
 
 Work is O(pixels x samples x scatterings x log triangles). Memory: some 250 bytes a path of a block of pixels, of
 `_PATHS_AT_ONCE` paths, and 40 bytes a pixel.
@@ -20,6 +20,7 @@ Work is O(pixels x samples x scatterings x log triangles). Memory: some 250 byte
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,9 +31,10 @@ from forestgen.render.cloud_shadow import ShadowPlane
 from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.surface import LIFT
 from forestgen.render.identity.tracer import pixel_rays
-from forestgen.render.light import SUN_RADIUS_DEG
+from forestgen.render.light import SUN_RADIUS_DEG, has_sun, sun_irradiance, sun_radiance
 from forestgen.render.paths.scattering import Surfaces
-from forestgen.render.variant import ROULETTE_DEPTH, drjit, mitsuba, renderer_errors
+from forestgen.render.variant import ROULETTE_DEPTH, dr, mi, renderer_errors, using
+from forestgen.scene.colour import Channels
 from forestgen.scene.projection import DeviceRays
 from forestgen.scene.spec import Camera
 
@@ -54,7 +56,6 @@ class Sequence:
 
     def pair(self, choice: Any) -> tuple[Any, Any]:
         """(P,) each in [0, 1): the point of one choice, a UInt32."""
-        mi, dr = mitsuba(), drjit()
         seeds = [hashed(self.key + mi.UInt32(choice) * _GOLDEN + (k * 0x85EBCA6B & 0xFFFFFFFF)) for k in range(3)]
         first = second = _scrambled(dr.brev(self.number), seeds[0])  # the shuffled number's bits, reversed
         for shift, mask in _SQUARES:  # Sobol's second number: Pascal's triangle modulo 2
@@ -68,7 +69,6 @@ class Sequence:
 
 def sequence_of(seed: Any, pixel: Any, number: Any) -> Sequence:
     """Points of paths by their pixels and their numbers there, all UInt32."""
-    mi = mitsuba()
     return Sequence(mi.sample_tea_32(seed, pixel, 4)[0], number)
 
 
@@ -95,7 +95,6 @@ class Sky:
     """
 
     def __init__(self, radiance: NDArray[np.float32], *, sampled: bool = False) -> None:
-        mi, dr = mitsuba(), drjit()
         self.sampled = sampled
         self._rows, self._columns = (dr.opaque(mi.UInt32, size) for size in radiance.shape[:2])
         self._texel = mi.Float(np.ascontiguousarray(radiance).ravel())
@@ -106,7 +105,6 @@ class Sky:
 
     def sample(self, first: Any, second: Any) -> tuple[Any, Any]:
         """Unit directions, and Float, their density over the sphere."""
-        mi, dr = mitsuba(), drjit()
         cell, _, within = self._shares.sample(mi.Point2f(first, second))
         low, high = (dr.clip(mi.Float(cell.y) + side, 0.0, mi.Float(self._rows) - 1.0) for side in (-0.5, 0.5))
         zenith = (low + within.y * (high - low)) * (np.pi / (mi.Float(self._rows) - 1.0))
@@ -117,7 +115,6 @@ class Sky:
 
     def density(self, direction: Any) -> Any:
         """Float: density over the sphere with which `sample` chooses directions."""
-        mi, dr = mitsuba(), drjit()
         level = dr.sqrt(direction.x**2 + direction.y**2)
         turn = dr.atan2(direction.y, direction.x) * (0.5 / np.pi)
         column = dr.minimum(mi.UInt32((turn - dr.floor(turn)) * mi.Float(self._columns)), self._columns - 1)
@@ -127,7 +124,6 @@ class Sky:
 
     def towards(self, direction: Any, active: Any) -> Any:
         """Color3f, bilinear between the map's places; the first and the last row are the zenith and the nadir."""
-        mi, dr = mitsuba(), drjit()
         rows, columns = mi.Float(self._rows), mi.Float(self._columns)
         x = dr.atan2(direction.y, direction.x) * (0.5 / np.pi) * columns - 0.5
         y = dr.atan2(dr.sqrt(direction.x**2 + direction.y**2), direction.z) * (1.0 / np.pi) * (rows - 1.0)
@@ -144,7 +140,7 @@ class Sky:
         return upper * (1.0 - (y - top)) + lower * (y - top)
 
     def _at(self, texel: Any, active: Any) -> Any:
-        return drjit().gather(mitsuba().Color3f, self._texel, texel, active)
+        return dr.gather(mi.Color3f, self._texel, texel, active)
 
 
 def sky_shares(radiance: NDArray[np.float32]) -> tuple[Floats, Floats]:
@@ -172,7 +168,6 @@ class Sun:
 
         `shadow` is what clouds let through; None: all. `origin_m` (3,), world, is that of the paths' coordinates.
         """
-        mi, dr = mitsuba(), drjit()
         self.centre = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in to_sun])
         self.irradiance, self.radiance = (
             mi.Color3f(*[dr.opaque(mi.Float, float(value)) for value in three]) for three in (irradiance, radiance)
@@ -190,20 +185,17 @@ class Sun:
 
     def sample(self, first: Any, second: Any) -> Any:
         """Vector3f, a direction to a point of the disc, all alike."""
-        mi, dr = mitsuba(), drjit()
         radius = self._radius * dr.sqrt(first)
         sine, cosine = dr.sincos(2 * np.pi * second)
         return dr.normalize(self._axes.to_world(mi.Vector3f(radius * cosine, radius * sine, 1.0)))
 
     def seen(self, direction: Any) -> Any:
         """Color3f, the radiance of the disc towards directions; 0 beside it."""
-        dr = drjit()
         aside = dr.norm(dr.cross(direction, self.centre))
         return dr.select((aside < self._radius) & (dr.dot(direction, self.centre) > 0), self.radiance, 0.0)
 
     def share(self, point: Any, direction: Any, active: Any) -> Any:
         """Float, what clouds let through of the light that comes to points from directions."""
-        mi, dr = mitsuba(), drjit()
         if self._shadow is None:
             return mi.Float(1.0)
         reach = (self._height - point.z) / dr.maximum(direction.z, 1e-6)
@@ -245,32 +237,59 @@ class Paths:
     hit: Any  # PreliminaryIntersection3f
 
     def kept(self, rows: Any) -> Paths:
-        dr = drjit()
         return Paths(*(dr.gather(type(one), one, rows) for one in vars(self).values()))
 
 
 class PathTracer:
-    """Paths of one camera through a scene. Enter the tracer's variant first."""
+    """Paths of one camera through a scene under a sky that is infinitely far away, in any channels.
 
-    def __init__(self, tracer: SceneTracer, camera: Camera, surfaces: Surfaces, max_depth: int) -> None:
-        self._tracer, self._camera, self._surfaces, self._max_depth = tracer, camera, surfaces, max_depth
+    `radiance` is the sky in channels, as `light.sky_map` has it; `shadow` is what clouds let through of the sun's
+    light, None: all.
+    """
 
-    def take(self, sky: Sky, sun: Sun | None, samples: int, seed: int) -> Image:
-        """An image of so many samples a pixel."""
+    def __init__(
+        self,
+        tracer: SceneTracer,
+        camera: Camera,
+        max_depth: int,
+        radiance: Callable[[Channels], NDArray[np.float32]],
+        shadow: ShadowPlane | None = None,
+    ) -> None:
+        self._tracer, self._camera, self._max_depth = tracer, camera, max_depth
+        self._radiance, self._shadow = radiance, shadow
+        self._shown: Channels | None = None
+        self._sun: Sun | None = None
+        with using(tracer.variant):
+            self._surfaces = Surfaces(tracer)
+
+    def show(self, channels: Channels) -> None:
+        """Have the surfaces and lights of these channels."""
+        if channels == self._shown:
+            return
+        spec = self._tracer.spec
+        with using(self._tracer.variant):
+            self._surfaces.show(channels)
+            self._sky = Sky(self._radiance(channels), sampled=spec.clouds is not None)
+            if has_sun(spec.sky):
+                light, disc = sun_irradiance(spec.sky, channels), sun_radiance(spec.sky, channels)
+                self._sun = Sun(spec.sky.to_sun, light, disc, self._shadow, self._tracer.origin_m)
+        self._shown = channels
+
+    def take(self, samples: int, seed: int) -> Image:
+        """An image of so many samples a pixel in the channels that are shown, by independent paths for each seed."""
         width, height = self._camera.size_px
         pixels, at_once = width * height, max(1, _PATHS_AT_ONCE // samples)
         found = np.zeros((pixels, 10), dtype=np.float32)
-        with renderer_errors():
+        with using(self._tracer.variant), renderer_errors():
             for first in range(0, pixels, at_once):
                 count = min(at_once, pixels - first)
-                found[first : first + count] = self._block(sky, sun, samples, seed, first, count)
-            drjit().flush_malloc_cache()
+                found[first : first + count] = self._block(samples, seed, first, count)
+            dr.flush_malloc_cache()
         image = found.reshape(height, width, 10)
         return Image(image[..., :3], image[..., 3:6], image[..., 6:9], image[..., 9])
 
-    def _block(self, sky: Sky, sun: Sun | None, samples: int, seed: int, first: int, count: int) -> Array:
+    def _block(self, samples: int, seed: int, first: int, count: int) -> Array:
         """(count, 10) of the pixels from `first` on, row by row: what `Image` holds, one after another."""
-        mi, dr = mitsuba(), drjit()
         size = count * samples
         each, base = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, first)
         key = dr.opaque(mi.UInt32, seed & 0xFFFFFFFF)
@@ -283,9 +302,9 @@ class PathTracer:
         rays, hit, active = self._first(sequence(index), base + index // each, index - index // each * each, key)
         found = hit.is_valid() & active
         past = active & ~hit.is_valid()
-        beyond = dr.select(past, sky.towards(rays.direction, past), 0.0)
-        if sun is not None:
-            beyond += dr.select(past, sun.seen(rays.direction), 0.0)
+        beyond = dr.select(past, self._sky.towards(rays.direction, past), 0.0)
+        if self._sun is not None:
+            beyond += dr.select(past, self._sun.seen(rays.direction), 0.0)
         start = self._tracer.start_of(self._camera, rays) + mi.Vector3f(0.0)
         begun = Paths(index, start, rays.direction, mi.Color3f(1.0) + dr.zeros(mi.Color3f, size), hit)
         by_sky, by_sun = (dr.zeros(mi.Color3f, size) for _ in range(2))
@@ -295,7 +314,7 @@ class PathTracer:
         for depth in range(1, self._max_depth):
             if not dr.width(paths.index):
                 break
-            goes_on, paths, own_sky, own_sun = self._round(paths, sequence(paths.index), sky, sun, depth)
+            goes_on, paths, own_sky, own_sun = self._round(paths, sequence(paths.index), depth)
             for total, own in ((by_sky, own_sky), (by_sun, own_sun)):
                 dr.scatter(total, dr.gather(mi.Color3f, total, paths.index) + own, paths.index)
             dr.eval(paths.start, paths.direction, paths.carried, paths.hit, goes_on, by_sky, by_sun)
@@ -306,7 +325,6 @@ class PathTracer:
         return np.stack([np.array(one) for one in means], axis=-1)
 
     def _first(self, sequence: Sequence, pixel: Any, number: Any, key: Any) -> tuple[DeviceRays, Any, Any]:
-        mi, dr = mitsuba(), drjit()
         width = dr.opaque(mi.UInt32, self._camera.size_px[0])
         row = pixel // width
         right, down = sequence.pair(mi.UInt32(0))
@@ -316,11 +334,9 @@ class PathTracer:
         ray = mi.Ray3f(self._tracer.start_of(self._camera, rays), rays.direction)
         return rays, self._tracer.scene.ray_intersect_preliminary(ray, coherent=True, active=active), active
 
-    def _round(
-        self, paths: Paths, sequence: Sequence, sky: Sky, sun: Sun | None, depth: int
-    ) -> tuple[Any, Paths, Any, Any]:
+    def _round(self, paths: Paths, sequence: Sequence, depth: int) -> tuple[Any, Paths, Any, Any]:
         """Whether each path goes on, the paths one scattering later, and what they brought of sky and sun."""
-        mi, dr = mitsuba(), drjit()
+        sky, sun = self._sky, self._sun
         rays = DeviceRays(paths.direction, mi.Float(1.0), None, None)
         hits = self._tracer.looked_up(rays, paths.hit, mi.Bool(True))
         point = paths.start + paths.direction * hits.distance_m

@@ -24,7 +24,7 @@ from forestgen.atmosphere.daylight import Daylight, daylight
 from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.sky import SkySection
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, SkyModel, map_directions, row_weights
-from forestgen.render.variant import drjit, mitsuba
+from forestgen.render.variant import dr, mi
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import Sky
 
@@ -63,7 +63,6 @@ class Clear(SkyModel):
 @lru_cache(maxsize=4)
 def _shape(elevation_deg: float, azimuth_deg: float, turbidity: float, albedo: float) -> NDArray[np.float32]:
     """(MAP_ROWS // 2 + 1, columns, nodes) radiance over irradiance on a level plane, 1/sr."""
-    mi, dr = mitsuba(), drjit()
     directions = map_directions(MAP_ROWS, MAP_COLUMNS)[: MAP_ROWS // 2 + 1]
     directions[-1, :, 2] = 1e-4  # the model has no light at the horizon itself
     flat = directions.reshape(-1, 3).astype(np.float32)

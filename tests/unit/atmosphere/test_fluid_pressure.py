@@ -5,7 +5,7 @@ import pytest
 
 from forestgen.atmosphere.fluid import pressure
 from forestgen.atmosphere.fluid.parameters import UnstableError
-from forestgen.atmosphere.fluid.pressure import Boundaries, Pressure
+from forestgen.atmosphere.fluid.pressure import Pressure
 from forestgen.atmosphere.grid import AirGrid
 
 CELLS, CELL_M = (16, 12, 10), (50.0, 40.0, 30.0)
@@ -13,13 +13,12 @@ CELLS, CELL_M = (16, 12, 10), (50.0, 40.0, 30.0)
 
 def projected(solid=None, seed=0):
     grid = AirGrid(CELLS, CELL_M)
-    sides = Boundaries(solid)
+    pressure = Pressure(grid, solid)
     rng = np.random.default_rng(seed)
     velocity = tuple(rng.normal(0, 3, tuple(n + 4 for n in grid.shape)).astype(np.float32) for _ in range(3))
-    sides.apply(velocity)
+    pressure.set_sides(velocity)
     before = [field.copy() for field in velocity]
-    Pressure(grid, sides.openness).project(velocity)
-    sides.apply(velocity)
+    pressure.project(velocity)
     return velocity, before
 
 

@@ -107,11 +107,11 @@ def test_every_user_of_it_names_parts_that_exist() -> None:
     from forestgen.atmosphere import simulate
     from forestgen.community import simulation
     from forestgen.plants import growing
-    from forestgen.render import radiance
+    from forestgen.render import rendering
     from forestgen.runs import records as keys
 
     root = module.PACKAGE
-    for parts in (simulate.SOURCES, *(one._SOURCES for one in (keys, growing, radiance, simulation))):
+    for parts in (simulate.SOURCES, *(one._SOURCES for one in (keys, growing, rendering, simulation))):
         assert all((root / part).exists() for part in parts)
         assert module.source_files(parts)
 

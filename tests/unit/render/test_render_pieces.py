@@ -8,7 +8,7 @@ import pytest
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.denoise import _exposure, denoise
 from forestgen.render.identity import face_normals, hit_tables, sample_offsets
-from forestgen.render.noise import slice_sizes
+from forestgen.render.rendering import slice_sizes
 from support.scenes import plain_ground, scattered_scene
 
 
