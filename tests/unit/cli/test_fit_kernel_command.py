@@ -144,7 +144,7 @@ def test_two_species_and_sizes_give_a_kernel_for_each_direction(quick, points, t
 
 
 def test_a_window_that_nobody_stated_is_told_before_the_fit(points, tmp_path, monkeypatch):
-    def stop(*_):
+    def stop(*_, **__):
         raise RecipeError("stopped")
 
     monkeypatch.setattr(fitting, "fit_stand", stop)
