@@ -25,7 +25,7 @@ _SOURCES = (
 )  # fmt: skip
 # Of these, what only reads frames, writes the files over all of them, or checks and shows what people give and see.
 _WITHOUT = (
-    "community/fitting/report.py", "community/point_statistics.py", "community/summary.py",
+    "community/fitting", "community/point_statistics.py", "community/summary.py",
     "dataset/card.py", "dataset/check", "dataset/exr_chunks.py",
     "dataset/frame.py", "dataset/index.py", "dataset/pack", "dataset/report",
 )  # fmt: skip

@@ -15,7 +15,6 @@ from forestgen.core.progress import Silent, Timings
 from forestgen.labels.channels.motion import motion_px
 from forestgen.recipe.assets import recipes_dir
 from forestgen.recipe.cameras import Camera as CameraSection
-from forestgen.recipe.cameras import CameraPath
 from forestgen.recipe.load import load_recipe
 from forestgen.render.frame import Surface
 from forestgen.scene.build import BuiltScene, build_scene
@@ -147,8 +146,9 @@ def toward(camera: Camera, row: np.ndarray, column: np.ndarray) -> np.ndarray:
 
 
 def test_the_scene_at_a_time_is_one_object_and_the_next_frames_is_kept_beside_it(stand: SceneSpec, wind: Sway) -> None:
-    section = CameraSection(
-        name="walk", position_m=(8, -4, 2), look_at_m=(8, 8, 4), path=CameraPath(frames=5, position_m=((8, -3, 2),))
+    path = {"frames": 5, "position_m": [[8, -3, 2]]}
+    section = CameraSection.model_validate(
+        {"name": "walk", "position_m": [8, -4, 2], "look_at_m": [8, 8, 4], "path": path}
     )
     cameras = tuple(expand(section, HeightField((16.0, 16.0))))
     nobody = np.zeros(0, dtype=np.uint8)

@@ -118,8 +118,8 @@ class Panorama(CurvedProjection):
 
     def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
         width, height = size_px
-        focal_px = width / (2 * np.pi), height / np.pi
-        return FileGeometry(self.plain_camera(size_px), focal_px, (width / 2, height / 2))
+        focal_px = width / (2 * np.pi)  # the projection itself fits its rows to the height
+        return FileGeometry(self.plain_camera(size_px), (focal_px, focal_px), (width / 2, height / 2))
 
 
 PROJECTION = Panorama()
