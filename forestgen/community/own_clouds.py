@@ -5,7 +5,7 @@ Example
     community: {model: ecoclimate, weather: {}}
     sky: {clouds: {type: community, day: 3}}
 
-Parameters: see `CommunityKeys`; all else is that of `community.weather`.
+Parameters: see below; all else is that of `community.weather`.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ def check_wet_soil(plan: CommunityPlan) -> None:
     """Raise `RecipeError` for a recipe that says how wet soil shows where its community knows of none."""
     drawn, section = plan.drawn, plan.drawn.recipe.site.wet_soil
     if section is not None and section.shown and capability(plan.model, SoilWater) is None:
-        problem, expected = "this community knows no water in its soil", f"community.model: {models_with(SoilWater)}"
+        problem, expected = "this community has no water in its soil", f"community.model: {models_with(SoilWater)}"
         got, hint = drawn.recipe.community.model, "leave out site.wet_soil; site.ground: soil_wet is wet everywhere"
         raise RecipeError(problem, where=drawn.where("site", "wet_soil"), expected=expected, got=got, hint=hint)
 

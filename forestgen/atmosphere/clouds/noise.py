@@ -13,7 +13,7 @@ Example
 -------
     sky: {clouds: {type: noise, cover: 0.5, base_m: 1200}}
 
-Parameters: see `NoiseKeys`.
+Parameters: see below.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ Example
 -------
     sky: {clouds: {type: file, file: sky.nc, droplet_radius_um: 10}}
 
-Parameters: see `SavedKeys`.
+Parameters: see below.
 """
 
 from __future__ import annotations

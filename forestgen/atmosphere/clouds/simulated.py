@@ -24,7 +24,7 @@ Example
 -------
     sky: {clouds: {type: cumulus, sounding: {inversion_m: 2000}, emission: {heat_w_per_m2: 200}}}
 
-Parameters: see `SimulatedKeys`, and the values at the end of this module.
+Parameters: see below, and the values at the end of this module.
 """
 
 from __future__ import annotations

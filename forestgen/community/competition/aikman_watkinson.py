@@ -16,7 +16,7 @@ mean, weighted by q, is 1). In an empty plot f = 1. On a crowded one f_i goes to
 get all of the plot, and at any crowding sum_i q_i f_i <= min(S, A): no ground is given away twice. Larger plants get
 more of it for a square metre of their own if a > 0; a = 0 divides in proportion to area. f falls with C.
 
-Parameters: see `AikmanWatkinsonParameters`; a is asymmetry, s is sharpness.
+Parameters: see below; a is asymmetry, s is sharpness.
 
 A sharp onset (large s) leaves plants alone until their share of the plot is less than their area. The site's edges and
 whether it is periodic do not matter, nor do heights.

@@ -11,7 +11,7 @@ section 3.1. A plant's mass is that of an isolated one times (z / q)^r; the answ
 The tallest gets a fraction d, the next d of the remainder, ..., the last what is left: so n = 1 gets all, the shares of
 a point sum to 1, and the zones of all plants to the area of the union of circles.
 
-Parameters: see `FirbankWatkinsonParameters`; d is one_sided.
+Parameters: see below; d is one_sided.
 
 d = 1: the tallest takes everything; d = 0.5 divides equally between two. Decided where the thesis is silent: the last
 gets the remainder (otherwise a part of the ground would be unused), of equal heights the lower plant_id counts as

@@ -9,7 +9,7 @@ of Calgary, 2002, section 3.1. ::
 l_ij is the area of overlap of circles i and j (exact: two circular segments), h the height, q the ecological
 neighbourhood. f_i = 1 is a plant without neighbours, f_i = 0 one that does not grow.
 
-Parameters: see `LepsKindlmannParameters`; Q is tolerance.
+Parameters: see below; Q is tolerance.
 
 Decided where the thesis is silent: Q = 1, with which a plant whose neighbourhood is covered once by equals gets
 nothing. Overlaps are summed neighbour by neighbour: ground that three plants share counts twice for each, as printed.

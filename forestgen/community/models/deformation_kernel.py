@@ -10,7 +10,7 @@ its kernels::
 Plants come largest first, so that large, old plants decide where small, young ones stand. A step of Δt years makes
 plants older and nothing else.
 
-Parameters: see `DeformationKernelParameters`; f_i is a species' map times its conditions, r its radius_m. A species'
+Parameters: see below; f_i is a species' map times its conditions, r its radius_m. A species'
 radii are at most its max_radius_m; heights follow from its height_m.
 
 Recipe::

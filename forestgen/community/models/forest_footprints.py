@@ -17,7 +17,7 @@ equal vigour, the later born. A step of Δt years is
 The age of the thesis, the number of derivation steps of a plant's own L-system, is the column ``derivation_steps``:
 the integer part of ``m r / R``, between 0 and the maximum size m of the species.
 
-Parameters: see `FootprintParameters`; loss is health_loss_per_yr, gain is health_gain_per_yr, γ is growth_exponent, m
+Parameters: see below; loss is health_loss_per_yr, gain is health_gain_per_yr, γ is growth_exponent, m
 is derivation_steps, of some species derivation_steps_of. Of each species' ecology: grow is growth_m_per_yr, R is
 max_radius_m, shade is shade_tolerance, oldage is old_age_survival (a probability a step); seedlings_per_ha_per_yr is
 the mean number over area and Δt, seedling_radius_m the mean radius; heights are ``A_H r^c_H`` with the scale and

@@ -17,7 +17,7 @@ ahead, 3/16 behind in the next row, 5/16 below, 1/16 ahead in the next row. Each
 Numbers of plants thus follow the density much more closely than random ones do, down to areas of a few plants, and
 plants keep apart. Their distance cannot be set; other models have a key for it.
 
-Parameters: see `HalftoneParameters`; J is jitter. f and n are those of `plants`. Radii and heights follow from the
+Parameters: see below; J is jitter. f and n are those of `plants`. Radii and heights follow from the
 species' max_radius_m and height_m.
 
 Recipe::

@@ -15,7 +15,7 @@ by each species' own density w, map times conditions, such as `elevation_m`.
 
         c_s w_s(x) / Σ_t c_t w_t(x),    c_s so that each species has the number that the recipe asks for.
 
-Parameters: see `HeightFieldParameters`; J is jitter, d is min_distance_m. w and the numbers are those of `plants`.
+Parameters: see below; J is jitter, d is min_distance_m. w and the numbers are those of `plants`.
 Radii and heights follow from the species' max_radius_m and height_m.
 
 Recipe::

@@ -12,7 +12,7 @@ fill the densest ground; the asked number of them is chosen, each with a probabi
 it. A chosen cell goes to species s with the probability that species s has there, q_s = n_s f_s / Σ_t n_t f_t with f
 of integral 1.
 
-Parameters: see `JitteredGridParameters`; J is jitter. f and n are those of `plants`. Radii and heights follow from the
+Parameters: see below; J is jitter. f and n are those of `plants`. Radii and heights follow from the
 species' max_radius_m and height_m.
 
 Recipe::

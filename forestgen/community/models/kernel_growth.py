@@ -27,7 +27,7 @@ is the same. With the neutral kernel plants do not interact: they are an immigra
 (recipes/reproductions/succession.yaml) succeed each other: 3055, 1568, 1275, 954 plants at steps 20, 150, 300, 1000,
 where Table 7.1 has 2688, 1593, 1409, 834.
 
-Parameters: see `KernelGrowthParameters`; κ_ij are the kernels, γ is growth_exponent, L is most_inviting, b_i is a
+Parameters: see below; κ_ij are the kernels, γ is growth_exponent, L is most_inviting, b_i is a
 species' ground and 0 where keep_out bars, n is initial_plants_per_ha. Of each species' ecology: grow is
 growth_m_per_yr, R is max_radius_m, shade and oldage are shade_tolerance and old_age_survival (probabilities a step),
 rate is seedlings_per_ha_per_yr; seedling_radius_m is the mean radius; heights are ``A_H r^c_H`` with the scale and

@@ -28,7 +28,7 @@ species, of the ecology's keys below and of height_scale, height_exponent. All o
 that has an environment's name brings that one),
 firbank_watkinson, leps_kindlmann, aikman_watkinson; or a mapping with `model` and its own keys.
 
-Parameters: see `MultisetParameters`. Of each species' ecology: R is max_radius_m, grow / Δt is growth_m_per_yr, shaded
+Parameters: see below. Of each species' ecology: R is max_radius_m, grow / Δt is growth_m_per_yr, shaded
 and oldage are shade_tolerance and old_age_survival (probabilities a step); seedlings_per_ha_per_yr is (n, m) over area
 and Δt, seedling_radius_m the mean of r_1 ... r_n; heights are ``A_H r^c_H`` with the scale and exponent of height_m.
 

@@ -7,7 +7,7 @@ A plant is given by its species, its place and one of two sizes: the radius r of
 which r follows by the species' allometry: ``r = (H / A_H)^(1 / c_H)``. Without either it has the species' largest
 radius.
 
-Parameters: see `PlacedParameters`; r is radius_m, H is height_m. A species has R, its max_radius_m, which r never
+Parameters: see below; r is radius_m, H is height_m. A species has R, its max_radius_m, which r never
 exceeds, and A_H and c_H, the scale and exponent of its height_m.
 
 Recipe::

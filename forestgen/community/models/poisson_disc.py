@@ -11,7 +11,7 @@ The plants take n of these points, each point with a probability in proportion t
 conditions; a chosen point x goes to species s with the probability that species s has there,
 q_s = n_s f_s(x) / Σ_t n_t f_t(x) with f of integral 1.
 
-Parameters: see `PoissonDiscParameters`; d is distance_m. f and n are those of `plants`. Radii and heights follow from
+Parameters: see below; d is distance_m. f and n are those of `plants`. Radii and heights follow from
 the species' max_radius_m and height_m.
 
 Recipe::

@@ -14,7 +14,7 @@ place x' instead of x is proposed and taken with probability
     min(1, γ^(s' - s))              for x' drawn from f, in every other sweep;
     min(1, γ^(s' - s) f(x') / f(x)) for x' in a square of half width r around x, in the others.
 
-Parameters: see `StraussParameters`; γ is gamma, r is interaction_radius_m. f and n are those of `plants`. Radii and
+Parameters: see below; γ is gamma, r is interaction_radius_m. f and n are those of `plants`. Radii and
 heights follow from the species' max_radius_m and height_m.
 
 Recipe::

@@ -11,7 +11,7 @@ normal deviate of standard deviation σ along each axis. On even ground
 With a density f, map times conditions, a plant survives with probability f / max f. κ is chosen so that a cluster on
 the best ground has μ plants in the mean: κ = n / (μ · area · mean f / max f).
 
-Parameters: see `ThomasParameters`; μ is plants_per_cluster, σ is sigma_m, at most the site's longer side. f and n are
+Parameters: see below; μ is plants_per_cluster, σ is sigma_m, at most the site's longer side. f and n are
 those of `plants`. Radii and heights follow from the species' max_radius_m and height_m.
 
 Recipe::

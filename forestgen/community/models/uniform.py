@@ -9,7 +9,7 @@ Each plant's place is drawn by itself from its species' density f, map times con
 
 On even ground the Hopkins index is 1 and Ripley's K(r) = π r². Plants may stand on one another.
 
-Parameters: see `UniformParameters`. Radii and heights follow from the species' max_radius_m and height_m.
+Parameters: see below. Radii and heights follow from the species' max_radius_m and height_m.
 
 Recipe::
 

@@ -20,7 +20,7 @@ model in space. A side has a length L and an amount of auxin A. In every time st
 More auxin on the side that faces the target means less growth there: the tip bends towards it until all sides get the
 same. From the tip to the growth zone auxin needs mu / v hours. With that delay the bend overshoots.
 
-Parameters: see `Parameters`.
+Parameters: see below.
 
 Recipe
 ------

@@ -19,7 +19,7 @@ Equations
 H is the plant's height, a_b the physiological age of the segment that bears the twig, d_b its diameter, Q_eff its
 module's light.
 
-Parameters: see `Parameters`; wood, shapes and foliage as for every generator.
+Parameters: see below; wood, shapes and foliage as for every generator.
 
 Branch orders, as `foliage` names them: **0 to 7 are the modules' wood** (0 the stem, 1 its branches, ...; what is of a
 higher order counts as 7), **8, 9, 10 and 11 are the twigs** that are drawn on it. So leaves sit on `orders: [8, 9]`.

@@ -15,7 +15,7 @@ Equations
     log    the same lying down, its height H above the ground; its length is 2 W - D, as W is the mean extent in x and y
     stubs  a Poisson number per metre of stem, length exponential, cut at `longest_stub_m`
 
-Parameters: see `Parameters`.
+Parameters: see below.
 
 Recipe
 ------

@@ -20,7 +20,7 @@ Equations
 A(o, s) is a branch of order o and length max_len[o] - s, so that short branches are the tops of longer ones. Height
 H = A_H r^c_H and width W = A_W r^c_W come from the caller.
 
-Parameters: see `Parameters`; MAX_ORDER is the number of `orders`. K stands for `shapes` and `foliage`.
+Parameters: see below; MAX_ORDER is the number of `orders`. K stands for `shapes` and `foliage`.
 
 Recipe
 ------

@@ -26,7 +26,7 @@ Equations
 
 g is the Gravelius order (0 the trunk, one more at each minor sub-branch), w the Weibull order (segments from the foot).
 
-Parameters: see `Parameters`. The six local parameters have two curves each, `gravelius` over g and `weibull` over w,
+Parameters: see below. The six local parameters have two curves each, `gravelius` over g and `weibull` over w,
 evaluated at whole numbers.
 
 Recipe

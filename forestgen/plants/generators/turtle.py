@@ -16,7 +16,7 @@ The curve `steps` maps a plant's height to derivation steps. Without it, every p
 length``, and small plants are small copies of large ones. A program that defines ``height_m`` or ``width_m`` receives
 the plant's value.
 
-Parameters: see `Parameters`; wood, shapes, foliage and so on as for every generator.
+Parameters: see below; wood, shapes, foliage and so on as for every generator.
 
 Recipe
 ------

@@ -21,7 +21,7 @@ with a lag of l steps is stable for kappa < 2 sin(pi / (2 (2 l + 1))). For long 
 compensation ratio (kappa l)^-1 above 0.64; above 1.0 for one step, 0.81 for two, 0.75 for three, 0.72 for four, 0.70
 for five. So the ratio 0.7 that the paper found by experiment is stable from six steps on.
 
-Parameters: see `Variation`.
+Parameters: those of the key `variation` of every plant generator.
 
 Positions run along an axis from 0, its base, to 1, its tip.
 

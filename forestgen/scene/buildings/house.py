@@ -14,7 +14,7 @@ Example
 -------
     site: {buildings: [{kind: house, position_m: [30, 40], azimuth_deg: 20, size_m: [12, 9, 8], roof_slope_deg: 35}]}
 
-Parameters: see `House`. Materials are those of its parts: wall, plinth, roof, glass, frame, door, chimney.
+Parameters: see below. Materials are those of its parts: wall, plinth, roof, glass, frame, door, chimney.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Grounds without a pattern of their own: soil, grass, rock, sand and snow, whose brightness is uneven.
 
-Water darkens dry soil, rock and sand. Wet soil is wet as it is; of grass and snow the relation of
-`forestgen.scene.surfaces` knows nothing. Around a site under snow, 40% of the woods and meadows lie under it.
+Water darkens dry soil, rock and sand. Wet soil stays as it is, and so do grass and snow, for which the relation in
+`forestgen.scene.surfaces` does not hold. Around a site under snow, 40% of the woods and meadows lie under it.
 
 Example
 -------

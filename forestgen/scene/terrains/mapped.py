@@ -9,7 +9,7 @@ Example
 -------
     site: {terrain: {kind: map, map: hills.png, lowest_m: 0, highest_m: 40}}
 
-Parameters: see `MapKeys`.
+Parameters: see below.
 """
 
 from __future__ import annotations

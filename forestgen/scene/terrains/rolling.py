@@ -8,7 +8,7 @@ Example
 -------
     site: {terrain: {kind: rolling, amplitude_m: 3, wavelength_m: 80}}
 
-Parameters: see `RollingKeys`.
+Parameters: see below.
 """
 
 from __future__ import annotations
