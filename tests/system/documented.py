@@ -51,10 +51,10 @@ def python_blocks() -> Iterator[tuple[str, str]]:
 
 
 def parsed(command: str) -> tuple[str, dict[str, Any]]:
-    """Name and arguments of a command, as typer reads them. Raises what typer raises for one that it refuses."""
+    """Name of a command and its arguments by their names in Python, as typer reads them. Raises what typer raises."""
     name, *arguments = shlex.split(command)[1:]
     context = _GROUP.commands[name].make_context(name, arguments)
-    return name, dict(context.params)
+    return name, {parameter.removesuffix("_"): value for parameter, value in context.params.items()}
 
 
 def in_python(command: str) -> Any:
@@ -66,7 +66,7 @@ def in_python(command: str) -> Any:
 def _loaded(given: dict[str, Any]) -> fg.Recipe:
     first = given.pop("first", None)
     numbers = [f"first_image={first}"] if first is not None else []
-    return fg.load(given.pop("recipe"), set=[*(given.pop("overrides") or ()), *numbers])
+    return fg.load(given.pop("recipe"), set=[*(given.pop("set") or ()), *numbers])
 
 
 def _run(given: dict[str, Any], make: Callable[..., Any]) -> Any:
@@ -75,7 +75,7 @@ def _run(given: dict[str, Any], make: Callable[..., Any]) -> Any:
     recipe = _loaded(given)
     resources = given.pop("resources", None)
     more = {"resources": dict(one.split("=") for one in resources)} if resources else {}
-    return make(recipe, given.pop("out"), count=given.pop("images"), progress=False, **given, **more)
+    return make(recipe, given.pop("out"), count=given.pop("count"), progress=False, **given, **more)
 
 
 def _simulate(given: dict[str, Any]) -> Any:
@@ -89,7 +89,7 @@ def _simulate(given: dict[str, Any]) -> Any:
 def _weather(given: dict[str, Any]) -> Any:
     del given["quiet"]
     recipe, files = _loaded(given), given.pop("out") or ()
-    return recipe.weather(given.pop("images"), out=files, progress=False, **given)
+    return recipe.weather(given.pop("count"), out=files, progress=False, **given)
 
 
 def _pack(given: dict[str, Any]) -> Any:
@@ -97,7 +97,7 @@ def _pack(given: dict[str, Any]) -> Any:
     channels = given.pop("channels")
     return fg.Dataset(given.pop("folder")).pack(
         given.pop("out"),
-        given.pop("form"),
+        given.pop("format"),
         channels=channels.split(",") if channels else None,
         splits=given.pop("splits") or (),
         progress=False,
@@ -106,9 +106,9 @@ def _pack(given: dict[str, Any]) -> Any:
 
 
 def _plant(given: dict[str, Any]) -> Any:
-    for name in ("quiet", "as_json", "list_species"):
+    for name in ("quiet", "json", "list"):
         given.pop(name)
-    species, out, count = (given.pop(name) for name in ("species", "out", "plants"))
+    species, out, count = (given.pop(name) for name in ("species", "out", "count"))
     return grow_files(species, out, count=count, progress=False, **given)
 
 

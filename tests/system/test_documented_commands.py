@@ -6,6 +6,7 @@ import ast
 import os
 import shutil
 from pathlib import Path
+from unittest.mock import create_autospec
 
 import pytest
 from command_line import run, tiny
@@ -14,6 +15,7 @@ from test_recipes import COARSE
 from test_recipes import SMALL as COARSE_OF_ALL
 
 import forestgen as fg
+from forestgen.api.plants import grow_files
 
 OF_A_RUN = ("run/", "report.html", ".forestgen/")  # names that no promise of equal bytes covers
 SMALL = ["render.samples=1", "render.denoise=false", "labels.samples=1"]
@@ -110,6 +112,25 @@ def prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def runnable() -> list[str]:
     return [one for one in documented() if not any(word in one for word in NEEDS_MORE)]
+
+
+@pytest.mark.parametrize("command", runnable())
+def test_python_has_each_documented_command_and_argument(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fast: only the names and the number of arguments; the test below runs them."""
+    for name in ("recipes", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    for name, community in READERS_RECIPES.items():
+        (tmp_path / name).write_text(READERS_RECIPE.format(community=community), encoding="utf-8")
+    tiny(tmp_path).rename(tmp_path / "recipe.yaml")
+    monkeypatch.chdir(tmp_path)
+    for name in ("render", "batch", "simulate", "weather"):
+        monkeypatch.setattr(fg.Recipe, name, create_autospec(getattr(fg.Recipe, name)))
+    for name in ("Dataset", "merge", "verify", "doctor"):
+        monkeypatch.setattr(fg, name, create_autospec(getattr(fg, name)))
+    monkeypatch.setattr("documented.grow_files", create_autospec(grow_files))
+    in_python(command)
 
 
 @pytest.mark.slow
