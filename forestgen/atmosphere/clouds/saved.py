@@ -14,7 +14,7 @@ Parameters: see below.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 from pydantic import Field, field_validator, model_validator
 
@@ -42,10 +42,9 @@ _WIDEST_M, _HIGHEST_M = 1e6, 1e5  # of a file's box
 class SavedKeys(PlacedKeys):
     """Keys of `clouds: {type: file}`."""
 
-    file: Annotated[
-        NamedFile | None,
-        Field(description="Of type file: a saved state of the air (.nc), or a volume of extinction per metre (.vol)."),
-    ] = None
+    file: NamedFile | None = Field(
+        None, description="Of type file: a saved state of the air (.nc), or a volume of extinction per metre (.vol)."
+    )
 
     @field_validator("file", mode="before")
     @classmethod

@@ -33,7 +33,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Annotated, ClassVar, Self, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
@@ -76,31 +76,25 @@ class SimulatedKeys(WeatherKeys, PlacedKeys):
         **{key: f"set domain.{key}" for key in ("cell_m", "cell_height_m")},
     }
 
-    time_s: Annotated[
-        NonNegative | None,
-        Field(
-            le=1e6,
-            description="When the picture is taken, seconds after the simulation begins. Default: the type's; of type "
-            "community the end of the day's simulated hours.",
-        ),
-    ] = None
-    seed: Annotated[
-        Whole | None,
-        Field(
-            ge=0,
-            lt=2**63,
-            description="Of the simulation. Default: the recipe's, so that all images have one sky, simulated once.",
-        ),
-    ] = None
-    story: Annotated[
-        tuple[Phase, ...] | None,
-        Field(
-            min_length=1,
-            max_length=50,
-            description="Phases of weather one after another, instead of one type; the type above is then left out "
-            "or that of the first.",
-        ),
-    ] = None
+    time_s: NonNegative | None = Field(
+        None,
+        le=1e6,
+        description="When the picture is taken, seconds after the simulation begins. Default: the type's; of type "
+        "community the end of the day's simulated hours.",
+    )
+    seed: Whole | None = Field(
+        None,
+        ge=0,
+        lt=2**63,
+        description="Of the simulation. Default: the recipe's, so that all images have one sky, simulated once.",
+    )
+    story: tuple[Phase, ...] | None = Field(
+        None,
+        min_length=1,
+        max_length=50,
+        description="Phases of weather one after another, instead of one type; the type above is then left out "
+        "or that of the first.",
+    )
 
     @model_validator(mode="after")
     def _story_in_order(self) -> Self:

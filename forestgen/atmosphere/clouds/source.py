@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 from pydantic import Field
@@ -89,23 +89,20 @@ def cloud_statistics(weather: Weather, *, droplet_radius_um: float = 10.0) -> Cl
 class AirKeys(Clouds):
     """Keys of sources whose clouds are those of a state of the air."""
 
-    droplet_radius_um: Annotated[
-        Positive | None,
-        Field(le=100, description="Effective radius of the cloud's droplets, micrometres. Default: the type's."),
-    ] = None
-    repeat: Annotated[
-        Flag | None,
-        Field(description="Whether the clouds go on beyond the box, over and over, to the horizon. Default: they do."),
-    ] = None
+    droplet_radius_um: Positive | None = Field(
+        None, le=100, description="Effective radius of the cloud's droplets, micrometres. Default: the type's."
+    )
+    repeat: Flag | None = Field(
+        None, description="Whether the clouds go on beyond the box, over and over, to the horizon. Default: they do."
+    )
 
 
 class PlacedKeys(AirKeys):
     """The same, where the clouds can be moved."""
 
-    offset_m: Annotated[
-        tuple[Number, Number] | None,
-        Field(description="Where the middle of the clouds lies from the site's, metres east and north. Default 0, 0."),
-    ] = None
+    offset_m: tuple[Number, Number] | None = Field(
+        None, description="Where the middle of the clouds lies from the site's, metres east and north. Default 0, 0."
+    )
 
     def centre_m(self, request: CloudRequest) -> tuple[float, float]:
         """World x and y of the clouds' middle."""
