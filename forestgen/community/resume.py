@@ -194,7 +194,7 @@ def _until(about: Mapping[str, Any], model: type[CommunityParameters], step: int
 def differences(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> Iterator[Difference]:
     """The keys that differ, as deep as both sides have them: mappings, and lists of one length, are looked into."""
     for key in {**now, **before}:
-        yield from _differing(prefix + key, before.get(key), now.get(key))
+        yield from _differing(f"{prefix}{key}", before.get(key), now.get(key))
 
 
 def _differing(key: str, before: Any, now: Any) -> Iterator[Difference]:
