@@ -27,15 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from forestgen.community.fitting.likelihood import (
-    KernelShapes,
-    founder_shapes,
-    kernel_shapes,
-    likeliest,
-    likelihood_shape,
-    roughness_penalty,
-    score,
-)
+from forestgen.community.fitting import likelihood
 from forestgen.community.fitting.stand import (
     Envelope,
     MeasuredStand,
@@ -113,7 +105,7 @@ class Matcher:
     def __init__(
         self,
         nursery: Nursery,
-        shapes: KernelShapes,
+        shapes: likelihood.KernelShapes,
         summaries: Summaries,
         number: int,
         seed: int,
@@ -122,10 +114,10 @@ class Matcher:
         self.nursery, self.shapes, self.summaries = nursery, shapes, summaries
         self.all_stands, self.number, self.seed, self.knee = number, number, seed, 1.0
         self.scale = scale  # (A,) of the first look, for all: wide scatter is no merit
-        self.penalty = roughness_penalty(shapes)
+        self.penalty = likelihood.roughness_penalty(shapes)
         stand = nursery.stand
         self.target = summaries.of(stand.position_m, stand.species)
-        self.grid = likelihood_shape(stand, shapes)
+        self.grid = likelihood.likelihood_shape(stand, shapes)
 
     def begin(self, one: Round) -> None:
         """Set the number of stands and what differences weigh."""
@@ -141,7 +133,7 @@ class Matcher:
         for number in range(self.number):
             new = self.nursery.grow(kernels, self.seed, number)
             counts[number] = self.summaries.of(new.measured_m, new.species)
-            found = score(new.placed_m, new.kind, shapes, shapes.core_m, log_kappa, stand.size_m, self.grid)
+            found = likelihood.score(new.placed_m, new.kind, shapes, shapes.core_m, log_kappa, stand.size_m, self.grid)
             scores[number] = found.gradient.ravel()
         mean = counts.mean(axis=0)
         if self.scale is None:
@@ -201,7 +193,7 @@ class Founded:
     """A fit with founders."""
 
     nursery: Nursery
-    shapes: KernelShapes
+    shapes: likelihood.KernelShapes
     matched: Matched
 
 
@@ -210,7 +202,7 @@ def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], Non
 
     Differences count as in `plain`, the matcher of one kernel, which came to `of_one`.
     """
-    stand, shapes = plain.nursery.stand, founder_shapes(plain.shapes)
+    stand, shapes = plain.nursery.stand, likelihood.founder_shapes(plain.shapes)
     found: list[tuple[Matcher, Look]] = []
     for plants in _PLANTS_OF_A_FOUNDER:
         founders = max(2, round(stand.n / plants))
@@ -228,7 +220,7 @@ def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], Non
     return Founded(matcher.nursery, shapes, matched) if matched.loss <= _BETTER * of_one.loss else None
 
 
-def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[Floats]:
+def _starts(stand: MeasuredStand, shapes: likelihood.KernelShapes, founders: int) -> list[Floats]:
     """(3, M) log κ: founders keep apart, followers are drawn to them and ignore one another."""
     tree = cKDTree(stand.position_m)
     near_m = float(np.quantile(nearest_m(tree, tree), _MOST))
@@ -250,7 +242,7 @@ class Fit:
 
     stand: MeasuredStand
     nursery: Nursery
-    shapes: KernelShapes
+    shapes: likelihood.KernelShapes
     matched: Matched
     plain: Matched  # with one kernel for each pair of species; the same as `matched` where no founders are
     placed: int  # new stands in all, for the fit
@@ -306,10 +298,10 @@ def fit_stand(
     """
     began, listener = time.perf_counter(), progress or Silent()
     _check_reach(stand, reach_m)
-    shapes = kernel_shapes(stand, reach_m)
+    shapes = likelihood.kernel_shapes(stand, reach_m)
     nursery = Nursery(stand, fitting_cells(stand))
     number = stands or int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
-    start = likeliest(stand, shapes, child_rng(seed, "fit", "orders"))
+    start = likelihood.likeliest(stand, shapes, child_rng(seed, "fit", "orders"))
     matcher = Matcher(nursery, shapes, summaries_for(stand, shapes.reach_m), number, seed)
     placed = 0
 

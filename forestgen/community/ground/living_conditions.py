@@ -123,17 +123,18 @@ class Conditions(Section):
     """What a species asks of the ground: the share of its density that grows, 0 to 1, by each condition's value."""
 
     elevation_m: Elevation | None = Field(
-        None, description="Response to height above sea level, metres: site.altitude_m and the ground's height."
+        default=None, description="Response to height above sea level, metres: site.altitude_m and the ground's height."
     )
-    slope_deg: Slope | None = Field(None, description="Response to the ground's slope, degrees; 0 is level.")
+    slope_deg: Slope | None = Field(default=None, description="Response to the ground's slope, degrees; 0 is level.")
     moisture: Share | None = Field(
-        None, description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."
+        default=None, description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."
     )
     wind: Share | None = Field(
-        None, description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest."
+        default=None, description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest."
     )
     sun: Sunshine | None = Field(
-        None, description="Response to the year's direct sun: 0 none, 1 level open ground, above 1 sunny slopes."
+        default=None,
+        description="Response to the year's direct sun: 0 none, 1 level open ground, above 1 sunny slopes.",
     )
 
     def responses(self) -> Iterator[tuple[str, Function]]:

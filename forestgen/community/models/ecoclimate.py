@@ -42,14 +42,8 @@ from forestgen.community.branch_modules.capabilities import ModuleCapabilities
 from forestgen.community.branch_modules.state import refuse_more_seeds
 from forestgen.community.capabilities import SoilWaterMaps
 from forestgen.community.disturbance import Planting
+from forestgen.community.ecoclimate import months
 from forestgen.community.ecoclimate.air import grid_of
-from forestgen.community.ecoclimate.months import (
-    Ecoclimate,
-    initial_ecoclimate,
-    shown_section,
-    shown_weather,
-    step_ecoclimate,
-)
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
@@ -73,15 +67,15 @@ _MAPS = ("soil_water_mm", "surface_water_mm", "soil_mean_mm", "warmth_mean_k", "
 class EcoclimateModel(ModuleCapabilities):
     Parameters = EcoclimateParameters
 
-    def init(self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int) -> Ecoclimate:
+    def init(self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int) -> months.Ecoclimate:
         """The forest of the start, on soil that is as wet as its climate leaves it."""
-        return initial_ecoclimate(FOREST.init(parameters, site, species, seed))
+        return months.initial_ecoclimate(FOREST.init(parameters, site, species, seed))
 
-    def step(self, state: Ecoclimate) -> Ecoclimate:
+    def step(self, state: months.Ecoclimate) -> months.Ecoclimate:
         """Whole months of climate and soil, then a step of the forest."""
-        return step_ecoclimate(state)
+        return months.step_ecoclimate(state)
 
-    def population(self, state: Ecoclimate) -> Population:
+    def population(self, state: months.Ecoclimate) -> Population:
         books, forest = state.books, FOREST.population(state.forest)
         water = {**vars(books), "stored_mm": state.stored_mm}
         maps = (
@@ -100,7 +94,7 @@ class EcoclimateModel(ModuleCapabilities):
 
     def resume(
         self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int, population: Population
-    ) -> Ecoclimate:
+    ) -> months.Ecoclimate:
         """The state of a snapshot; it needs the snapshot's modules and maps."""
         forest = FOREST.resume(parameters, site, species, seed, population)
         if any(name not in population.maps for name in _MAPS):
@@ -113,7 +107,7 @@ class EcoclimateModel(ModuleCapabilities):
             )
         soil, surface, mean, warmth, vapour, wetness = (population.maps[name] for name in _MAPS)
         state = population.state
-        return Ecoclimate(
+        return months.Ecoclimate(
             forest,
             Water(soil, surface),
             mean,
@@ -137,11 +131,11 @@ class EcoclimateModel(ModuleCapabilities):
         for name in WaterBudget.__dataclass_fields__:
             check_number(water, name, -_MOST_WATER_MM, _MOST_WATER_MM, within="water")
 
-    def remove(self, state: Ecoclimate, plant_id: NDArray[np.uint32]) -> Ecoclimate:
+    def remove(self, state: months.Ecoclimate, plant_id: NDArray[np.uint32]) -> months.Ecoclimate:
         """The forest without these plants."""
         return replace(state, forest=FOREST.remove(state.forest, plant_id))
 
-    def plant(self, state: Ecoclimate, planting: Planting) -> Ecoclimate:
+    def plant(self, state: months.Ecoclimate, planting: Planting) -> months.Ecoclimate:
         """The forest with new plants, seeds all."""
         return replace(state, forest=FOREST.plant(state.forest, planting))
 
@@ -166,7 +160,7 @@ class EcoclimateModel(ModuleCapabilities):
 
     def air_grid(self, drawn: DrawnRecipe, parameters: EcoclimateParameters) -> AirGrid:
         """`OwnAir`: the cells of the air that a picture shows."""
-        return grid_of(shown_section(drawn, parameters), Ground(drawn.recipe.site.size_m, (1, 1)))
+        return grid_of(months.shown_section(drawn, parameters), Ground(drawn.recipe.site.size_m, (1, 1)))
 
     def air(
         self,
@@ -179,7 +173,7 @@ class EcoclimateModel(ModuleCapabilities):
     ) -> Weather:
         """`OwnAir`: a day of the month after the snapshot, which needs its modules and maps."""
         state = self.resume(parameters, site, species, drawn.image_seed, population)
-        return shown_weather(drawn, shown_section(drawn, parameters), state, progress)
+        return months.shown_weather(drawn, months.shown_section(drawn, parameters), state, progress)
 
     def soil_water(self, parameters: EcoclimateParameters, population: Population) -> SoilWaterMaps:
         """`SoilWater`: the maps of a snapshot."""
