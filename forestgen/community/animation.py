@@ -15,7 +15,7 @@ from forestgen.community.model import Site
 from forestgen.community.plan import NO_OBSTACLES, Obstacles
 from forestgen.community.plots import OBSTACLE, colours_of
 from forestgen.community.population import Population, Status
-from forestgen.core.errors import OutputError
+from forestgen.core.errors import writing
 
 MOST_FRAMES = 60
 MOST_BYTES = 3_000_000
@@ -106,15 +106,8 @@ class Film:
             stride = math.ceil(len(data) / MOST_BYTES) if len(frames) > 4 else 2
             frames = [*frames[:-1][:: max(2, stride)], frames[-1]]
             data = _gif(frames)
-        try:
+        with writing(path, "the animation cannot be written", "free some space, or choose a folder on another disk"):
             path.write_bytes(data)
-        except OSError as error:
-            raise OutputError(
-                "the animation cannot be written",
-                where=str(path),
-                got=str(error),
-                hint="free some space, or choose a folder on another disk",
-            ) from error
 
 
 def _gif(frames: Sequence[Image.Image]) -> bytes:

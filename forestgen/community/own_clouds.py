@@ -70,10 +70,8 @@ class CommunityClouds(CloudSource[CommunityKeys]):
         return simulated_bytes(self.keys_of(drawn), math.prod(grid.cells), grid.size_m[0])
 
     def grid(self, request: CloudRequest) -> CloudGrid | None:
-        drawn, plan = request.drawn, request.plan
-        air = _air_of(drawn, plan.model)
-        weather = air.air(drawn, plan.parameters, plan.site, plan.ecologies, request.population, request.progress)
-        keys = self.keys_of(drawn)
+        keys, air = self.keys_of(request.drawn), _air_of(request.drawn, request.plan.model)
+        weather = air.air(request.plan, request.population, request.progress)
         radius_um = keys.droplet_radius_um or _DROPLET_RADIUS_UM
         return clouds_of_air(request, keys, weather, radius_um, request.middle_of_site_m)
 

@@ -28,18 +28,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from forestgen.community.fitting import likelihood
-from forestgen.community.fitting.stand import (
-    Envelope,
-    MeasuredStand,
-    NewStand,
-    Nursery,
-    Summaries,
-    envelopes,
-    fitting_cells,
-    nearest_m,
-    summaries_for,
-    trend,
-)
+from forestgen.community.fitting import stand as measured
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError
@@ -104,9 +93,9 @@ class Matcher:
 
     def __init__(
         self,
-        nursery: Nursery,
+        nursery: measured.Nursery,
         shapes: likelihood.KernelShapes,
-        summaries: Summaries,
+        summaries: measured.Summaries,
         number: int,
         seed: int,
         scale: Floats | None = None,
@@ -192,7 +181,7 @@ def _refined(matcher: Matcher, first: Look, advance: Callable[[int], None]) -> M
 class Founded:
     """A fit with founders."""
 
-    nursery: Nursery
+    nursery: measured.Nursery
     shapes: likelihood.KernelShapes
     matched: Matched
 
@@ -220,10 +209,10 @@ def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], Non
     return Founded(matcher.nursery, shapes, matched) if matched.loss <= _BETTER * of_one.loss else None
 
 
-def _starts(stand: MeasuredStand, shapes: likelihood.KernelShapes, founders: int) -> list[Floats]:
+def _starts(stand: measured.MeasuredStand, shapes: likelihood.KernelShapes, founders: int) -> list[Floats]:
     """(3, M) log κ: founders keep apart, followers are drawn to them and ignore one another."""
     tree = cKDTree(stand.position_m)
-    near_m = float(np.quantile(nearest_m(tree, tree), _MOST))
+    near_m = float(np.quantile(measured.nearest_m(tree, tree), _MOST))
     starts = []
     for width in _WIDTHS:
         radius_m = width * near_m
@@ -240,15 +229,15 @@ def _starts(stand: MeasuredStand, shapes: likelihood.KernelShapes, founders: int
 class Fit:
     """Kernels fitted to a stand, and how well new stands resemble it."""
 
-    stand: MeasuredStand
-    nursery: Nursery
+    stand: measured.MeasuredStand
+    nursery: measured.Nursery
     shapes: likelihood.KernelShapes
     matched: Matched
     plain: Matched  # with one kernel for each pair of species; the same as `matched` where no founders are
     placed: int  # new stands in all, for the fit
-    checks: tuple[tuple[Envelope, ...], ...]  # of each set of new stands
+    checks: tuple[tuple[measured.Envelope, ...], ...]  # of each set of new stands
     trend: float  # share of new stands that are as uneven
-    example: NewStand
+    example: measured.NewStand
     seed: int
     took_s: float
 
@@ -282,7 +271,7 @@ class Fit:
 
 
 def fit_stand(
-    stand: MeasuredStand,
+    stand: measured.MeasuredStand,
     progress: Progress | None = None,
     *,
     seed: int = 0,
@@ -299,10 +288,10 @@ def fit_stand(
     began, listener = time.perf_counter(), progress or Silent()
     _check_reach(stand, reach_m)
     shapes = likelihood.kernel_shapes(stand, reach_m)
-    nursery = Nursery(stand, fitting_cells(stand))
+    nursery = measured.Nursery(stand, measured.fitting_cells(stand))
     number = stands or int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
     start = likelihood.likeliest(stand, shapes, child_rng(seed, "fit", "orders"))
-    matcher = Matcher(nursery, shapes, summaries_for(stand, shapes.reach_m), number, seed)
+    matcher = Matcher(nursery, shapes, measured.summaries_for(stand, shapes.reach_m), number, seed)
     placed = 0
 
     def counted(advance: Callable[[int], None]) -> Callable[[int], None]:
@@ -324,7 +313,7 @@ def fit_stand(
     first, tested = seed + _CHECKS, []
     with listener.stage("check", checks) as advance:
         for check in range(checks):
-            tested.append(tuple(envelopes(nursery, kernels, first + check)))
+            tested.append(tuple(measured.envelopes(nursery, kernels, first + check)))
             advance(1)
     return Fit(
         stand=stand,
@@ -334,7 +323,7 @@ def fit_stand(
         plain=plain,
         placed=placed,
         checks=tuple(tested),
-        trend=trend(stand, nursery, kernels, first),
+        trend=measured.trend(stand, nursery, kernels, first),
         example=nursery.grow(kernels, first, 0),
         seed=seed,
         took_s=time.perf_counter() - began,
@@ -348,7 +337,7 @@ def _wants_founders(matcher: Matcher, plain: Matched) -> bool:
     return bool(poor) and not stand.ordered and len(stand.names) == 1
 
 
-def _check_reach(stand: MeasuredStand, reach_m: float | None) -> None:
+def _check_reach(stand: measured.MeasuredStand, reach_m: float | None) -> None:
     most = min(stand.size_m) / 2
     if reach_m is not None and not stand.spacing_m / 4 <= reach_m <= most:
         raise RecipeError(

@@ -32,7 +32,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +48,7 @@ from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
+from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_number
 from forestgen.community.soil_water import Ground, Water, WaterBudget
@@ -76,21 +76,11 @@ class EcoclimateModel(ModuleCapabilities):
         return months.step_ecoclimate(state)
 
     def population(self, state: months.Ecoclimate) -> Population:
-        books, forest = state.books, FOREST.population(state.forest)
-        water = {**vars(books), "stored_mm": state.stored_mm}
-        maps = (
-            state.water.soil_mm,
-            state.water.surface_mm,
-            state.soil_mean_mm,
-            state.warmth_mean_k,
-            state.vapour_mm_per_day,
-            state.wetness,
-        )
-        return replace(
-            forest,
-            state={**forest.state, "water": water, "temperature_mean_c": state.temperature_mean_c},
-            maps=dict(zip(_MAPS, maps, strict=True)),
-        )
+        forest, soil, surface = FOREST.population(state.forest), state.water.soil_mm, state.water.surface_mm
+        maps = soil, surface, state.soil_mean_mm, state.warmth_mean_k, state.vapour_mm_per_day, state.wetness
+        water = {**vars(state.books), "stored_mm": state.stored_mm}
+        about = {**forest.state, "water": water, "temperature_mean_c": state.temperature_mean_c}
+        return replace(forest, state=about, maps=dict(zip(_MAPS, maps, strict=True)))
 
     def resume(
         self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int, population: Population
@@ -106,17 +96,9 @@ class EcoclimateModel(ModuleCapabilities):
                 hint="simulate again from the start",
             )
         soil, surface, mean, warmth, vapour, wetness = (population.maps[name] for name in _MAPS)
-        state = population.state
-        return months.Ecoclimate(
-            forest,
-            Water(soil, surface),
-            mean,
-            state["temperature_mean_c"],
-            warmth,
-            vapour,
-            wetness,
-            _water_budget(state["water"]),
-        )
+        temperature_c, water = population.state["temperature_mean_c"], population.state["water"]
+        books = WaterBudget(**{name: float(water[name]) for name in WaterBudget.__dataclass_fields__})
+        return months.Ecoclimate(forest, Water(soil, surface), mean, temperature_c, warmth, vapour, wetness, books)
 
     def check_snapshot(
         self, parameters: EcoclimateParameters, site: Site, species: Ecologies, population: Population
@@ -162,17 +144,11 @@ class EcoclimateModel(ModuleCapabilities):
         """`OwnAir`: the cells of the air that a picture shows."""
         return grid_of(months.shown_section(drawn, parameters), Ground(drawn.recipe.site.size_m, (1, 1)))
 
-    def air(
-        self,
-        drawn: DrawnRecipe,
-        parameters: EcoclimateParameters,
-        site: Site,
-        species: Ecologies,
-        population: Population,
-        progress: Progress,
-    ) -> Weather:
+    def air(self, plan: CommunityPlan, population: Population, progress: Progress) -> Weather:
         """`OwnAir`: a day of the month after the snapshot, which needs its modules and maps."""
-        state = self.resume(parameters, site, species, drawn.image_seed, population)
+        drawn, parameters = plan.drawn, plan.parameters
+        assert isinstance(parameters, EcoclimateParameters)
+        state = self.resume(parameters, plan.site, plan.ecologies, drawn.image_seed, population)
         return months.shown_weather(drawn, months.shown_section(drawn, parameters), state, progress)
 
     def soil_water(self, parameters: EcoclimateParameters, population: Population) -> SoilWaterMaps:
@@ -192,10 +168,6 @@ def _seeds_of_step(parameters: EcoclimateParameters, seedings: Sequence[GlobalSe
         math.ceil(parameters.step_yr / one.every_yr) * one.seeds_per_ha * (len(one.species) or kinds)
         for one in seedings
     )
-
-
-def _water_budget(water: Mapping[str, Any]) -> WaterBudget:
-    return WaterBudget(**{name: float(water[name]) for name in WaterBudget.__dataclass_fields__})
 
 
 MODEL = EcoclimateModel()
