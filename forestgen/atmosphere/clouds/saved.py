@@ -47,13 +47,9 @@ class SavedKeys(source.PlacedKeys):
         if self.file is None:
             raise violation("file: sky.nc", problem="no file is named", got="type: file", at=("type",))
         if not self.file.file.lower().endswith((".nc", ".vol")):
-            raise violation(
-                "a state of the air, NAME.nc, or a volume of extinction, NAME.vol",
-                problem="this file holds no sky",
-                got=self.file.file,
-                hint="forestgen weather RECIPE -o sky.nc writes one",
-                at=("file",),
-            )
+            expected = "a state of the air, NAME.nc, or a volume of extinction, NAME.vol"
+            hint = "forestgen weather RECIPE -o sky.nc writes one"
+            raise violation(expected, problem="this file holds no sky", got=self.file.file, hint=hint, at=("file",))
         return self
 
 
@@ -108,13 +104,9 @@ def _check_keys_of_volumes(drawn: DrawnRecipe, clouds: SavedKeys) -> None:
     refused = (("droplet_radius_um", clouds.droplet_radius_um is not None), ("repeat", bool(clouds.repeat)))
     for key, given in refused:
         if given:
-            raise RecipeError(
-                f"a file of extinction has no {key}",
-                where=drawn.where("sky", "clouds", key),
-                expected="the file and offset_m alone",
-                got=f"{getattr(clouds, key)}",
-                hint=f"leave out {key}, or save the state of the air, .nc, instead",
-            )
+            problem, expected = f"a file of extinction has no {key}", "the file and offset_m alone"
+            got, hint = f"{getattr(clouds, key)}", f"leave out {key}, or save the state of the air, .nc, instead"
+            raise RecipeError(problem, where=drawn.where("sky", "clouds", key), expected=expected, got=got, hint=hint)
 
 
 def _check_box_of_volume(drawn: DrawnRecipe, grid: CloudGrid) -> None:

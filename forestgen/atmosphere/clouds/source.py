@@ -233,13 +233,9 @@ def on_the_ground(request: CloudRequest, grid: CloudGrid) -> CloudGrid:
     site = request.drawn.recipe.site.size_m
     size = [high - low for low, high in zip(grid.low_m, grid.high_m, strict=True)][:2]
     if any(own < wanted for own, wanted in zip(size, site, strict=True)):
-        raise RecipeError(
-            "the site is larger than its clouds",
-            where=request.drawn.where("sky", "clouds"),
-            expected=f"a field of at least {site[0]:g} x {site[1]:g} m",
-            got=f"{size[0]:g} x {size[1]:g} m",
-            hint="make the site smaller, or simulate a larger domain",
-        )
+        problem, expected = "the site is larger than its clouds", f"a field of at least {site[0]:g} x {site[1]:g} m"
+        got, hint = f"{size[0]:g} x {size[1]:g} m", "make the site smaller, or simulate a larger domain"
+        raise RecipeError(problem, where=request.drawn.where("sky", "clouds"), expected=expected, got=got, hint=hint)
     low, high = ((*one[:2], one[2] + request.ground_m) for one in (grid.low_m, grid.high_m))
     return replace(grid, low_m=low, high_m=high)
 

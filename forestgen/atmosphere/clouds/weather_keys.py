@@ -57,13 +57,8 @@ class SoundingSection(GivenSection):
         of_files = {"file", "sha256", "ground_pressure_hpa"}  # a table has no pressure
         given = [key for key in self.model_fields_set - of_files if getattr(self, key) is not None]
         if self.file is not None and given:
-            raise violation(
-                "a file, or numbers",
-                problem="the sounding is given twice",
-                got=f"file and {', '.join(sorted(given))}",
-                hint="leave out one of them",
-                at=("file",),
-            )
+            problem, got = "the sounding is given twice", f"file and {', '.join(sorted(given))}"
+            raise violation("a file, or numbers", problem=problem, got=got, hint="leave out one of them", at=("file",))
         return self
 
 

@@ -340,9 +340,6 @@ def _wants_founders(matcher: Matcher, plain: Matched) -> bool:
 def _check_reach(stand: measured.MeasuredStand, reach_m: float | None) -> None:
     most = min(stand.size_m) / 2
     if reach_m is not None and not stand.spacing_m / 4 <= reach_m <= most:
-        raise RecipeError(
-            "this reach does not suit the stand",
-            parameter="reach_m",
-            expected=f"{stand.spacing_m / 4:.3g} (a quarter of the plants' spacing) to {most:.3g} m (half the window)",
-            got=f"{reach_m:g}",
-        )
+        problem = "this reach does not suit the stand"
+        expected = f"{stand.spacing_m / 4:.3g} (a quarter of the plants' spacing) to {most:.3g} m (half the window)"
+        raise RecipeError(problem, parameter="reach_m", expected=expected, got=f"{reach_m:g}")

@@ -88,13 +88,9 @@ class EcoclimateModel(ModuleCapabilities):
         """The state of a snapshot; it needs the snapshot's modules and maps."""
         forest = FOREST.resume(parameters, site, species, seed, population)
         if any(name not in population.maps for name in _MAPS):
-            raise RecipeError(
-                "a snapshot without its maps of water cannot go on",
-                where="community.model",
-                expected=f"the maps {', '.join(_MAPS)}",
-                got=", ".join(population.maps) or "none",
-                hint="simulate again from the start",
-            )
+            problem, expected = "a snapshot without its maps of water cannot go on", f"the maps {', '.join(_MAPS)}"
+            got, hint = ", ".join(population.maps) or "none", "simulate again from the start"
+            raise RecipeError(problem, where="community.model", expected=expected, got=got, hint=hint)
         soil, surface, mean, warmth, vapour, wetness = (population.maps[name] for name in _MAPS)
         temperature_c, water = population.state["temperature_mean_c"], population.state["water"]
         books = WaterBudget(**{name: float(water[name]) for name in WaterBudget.__dataclass_fields__})
