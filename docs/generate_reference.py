@@ -6,6 +6,7 @@ The Python API comes from signatures and docstrings, the command line from its h
 from __future__ import annotations
 
 import dataclasses
+import enum
 import inspect
 import re
 from collections.abc import Iterator
@@ -21,19 +22,20 @@ from forestgen.api.points import FittedKernel
 from forestgen.api.programs import Words
 from forestgen.api.recipes import Validation
 from forestgen.cli import app
+from forestgen.community.disturbance import Planting
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import CommunityModel, CommunityParameters, Site
 from forestgen.community.point_statistics import PointStatistics
-from forestgen.community.population import Population
-from forestgen.community.static_model import Placement, StaticModel, StaticParameters
+from forestgen.community.population import Population, Status
+from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
 from forestgen.runs.start import DryRun
 
 _ERRORS = [name for name in fg.__all__ if name.endswith("Error")]
 _CLASSES = ("Recipe", "Stand", "Frame", "Dataset", "Plant")
 _FUNCTIONS = [name for name in fg.__all__ if name not in (*_ERRORS, *_CLASSES, "__version__")]
 _RESULTS = (Run, Validation, DryRun, Merged, Words, FittedKernel, PointStatistics, Entry, SpeciesEntry, Diagnosis)
-_STATIC = (StaticModel, StaticParameters, Placement)
-_PROTOCOL = (CommunityModel, CommunityParameters, Site, SpeciesEcology, Population)
+_STATIC = (StaticModel, GrowingModel, StaticParameters, Placement, Change)
+_PROTOCOL = (CommunityModel, CommunityParameters, Site, SpeciesEcology, Population, Status, Planting)
 _WIDTH = 100  # characters of a signature or of a help text
 _SECTION = re.compile(r"^([A-Z]\w+)\n-{3,}$", re.MULTILINE)
 
@@ -60,9 +62,9 @@ def parts_page() -> str:
     """What the author of a community model needs."""
     text = [
         "# Community models of your own\n",
-        "The classes that a community model uses. [A community model as a plug-in](../tutorials/plugin.md) writes one;",
-        "[`fg.register`](api.md#fgregister) adds it.\n",
-        "## Models that place plants once\n",
+        "The classes that a community model uses, each with the module to import it from.",
+        "[A community model as a plug-in](../tutorials/plugin.md) writes two; [`fg.register`](api.md#fgregister) adds one.\n",
+        "## Base classes\n",
         *(_class(f"{one.__module__}.{one.__name__}", one, title=one.__name__) for one in _STATIC),
         "## The protocol of all models\n",
         *(_class(f"{one.__module__}.{one.__name__}", one, title=one.__name__) for one in _PROTOCOL),
@@ -116,6 +118,8 @@ def _members(one: type) -> tuple[list[str], list[tuple[str, Any]]]:
     """Rows of a table of fields and properties, and the public methods, in the order of the source."""
     rows, methods = [], []
     comments = _comments(one)
+    if issubclass(one, enum.Enum):
+        return [f"| `{member.name}` | `{member.value}` | |" for member in one], []
     names = [field.name for field in dataclasses.fields(one)] if dataclasses.is_dataclass(one) else []
     for name in names:
         kind = one.__dataclass_fields__[name].type  # type: ignore[attr-defined]

@@ -32,6 +32,7 @@ import typer
 
 from forestgen.core.errors import ForestgenError, OutputError, ResourceError, plain
 from forestgen.core.processes import output_failure, redirect_failed_streams
+from forestgen.core.registry import explained_bug
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -193,7 +194,7 @@ def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator
                 OutputError.exit_code,
             )
         fail(
-            f"error: a bug in forestgen: {type(error).__name__}: {error}\n"
+            f"error: {explained_bug(error)}\n"
             "  try       the same command with FORESTGEN_DEBUG=1 shows the traceback for a report",
             70,
         )

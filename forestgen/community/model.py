@@ -126,7 +126,7 @@ class CommunityModel(Protocol[P, S]):
         """State one step later; `state` itself is left as it was."""
 
     def population(self, state: S) -> Population:
-        """Snapshot of a state."""
+        """Snapshot of a state; its `state` has `next_id`, the id of the next plant to arrive."""
 
     def resume(self, parameters: P, site: Site, species: Ecologies, seed: int, population: Population) -> S:
         """The state that a snapshot was made of; the inverse of `population`."""

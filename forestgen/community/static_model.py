@@ -1,10 +1,9 @@
-"""Base classes for community models that place all plants in step 0; afterwards plants only become older.
+"""Base classes for community models of other packages; docs/tutorials/plugin.md writes two.
 
-A `StaticModel` says where plants stand (`place`) and how many it places at most (`most_plants`). The class has the rest
-of `CommunityModel`: steps, snapshots, resuming, disturbances, memory. docs/tutorials/plugin.md writes one.
-
-A step of Δt years makes every plant older, and nothing else: plants neither grow, compete, arrive nor die. Only
-disturbances (`community.disturbances`) add or remove plants.
+A `StaticModel` says where plants stand (`place`) and how many there are at most (`most_plants`). The class has the rest
+of `CommunityModel`: steps, snapshots, resuming, disturbances, memory. A step of Δt years makes every plant older, and
+nothing else: plants neither grow, compete, arrive nor die. Only disturbances (`community.disturbances`) add or remove
+plants. A `GrowingModel` also says what a step does to plants (`change`).
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, ClassVar, Generic, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.model import CommunityParameters, Site
 from forestgen.community.population import Floats, Population, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, check_columns, check_finite
+from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
 
@@ -32,7 +32,7 @@ from forestgen.recipe.fields import Whole
 class StaticParameters(CommunityParameters):
     """Keys of a static model; a model adds its own in a subclass."""
 
-    steps: Whole = Field(0, ge=0, le=100_000, description="number of steps, in which plants only age")
+    steps: Whole = Field(0, ge=0, le=100_000, description="number of steps")
     step_yr: float = Field(1.0, gt=0, description="duration of a step, years")
 
 
@@ -48,14 +48,28 @@ class Placement:
     radius_m: Floats  # (N,) 0 < r <= the species' max_radius_m
     height_m: Floats | None = None  # (N,) None: by the species' allometry
     notes: tuple[str, ...] = ()  # for users, such as that not all plants found a place
-    found: Mapping[str, Any] = field(default_factory=dict)  # what the model worked out for itself, plain as in JSON
+    found: Mapping[str, Any] = field(default_factory=dict)  # what the model worked out, as in JSON; keys: `state_keys`
 
     def __post_init__(self) -> None:
-        n = len(self.species)
+        for name in ("species", "position_m", "radius_m", "height_m"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, np.asarray(getattr(self, name)))
+        n = self.species.size
         heights = (n,) if self.height_m is None else self.height_m.shape
         found = (self.species.shape, self.position_m.shape, self.radius_m.shape, heights)
         if found != ((n,), (n, 2), (n,), (n,)):
-            raise ValueError(f"species, position_m, radius_m and height_m must be of {n} plants, got shapes {found}")
+            expected = f"species, radius_m and height_m of shape ({n},), position_m of ({n}, 2)"
+            raise RecipeError("the arrays of a Placement do not fit", expected=expected, got=str(found))
+
+
+@dataclass(frozen=True)
+class Change:
+    """What a step does to plants; arrays have one row a plant of the population that `change` was given."""
+
+    dead: NDArray[np.bool_] | None = None  # (N,) these are gone; None: all live
+    radius_m: Floats | None = None  # (N,) after the step; None: as before
+    height_m: Floats | None = None  # (N,) None: as before, or by the species' allometry where radius_m is given
+    arrivals: Placement | None = None  # new plants; only `Placement.notes` and `found` of step 0 are kept
 
 
 @dataclass(frozen=True)
@@ -72,6 +86,7 @@ class State:
     """Everything that the future of a simulation depends on."""
 
     parameters: CommunityParameters
+    site: Site
     species: tuple[SpeciesEcology, ...]
     seed: int
     step: int
@@ -86,7 +101,7 @@ def azimuth_of(seed: int, plant_id: int) -> float:
     return float(child_rng(seed, "placed azimuth", plant_id).uniform(0.0, 360.0))
 
 
-def first_state(parameters: CommunityParameters, species: Ecologies, seed: int, placed: Placement) -> State:
+def first_state(parameters: CommunityParameters, site: Site, species: Ecologies, seed: int, placed: Placement) -> State:
     """The state of step 0 of plants that have just been placed, numbered from 1 in the order given."""
     n, height_m = len(placed.species), placed.height_m
     plants = Plants(
@@ -101,7 +116,7 @@ def first_state(parameters: CommunityParameters, species: Ecologies, seed: int, 
         plant_id=new_ids(1, n),
         born=np.zeros(n, dtype=np.int32),
     )
-    return State(parameters, tuple(species), seed, 0, 1 + n, plants, placed.notes, dict(placed.found))
+    return State(parameters, site, tuple(species), seed, 0, 1 + n, plants, placed.notes, dict(placed.found))
 
 
 class FixedPopulation(Generic[P]):
@@ -136,7 +151,7 @@ class FixedPopulation(Generic[P]):
         )
         found = dict(population.state)
         next_id, notes = int(found.pop("next_id")), tuple(found.pop("notes", ()))
-        return State(parameters, tuple(species), seed, population.step, next_id, plants, notes, found)
+        return State(parameters, site, tuple(species), seed, population.step, next_id, plants, notes, found)
 
     def check_snapshot(self, parameters: P, site: Site, species: Ecologies, population: Population) -> None:
         """Refuse turns, ages and arrivals that no plant of a snapshot has, and numbers that JSON does not know."""
@@ -186,18 +201,17 @@ class StaticModel(FixedPopulation[P], ABC):
 
     @abstractmethod
     def most_plants(self, parameters: P, site: Site, species: Ecologies) -> float:
-        """Upper bound of the mean number of plants that `place` returns; 0: none. It places nothing."""
+        """Upper bound of the mean number of plants at any step, without disturbances; 0: none. It places nothing."""
 
     def init(self, parameters: P, site: Site, species: Ecologies, seed: int) -> State:
-        """The plants at their places.
-
-        Raises
-        ------
-        ValueError : `place` returned a plant beyond the site, or of a size that its species cannot have.
-        """
+        """The plants at their places. Raises `RecipeError`: `place` returned what no later stage could use."""
         placed = self.place(parameters, site, species, child_rng(seed, "community", 0))
-        _check(placed, site, species)
-        return first_state(parameters, species, seed, placed)
+        name = f"{type(self).__name__}.place"
+        _check(placed, site, species, name)
+        undeclared = sorted({*placed.found} - {*self.state_keys})
+        if undeclared:
+            _refuse(name, f"keys of `found` among {type(self).__name__}.state_keys", ", ".join(undeclared))
+        return first_state(parameters, site, species, seed, placed)
 
     def expected_plants(self, parameters: P, site: Site, species: Ecologies) -> float:
         """Plants that are placed, and those that disturbances plant."""
@@ -212,19 +226,69 @@ class StaticModel(FixedPopulation[P], ABC):
         return 4 * 1024 * 1024 + math.ceil(self.expected_plants(parameters, site, species) * 400)
 
 
-def _check(placed: Placement, site: Site, species: Ecologies) -> None:
-    """Raise `ValueError` for the first plant that no later stage could use."""
+class GrowingModel(StaticModel[P]):
+    """A `CommunityModel` whose plants grow, arrive and die as the method `change` says.
+
+    A subclass sets `Parameters` and has the methods `place`, `most_plants` and `change`.
+    """
+
+    @abstractmethod
+    def change(
+        self, parameters: P, site: Site, species: Ecologies, population: Population, rng: np.random.Generator
+    ) -> Change:
+        """What happens to the plants in the step that ends at `population.step`.
+
+        `population` holds the plants of the step before, already a step older. All randomness comes from `rng`.
+        """
+
+    def step(self, state: State) -> State:
+        """The state one step later. Raises `RecipeError`: `change` returned what no later stage could use."""
+        older = super().step(state)
+        before, name = older.plants, f"{type(self).__name__}.change"
+        rng = child_rng(state.seed, "community", older.step)
+        change = self.change(state.parameters, state.site, state.species, self.population(older), rng)  # type: ignore[arg-type]
+        if not isinstance(change, Change):
+            _refuse(name, "a Change", type(change).__name__)
+        radius_m = before.r_m if change.radius_m is None else change.radius_m
+        height_m = before.height_m if change.height_m is None else change.height_m
+        dead = np.zeros(len(before), dtype=bool) if change.dead is None else change.dead
+        for array, what in ((radius_m, "radius_m"), (height_m, "height_m"), (dead, "dead")):
+            if np.shape(array) != (len(before),):
+                _refuse(name, f"{what} of {len(before)} plants", f"shape {np.shape(array)}")
+        if change.radius_m is not None and change.height_m is None:
+            height_m = heights_m(state.species, before.sp, radius_m)
+        grown = replace(before, r_m=np.asarray(radius_m, np.float64), height_m=np.asarray(height_m, np.float64))
+        alive = grown.where(~np.asarray(dead, dtype=bool))
+        _check(Placement(alive.sp, alive.x_m, alive.r_m, alive.height_m), state.site, state.species, name)
+        after, new = replace(older, plants=alive), change.arrivals
+        if new is None:
+            return after
+        _check(new, state.site, state.species, name)
+        after = self.plant(after, Planting(new.species.astype(np.uint16), new.position_m, new.radius_m))
+        if new.height_m is None:
+            return after
+        return replace(after, plants=replace(after.plants, height_m=np.concatenate([alive.height_m, new.height_m])))
+
+
+def _check(placed: object, site: Site, species: Ecologies, name: str) -> None:
+    """Raise `RecipeError` for the first plant that no later stage could use; `name`: the method that returned it."""
+    if not isinstance(placed, Placement):
+        _refuse(name, "a Placement", type(placed).__name__)
     if not len(placed.species):
         return
     if not np.all((placed.species >= 0) & (placed.species < len(species))):
-        raise ValueError(f"species must be indices below {len(species)}, got {placed.species.max()}")
+        _refuse(name, f"species as indices below {len(species)}", str(placed.species.max()))
     beyond = ~np.all((placed.position_m >= 0) & (placed.position_m <= np.asarray(site.size_m)), axis=1)
     if beyond.any():
-        raise ValueError(f"position_m must lie on the site, got {placed.position_m[beyond][0]}")
+        _refuse(name, "position_m on the site", str(placed.position_m[beyond][0]))
     largest = of_species(species, "max_radius_m")[placed.species]
     sized = (placed.radius_m > 0) & (placed.radius_m <= largest)
     if not sized.all():
         worst = int(np.flatnonzero(~sized)[0])
-        raise ValueError(f"radius_m must lie in (0, {largest[worst]:g}], got {placed.radius_m[worst]:g}")
+        _refuse(name, f"radius_m in (0, {largest[worst]:g}]", f"{placed.radius_m[worst]:g}")
     if placed.height_m is not None and not np.all(np.isfinite(placed.height_m) & (placed.height_m > 0)):
-        raise ValueError("height_m must be positive")
+        _refuse(name, "positive height_m", f"{np.min(placed.height_m):g}")
+
+
+def _refuse(name: str, expected: str, got: str) -> NoReturn:
+    raise RecipeError(f"{name} returned what no later stage can use", expected=expected, got=got)

@@ -11,9 +11,11 @@ import difflib
 import importlib
 import re
 import sys
+import traceback
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 from forestgen.core.arguments import shown
@@ -40,6 +42,22 @@ def registrations() -> tuple[Registration, ...]:
     return tuple(_registered)
 
 
+def explained_bug(error: BaseException) -> str:
+    """Text about an error that nobody foresaw: whose it is, and its place in the code.
+
+    It is another package's where the innermost of its frames that is of a part's package or of forestgen is the former.
+    """
+    owners = {one.path.partition(":")[0].partition(".")[0] for one in _registered}
+    owner, place = "forestgen", ""
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        package = str(frame.f_globals.get("__name__")).partition(".")[0]
+        if package == "forestgen" or package in owners:
+            owner = package
+        place = f" ({Path(frame.f_code.co_filename).name}:{line})"
+    whose = "a bug in forestgen" if owner == "forestgen" else f"an error in {owner}, which is no part of forestgen"
+    return f"{whose}: {type(error).__name__}: {error}{place}"
+
+
 def register_again(parts: Iterable[Registration]) -> None:
     """Register in a worker process what was registered in the process that started it."""
     for one in parts:
@@ -63,6 +81,7 @@ class Registry:
     def __init__(self, kind: str, entries: Mapping[str, tuple[str, str]], *, contract: str) -> None:
         self.kind = kind
         self._contract = contract
+        self._group = f"forestgen.{kind.replace(' ', '_')}"  # of entry points
         self._shipped = frozenset(entries)
         self._entries = dict(entries)
         self._entries |= {one.name: (one.path, one.description) for one in _registered if one.kind == kind}
@@ -101,7 +120,8 @@ class Registry:
         if name not in self:
             near = difflib.get_close_matches(name, known := self.ids(), n=1)
             problem, expected = f"unknown {self.kind}", "one of " + ", ".join(known)
-            hint = f"did you mean {near[0]!r}?" if near else None
+            entry = f"a part of your own needs `fg.register` in this process, or an entry point {self._group!r}"
+            hint = f"did you mean {near[0]!r}?" if near else entry
             raise RecipeError(problem, where=where, parameter=parameter, expected=expected, got=repr(name), hint=hint)
 
     def load(self, name: str, *, where: str | None = None) -> Any:
@@ -157,7 +177,7 @@ class Registry:
             raise RecipeError("this is a class", parameter="part", expected="an object", got=shown(part), hint=hint)
         own = {**getattr(contract, "__annotations__", {}), **vars(contract)}
         names = sorted(one for one in own if not one.startswith("_"))
-        missing = [one for one in names if not hasattr(part, one)]
+        missing = [one for one in names if not hasattr(part, one) or _is_stub(part, contract, one)]
         if missing:
             problem, expected = f"this is no {self.kind}: it has no {', '.join(missing)}", f"what {self._contract} has"
             raise RecipeError(problem, parameter="part", expected=expected, got=shown(part))
@@ -177,7 +197,7 @@ class Registry:
     def _installed(self) -> dict[str, tuple[str, str]]:
         """Entries of the entry points of installed packages whose names are not taken."""
         found: dict[str, tuple[str, str]] = {}
-        for name, path, package in _entry_points(f"forestgen.{self.kind.replace(' ', '_')}", tuple(sys.path)):
+        for name, path, package in _entry_points(self._group, tuple(sys.path)):
             if name in found:  # no path: using it is an error
                 found[name] = ("", f"{found[name][1]}, and of {package}")
             elif _NAME.fullmatch(name) and name not in self._entries:
@@ -192,6 +212,12 @@ def _entry_points(group: str, paths: tuple[str, ...]) -> list[tuple[str, str, st
 
     points = entry_points(group=group)
     return sorted((one.name, one.value, f"{one.dist.name} {one.dist.version}") for one in points if one.dist)
+
+
+def _is_stub(part: object, contract: type, name: str) -> bool:
+    """Whether a part inherits a method of its protocol without having one of its own."""
+    stub = vars(contract).get(name)
+    return callable(stub) and getattr(contract, "_is_protocol", False) and getattr(type(part), name, None) is stub
 
 
 def part_at(path: str) -> Any:

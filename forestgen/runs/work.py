@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 import time
-import traceback
 from collections import deque
 from contextlib import suppress
 from dataclasses import replace
@@ -23,6 +22,7 @@ from forestgen.core.errors import (
 )
 from forestgen.core.processes import whole_bytes
 from forestgen.core.progress import Progress, Silent, Timings
+from forestgen.core.registry import explained_bug
 from forestgen.core.threads import cores, limit_cores
 from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import file_sum, peak_memory_bytes
@@ -149,9 +149,7 @@ def explained(error: BaseException) -> str:
         return "memory ran out\n  try       fewer workers, smaller images or a smaller site"
     if isinstance(error, OSError) and _storage_failed(error):
         return str(output_error(error))
-    frames = traceback.extract_tb(error.__traceback__)
-    place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    return f"a bug in forestgen: {type(error).__name__}: {error}{place}"
+    return explained_bug(error)
 
 
 def complete(work: Work, job: Job, attempt: int, progress: Progress, *, memory_budget_bytes: int | None = None) -> Done:

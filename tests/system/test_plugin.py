@@ -35,7 +35,7 @@ def test_an_installed_package_adds_its_parts_to_the_command_line(tmp_path: Path)
         return done.stdout
 
     listing = [line.split() for line in done("models").splitlines()]
-    for name in ("plantation", "stems_csv", "tallest", "spiral"):
+    for name in ("plantation", "riverside", "stems_csv", "tallest", "spiral"):
         assert [name, "of", "the", "package", "forestgen-plantation", "0.1.0"] in listing
     done("batch", "r.yaml", "--count", "2", "--workers", "2", "--out", "set", "--quiet")
     for frame in ("000000-camera0", "000001-camera0"):
@@ -48,3 +48,6 @@ def test_an_installed_package_adds_its_parts_to_the_command_line(tmp_path: Path)
     assert said.startswith(f"top height {reading['height_m']:.2f} m, the mean of 3 trees")
     climb = "cameras=[{look_at_m: [3, 3, 0.4], rig: {kind: spiral, radius_m: 5, count: 4, top_m: 3}}]"
     assert "4 images" in done("validate", "r.yaml", "--set", climb)
+    done("simulate", "r.yaml", "--set", "community={model: riverside, steps: 9}", "--out", "young", "--quiet")
+    more = ("--set", "community={model: riverside, steps: 12}", "--out", "old", "--quiet")
+    done("simulate", "r.yaml", *more, "--resume", "young/history.parquet")

@@ -57,9 +57,15 @@ def _done(words: list[str], folder: Path, environment: dict[str, str]) -> str:
     return done.stdout
 
 
-def test_the_model_of_the_tutorial_is_the_file_of_the_example() -> None:
-    (text,) = (text for _, title, text in blocks(ROOT / "docs" / "tutorials" / "plugin.md") if title)
-    assert text == (PLUGIN / "forestgen_plantation" / "__init__.py").read_text(encoding="utf-8")
+def test_the_models_of_the_tutorial_are_the_files_of_the_example() -> None:
+    shown = {title: text for _, title, text in blocks(ROOT / "docs" / "tutorials" / "plugin.md") if title}
+    assert {*shown} == {"forestgen_plantation/__init__.py", "forestgen_plantation/riverside.py"}
+    for title, text in shown.items():
+        assert text == (PLUGIN / title).read_text(encoding="utf-8")
+        assert len(text.splitlines()) < 60
+    page = (ROOT / "docs" / "tutorials" / "plugin.md").read_text(encoding="utf-8")
+    for text in shown.values():
+        assert f"{len(text.splitlines())} lines" in page
 
 
 def test_the_notebook_of_the_example_has_the_cells_of_the_tutorial() -> None:

@@ -258,7 +258,7 @@ class DeformationKernel(placement.PlacementModel[DeformationKernelParameters]):
             points_m = placed.position_m
             state = {"clustering": clustering.describe(parameters.hopkins, found, points_m, site, seed, layout.cells)}
             notes += clustering.notes_on(state["clustering"])
-        return first_state(parameters, species, seed, replace(placed, notes=tuple(notes), found=state))
+        return first_state(parameters, site, species, seed, replace(placed, notes=tuple(notes), found=state))
 
     def estimate_bytes(self, parameters: DeformationKernelParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and the fields at once."""

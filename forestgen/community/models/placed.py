@@ -220,7 +220,7 @@ class Placed(FixedPopulation[PlacedParameters]):
             plant_id=ids,
             born=np.zeros(n, dtype=np.int32),
         )
-        return State(parameters, tuple(species), seed, 0, 1 + n, plants)
+        return State(parameters, site, tuple(species), seed, 0, 1 + n, plants)
 
     def expected_plants(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> float:
         """Plants that are placed, and those that disturbances plant."""

@@ -101,6 +101,35 @@ def test_a_place_that_is_none_is_refused_at_once(
     assert part in str(caught.value)
 
 
+def test_a_protocols_methods_are_not_those_of_a_part_based_on_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "from forestgen.community.model import CommunityModel, CommunityParameters as P\n"
+    text += "class Half(CommunityModel):\n    Parameters = P\n    def init(self, *_): ...\nMODEL = Half()\n"
+    (tmp_path / "half_a_model.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(fg.RecipeError, match=r"no check_snapshot, empty_reason, .*, step"):
+        fg.register("community_model", "half", "half_a_model:MODEL")
+
+
+def test_an_error_in_another_packages_part_is_said_to_be_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "from forestgen.community.static_model import StaticModel, StaticParameters as P\n"
+    text += "class Bad(StaticModel):\n    Parameters = P\n    def most_plants(self, *_):\n        return 1\n"
+    text += "    def place(self, *_):\n        return 1 / 0\nMODEL = Bad()\n"
+    (tmp_path / "bad_model.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    fg.register("community_model", "bad", "bad_model:MODEL")
+    with pytest.raises(ZeroDivisionError) as caught:
+        fg.load(STAND, set={"community": {"model": "bad"}}).simulate(progress=False)
+    said = registry.explained_bug(caught.value)
+    assert (
+        said
+        == "an error in bad_model, which is no part of forestgen: ZeroDivisionError: division by zero (bad_model.py:7)"
+    )
+
+
 @pytest.mark.parametrize(
     ("kind", "part", "lacking"),
     [

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,8 @@ from forestgen.community.history import open_history, write_history
 from forestgen.community.model import Site, simulate
 from forestgen.community.population import Status
 from forestgen.community.snapshot_checks import check_snapshot
-from forestgen.community.static_model import Placement, StaticModel, StaticParameters
+from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
+from forestgen.core.errors import RecipeError
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "plugin" / "forestgen_plantation" / "__init__.py"
 SITE = Site((30.0, 20.0))
@@ -119,26 +122,106 @@ def test_given_heights_are_kept(species):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
+    ("wrong", "expected"),
     [
-        ({"kind": 2}, "species must be indices below 2, got 2"),
-        ({"position_m": (31.0, 1.0)}, "position_m must lie on the site"),
-        ({"position_m": (np.nan, 1.0)}, "position_m must lie on the site"),
-        ({"radius_m": 1.6}, r"radius_m must lie in \(0, 1.5\], got 1.6"),
-        ({"radius_m": 0.0}, r"radius_m must lie in \(0, 1.5\], got 0"),
-        ({"height_m": -1.0}, "height_m must be positive"),
+        ({"kind": 2}, "species as indices below 2"),
+        ({"position_m": (31.0, 1.0)}, "position_m on the site"),
+        ({"position_m": (np.nan, 1.0)}, "position_m on the site"),
+        ({"radius_m": 1.6}, "radius_m in (0, 1.5]"),
+        ({"radius_m": 0.0}, "radius_m in (0, 1.5]"),
+        ({"height_m": -1.0}, "positive height_m"),
     ],
 )
-def test_plants_that_no_later_stage_can_use_are_refused(species, wrong, message):
-    with pytest.raises(ValueError, match=message):
+def test_plants_that_no_later_stage_can_use_are_refused(species, wrong, expected):
+    with pytest.raises(RecipeError, match=r"Given\.place returned") as caught:
         Given(placed(**wrong)).init(StaticParameters(), SITE, species, 0)
+    assert caught.value.expected == expected
+
+
+def test_what_is_no_placement_and_keys_that_no_snapshot_may_have_are_refused(species):
+    for model, expected in (
+        (Given(None), "a Placement"),
+        (Given(replace(placed(), found={"mean_m": 2.0})), "keys of `found` among Given.state_keys"),
+    ):
+        with pytest.raises(RecipeError) as caught:
+            model.init(StaticParameters(), SITE, species, 0)
+        assert caught.value.expected == expected
 
 
 def test_columns_of_different_lengths_are_refused():
-    with pytest.raises(ValueError, match="must be of 1 plants"):
+    with pytest.raises(RecipeError, match="arrays of a Placement"):
         Placement(np.array([0]), np.zeros((2, 2)), np.ones(1))
 
 
 def test_a_placement_without_plants_is_one(species):
     model = Given(Placement(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0)))
     assert len(model.population(model.init(StaticParameters(), SITE, species, 0))) == 0
+
+
+class Grove(GrowingModel[StaticParameters]):
+    """Ten plants; each year they widen by 0.1 m, one in five dies, and three come up. A height is given to the new."""
+
+    Parameters = StaticParameters
+
+    def place(self, parameters, site, species, rng):
+        return Placement(np.arange(10) % 2, rng.random((10, 2)) * site.size_m, np.full(10, 0.2))
+
+    def most_plants(self, parameters, site, species):
+        return 10 + 3 * parameters.steps
+
+    def change(self, parameters, site, species, population, rng):
+        radius_m = np.minimum(population.radius_m + 0.1, 1.0)
+        new = Placement(np.zeros(3, int), rng.random((3, 2)) * site.size_m, np.full(3, 0.1), np.full(3, 0.7))
+        return Change(rng.random(len(population)) < 0.2, radius_m, arrivals=new)
+
+
+def test_plants_grow_arrive_and_die(species):
+    history = list(simulate(Grove(), StaticParameters(steps=30), SITE, species, 4, steps=30))
+    for before, after in itertools.pairwise(history):
+        lived, at, was = np.intersect1d(after.plant_id, before.plant_id, return_indices=True)
+        assert after.radius_m[at] == pytest.approx(np.minimum(before.radius_m[was] + 0.1, 1))
+        assert np.array_equal(after.age_yr[at], before.age_yr[was] + 1)
+        assert after.height_m[at] == pytest.approx(
+            [species[kind].height_scale * r ** species[kind].height_exponent
+             for kind, r in zip(after.species[at], after.radius_m[at], strict=True)]
+        )  # fmt: skip
+        new = ~np.isin(after.plant_id, before.plant_id)
+        assert new.sum() == 3
+        assert np.all(after.plant_id[new] > before.plant_id.max(initial=0))
+        assert set(after.height_m[new]) == {0.7}
+        assert set(after.age_yr[new]) == {0.0}
+        assert len(lived) <= len(before)
+    # Births 3 a year and deaths 1 in 5: 12 to 15 plants in balance, with a standard deviation of some 3.
+    assert 8 < np.mean([len(one) for one in history[10:]]) < 20
+
+
+def test_a_growing_stand_resumes_to_the_same_future(species, tmp_path):
+    parameters = StaticParameters(steps=6, disturbances=({"at_step": 3, "fell": {"share": 0.5}},))
+    whole = list(simulate(Grove(), parameters, SITE, species, 4, steps=6))
+    write_history(tmp_path / "a.parquet", whole)
+    start = open_history(tmp_path / "a.parquet").snapshot(2)
+    Grove().check_snapshot(parameters, SITE, species, start)
+    again = list(simulate(Grove(), parameters, SITE, species, 4, steps=6, start=start))
+    for one, other in zip(again, whole[2:], strict=True):
+        for name in ("plant_id", "species", "position_m", "radius_m", "height_m", "age_yr", "status"):
+            assert np.array_equal(getattr(one, name), getattr(other, name)), name
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (None, "a Change"),
+        (Change(dead=np.zeros(9, bool)), "dead of 10 plants"),
+        (Change(radius_m=np.full(10, 2.0)), "radius_m in (0, 1.5]"),
+        (Change(height_m=np.zeros(10)), "positive height_m"),
+        (Change(arrivals=placed(kind=5)), "species as indices below 2"),
+    ],
+)
+def test_changes_that_no_later_stage_can_use_are_refused(species, change, expected):
+    class Wrong(Grove):
+        def change(self, parameters, site, species, population, rng):
+            return change
+
+    with pytest.raises(RecipeError, match=r"Wrong\.change returned") as caught:
+        list(simulate(Wrong(), StaticParameters(), SITE, species, 4, steps=1))
+    assert caught.value.expected == expected
