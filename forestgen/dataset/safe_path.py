@@ -29,6 +29,8 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.processes import free_bytes
 
@@ -245,4 +247,7 @@ def one_line(error: Exception) -> str:
 
     if isinstance(error, UnidentifiedImageError):  # its text names the stream, with a number that changes
         return "this is no PNG"
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False, include_input=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"[:200]
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -33,7 +33,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
+
+from pydantic import Field
 
 from forestgen.core.arguments import flag_of, shown, whole_of
 from forestgen.core.errors import RecipeError
@@ -44,7 +46,7 @@ from forestgen.recipe.load import LoadedRecipe
 HIDDEN = ".forestgen"  # folder of records, lock and staging
 RUN = "run"  # folder of what belongs to a run, not to the data set
 RUN_DEPENDENT = (RUN, HIDDEN, "report.html")  # names in the data set's folder whose bytes may differ between runs
-
+Count = Annotated[int, Field(ge=0, lt=2**63)]  # in a file that anybody may have written
 
 ENGINES = ("local", "dask")
 DEVICES = ("llvm", "cuda")
@@ -236,6 +238,11 @@ class RunOptions:
             (of_dask and not is_dask, "engine", "`scheduler` and `resources` belong to `engine='dask'`"),
             (is_dask and self.workers is not None, "workers", "the cluster has its own workers"),
             (is_dask and self.timeout is not None, "timeout", "only workers of this machine can be stopped"),
+            (
+                is_dask and self.worker_memory is not None,
+                "worker_memory",
+                "`dask worker` takes its own, `--memory-limit`",
+            ),
             (is_dask and self.device is not None, "device", "set FORESTGEN_TRACING where the workers start"),
         ):
             if wrong:

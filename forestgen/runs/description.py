@@ -11,14 +11,15 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import PurePosixPath
 from typing import Annotated, Any, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.manifest import package_versions
 from forestgen.dataset.png import THUMBNAILS
-from forestgen.dataset.safe_path import is_frame, load_json
+from forestgen.dataset.safe_path import is_frame, load_json, one_line
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.dataset import SplitName
+from forestgen.runs.contract import Count
 from forestgen.runs.record_index import FileSum, RecordIndex
 from forestgen.runs.records import versions_hash
 
@@ -183,16 +184,9 @@ def read_description(content: bytes | None, where: str) -> dict[str, Any]:
                 raise ValueError(f"more than {MOST_IMAGES:,} images")
         _check_settings(settings_of(data))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        text = " ".join(str(error).split())
-        if isinstance(error, ValidationError):
-            first = error.errors(include_url=False, include_input=False)[0]
-            text = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        got = f"{type(error).__name__}: {text[:200]}"
+        got = f"{type(error).__name__}: {one_line(error)}"
         raise DatasetError("dataset.json is damaged", where=where, expected=SCHEMA, got=got, hint=hint) from error
     return dict(data)
-
-
-Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class _Part(BaseModel):

@@ -19,15 +19,15 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Annotated, Any, Protocol
+from typing import IO, Any, Protocol
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from forestgen.core.figures import count, seconds, table_lines
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import make_folder, output_error
 from forestgen.dataset.safe_path import load_json
-from forestgen.runs.contract import RUN, Done, Failed, JobRecord, Outcome, StorageBackend
+from forestgen.runs.contract import RUN, Count, Done, Failed, JobRecord, Outcome, StorageBackend
 from forestgen.runs.storage import LocalStorage
 
 LOG = f"{RUN}/log.jsonl"
@@ -213,9 +213,6 @@ def job_fields(outcome: Outcome) -> dict[str, Any]:
     else:
         fields |= {name: getattr(outcome, name) for name in ("attempt", "kind", "message", "seconds", "worker")}
     return {**fields, "seconds": round(fields["seconds"], 4)}
-
-
-Count = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class _JobDone(BaseModel):
