@@ -133,12 +133,12 @@ def _kind(value: Any) -> str:
     return _TEXT if isinstance(value, str) else _JSON
 
 
-def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[str, str] | None = None) -> None:
+def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[str, str]) -> None:
     """Write the rows of `frame_row`, in that order, a few hundred in memory at a time; its folder is made if missing.
 
     Parameters
     ----------
-    draws : `DrawTypes.columns` of all rows; without it all rows are held in memory.
+    draws : `DrawTypes.columns` of all rows.
 
     Raises
     ------
@@ -148,11 +148,6 @@ def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[st
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    if draws is None:
-        rows, types = list(rows), DrawTypes()
-        for row in rows:
-            types.add(row)
-        draws = types.columns
     columns = {**COLUMNS, **draws}
     schema = pa.schema([(name, _arrow_type(kind)) for name, kind in columns.items()])
     make_folder(path.parent)

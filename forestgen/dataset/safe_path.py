@@ -229,11 +229,11 @@ def read_parquet(path: SafePath) -> Any:
         return file.read()
 
 
-def check_folder(root: Path, expected: str, hint: str | None = None) -> None:
+def check_folder(root: Path, expected: str) -> None:
     """Refuse what is no folder of this machine, with a `RecipeError`: a wrong name, not a damaged data set."""
     if not root.is_dir():
         problem = "this is a file" if root.exists() else "there is no such folder"
-        raise RecipeError(problem, where=str(root), expected=expected, hint=hint)
+        raise RecipeError(problem, where=str(root), expected=expected)
 
 
 def unreadable(path: SafePath | Path, error: Exception, hint: str = _REMEDY) -> DatasetError:
