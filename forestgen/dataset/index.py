@@ -69,7 +69,7 @@ import numpy as np
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.files import make_folder, output_error
-from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split
+from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split, one_line
 from forestgen.dataset.settings import DRAW
 
 INDEX_NAME = "index.parquet"
@@ -191,8 +191,7 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
         with SafePath(path.parent, path.name).open() as stream, pq.ParquetFile(stream) as file:
             names = file.schema_arrow.names
             if missing := [name for name in needed if name not in names]:
-                expected = f"columns {', '.join(missing)}"
-                raise _wrong("this is no index of forestgen", path, expected=expected)
+                raise _wrong("this is no index of forestgen", path, expected=f"columns {', '.join(missing)}")
             check_cells(file.metadata.num_rows, len(names))
             strange = [field.name for field in file.schema_arrow if not _is_of_its_type(field, needed)]
             if strange or len(set(names)) < len(names):
@@ -201,8 +200,7 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
     except FileNotFoundError as error:
         raise _wrong("there is no index", path) from error
     except (OSError, ValueError, pa.ArrowException) as error:  # ValueError: texts that are no UTF-8
-        got = " ".join(str(error).split())[:200]
-        raise _wrong("the index cannot be read", path, got=got) from error
+        raise _wrong("the index cannot be read", path, got=one_line(error)) from error
 
 
 def _wrong(problem: str, path: Path, **texts: str) -> DatasetError:
@@ -248,8 +246,7 @@ def plain_rows(table: Any, path: Path) -> list[dict[str, Any]]:
     try:
         return list(table.to_pylist(maps_as_pydicts="strict"))
     except (ValueError, KeyError, TypeError, OverflowError, pa.ArrowException) as error:
-        got = " ".join(str(error).split())[:200]
-        raise _wrong("a row of the index cannot be read", path, got=got) from error
+        raise _wrong("a row of the index cannot be read", path, got=one_line(error)) from error
 
 
 def _wrong_column(index: Any) -> str | None:
