@@ -35,7 +35,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol
 
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from forestgen.core.arguments import flag_of, shown, whole_of
 from forestgen.core.errors import RecipeError
@@ -46,11 +46,19 @@ from forestgen.recipe.load import LoadedRecipe
 HIDDEN = ".forestgen"  # folder of records, lock and staging
 RUN = "run"  # folder of what belongs to a run, not to the data set
 RUN_DEPENDENT = (RUN, HIDDEN, "report.html")  # names in the data set's folder whose bytes may differ between runs
-Count = Annotated[int, Field(ge=0, lt=2**63)]  # in a file that anybody may have written
 
 ENGINES = ("local", "dask")
 DEVICES = ("llvm", "cuda")
 _LEAST_BYTES = 10**8  # less is a mistake, such as a number without its unit: Python and Mitsuba alone take more
+
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]  # of a `Stored`
+
+
+class Stored(BaseModel):
+    """A part of a file that anybody may have written: each value is of its type, other keys do not count."""
+
+    model_config = ConfigDict(strict=True)
 
 
 @dataclass(frozen=True)

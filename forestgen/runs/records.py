@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from forestgen.core.cache import code_hash
 from forestgen.core.errors import DatasetError
@@ -18,7 +18,7 @@ from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.dataset import SplitName
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import recipe_hash
-from forestgen.runs.contract import HIDDEN, Count, JobRecord, StorageBackend
+from forestgen.runs.contract import HIDDEN, Count, JobRecord, StorageBackend, Stored
 
 # Everything that shapes a frame's files; the layers above only call it.
 _SOURCES = (
@@ -97,16 +97,12 @@ def _check_path(path: str) -> str:
     return path
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(strict=True)
-
-
-class _StoredFile(_Strict):
+class _StoredFile(Stored):
     bytes: Count
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
-class _StoredRecord(_Strict):
+class _StoredRecord(Stored):
     """What may be a `JobRecord`: anybody may have written it."""
 
     key: str
