@@ -389,7 +389,7 @@ def _located(folder: Path, name: str) -> str:
     try:
         return str(path.located())
     except OSError as error:
-        raise unreadable(path, error, "forestgen verify checks all files") from error
+        raise unreadable(path, error) from error
 
 
 def _library(name: str) -> Any:

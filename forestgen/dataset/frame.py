@@ -25,8 +25,7 @@ from __future__ import annotations
 
 import io
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -37,7 +36,7 @@ from numpy.typing import NDArray
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.dataset.png import instance_of, overlay, rgb_of, semantic_of
-from forestgen.dataset.safe_path import SafePath, read_parquet, unreadable
+from forestgen.dataset.safe_path import SafePath, read_object, read_parquet, reading
 from forestgen.recipe.assets import MAPS
 
 Parts = Mapping[str, Mapping[str, NDArray[Any]]]
@@ -252,40 +251,36 @@ class StoredFrame(Frame):
     def parts(self) -> Parts:
         from forestgen.dataset.exr_chunks import read_whole
 
-        with self._reading("frame.exr") as path:
+        with reading(self._folder / "frame.exr") as path:
             return read_whole(path, unpack=False)[0]
 
     @cached_property
     def instance(self) -> NDArray[np.uint32]:
-        with self._reading("instance.png") as path:
+        with reading(self._folder / "instance.png") as path:
             return instance_of(path.read(), self._size_px)
 
     @cached_property
     def semantic(self) -> NDArray[np.uint8]:
-        with self._reading("semantic.png") as path:
+        with reading(self._folder / "semantic.png") as path:
             return semantic_of(path.read(), self._size_px)
 
     @cached_property
     def plants(self) -> Any:
-        with self._reading("plants.parquet") as path:
+        with reading(self._folder / "plants.parquet") as path:
             return read_parquet(path)
 
     @cached_property
     def camera(self) -> dict[str, Any]:
-        with self._reading("camera.json") as path:
-            content = path.read_json()
-            if not isinstance(content, dict):
-                raise ValueError("no JSON object")
-            return content
+        return read_object(self._folder / "camera.json")
 
     @cached_property
     def preview(self) -> NDArray[np.uint8]:
-        with self._reading("preview.png") as path:
+        with reading(self._folder / "preview.png") as path:
             return rgb_of(path.read(), self._size_px)
 
     @property
     def recipe(self) -> str:
-        with self._reading("recipe.yaml") as path:
+        with reading(self._folder / "recipe.yaml") as path:
             return path.read().decode()
 
     def _write(self, folder: Path, beside: Path) -> None:
@@ -294,7 +289,7 @@ class StoredFrame(Frame):
         for name in maps.names():
             if name in recipe:
                 make_folder(beside / MAPS)
-                with self._reading(name, maps) as path:
+                with reading(maps / name) as path:
                     write_bytes(beside / MAPS / name, path.read())
 
     def _copy(self, source: SafePath, target: Path) -> None:
@@ -304,16 +299,5 @@ class StoredFrame(Frame):
             if (source / name).is_folder():
                 self._copy(source / name, target / name)
                 continue
-            with self._reading(name, source) as path:
+            with reading(source / name) as path:
                 write_bytes(target / name, path.read())
-
-    @contextmanager
-    def _reading(self, name: str, folder: SafePath | None = None) -> Iterator[SafePath]:
-        """A file of the frame's folder; what fails while it is read is a `DatasetError` that names it."""
-        import pyarrow as pa
-
-        path = (folder or self._folder) / name
-        try:
-            yield path
-        except (OSError, ValueError, SyntaxError, RuntimeError, pa.ArrowException) as error:
-            raise unreadable(path, error, "forestgen verify checks all files") from error

@@ -69,7 +69,7 @@ import numpy as np
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.files import make_folder, output_error
-from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split
+from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split, one_line
 from forestgen.dataset.settings import DRAW
 
 INDEX_NAME = "index.parquet"
@@ -133,12 +133,12 @@ def _kind(value: Any) -> str:
     return _TEXT if isinstance(value, str) else _JSON
 
 
-def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[str, str] | None = None) -> None:
+def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[str, str]) -> None:
     """Write the rows of `frame_row`, in that order, a few hundred in memory at a time; its folder is made if missing.
 
     Parameters
     ----------
-    draws : `DrawTypes.columns` of all rows; without it all rows are held in memory.
+    draws : `DrawTypes.columns` of all rows.
 
     Raises
     ------
@@ -148,11 +148,6 @@ def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[st
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    if draws is None:
-        rows, types = list(rows), DrawTypes()
-        for row in rows:
-            types.add(row)
-        draws = types.columns
     columns = {**COLUMNS, **draws}
     schema = pa.schema([(name, _arrow_type(kind)) for name, kind in columns.items()])
     make_folder(path.parent)
@@ -196,19 +191,22 @@ def open_index(path: Path, needed: Sequence[str]) -> Iterator[Any]:
         with SafePath(path.parent, path.name).open() as stream, pq.ParquetFile(stream) as file:
             names = file.schema_arrow.names
             if missing := [name for name in needed if name not in names]:
-                expected = f"columns {', '.join(missing)}"
-                raise DatasetError("this is no index of forestgen", where=str(path), expected=expected)
+                raise _wrong("this is no index of forestgen", path, expected=f"columns {', '.join(missing)}")
             check_cells(file.metadata.num_rows, len(names))
             strange = [field.name for field in file.schema_arrow if not _is_of_its_type(field, needed)]
             if strange or len(set(names)) < len(names):
-                raise DatasetError("a column of the index is not of its type", where=str(path), got=", ".join(strange))
+                raise _wrong("a column of the index is not of its type", path, got=", ".join(strange))
             yield file
     except FileNotFoundError as error:
-        hint = "the command that made the data set, with `resume=True`, writes it"
-        raise DatasetError("there is no index", where=str(path), hint=hint) from error
+        raise _wrong("there is no index", path) from error
     except (OSError, ValueError, pa.ArrowException) as error:  # ValueError: texts that are no UTF-8
-        got = " ".join(str(error).split())[:200]
-        raise DatasetError("the index cannot be read", where=str(path), got=got) from error
+        raise _wrong("the index cannot be read", path, got=one_line(error)) from error
+
+
+def _wrong(problem: str, path: Path, **texts: str) -> DatasetError:
+    """The error of an index; `texts`: `expected` and `got`."""
+    hint = "the command that made the data set, with `resume=True`, writes it again"
+    return DatasetError(problem, where=str(path), hint=hint, **texts)
 
 
 def open_table(path: Path, needed: Sequence[str]) -> Any:
@@ -218,7 +216,7 @@ def open_table(path: Path, needed: Sequence[str]) -> Any:
         table.validate(full=True)  # texts are UTF-8
     for field in table.schema:
         if not all(_is_bounded(field, chunk) for chunk in table[field.name].chunks):
-            raise DatasetError("a value of the index is out of all bounds", where=str(path), got=ascii(field.name)[:80])
+            raise _wrong("a value of the index is out of all bounds", path, got=ascii(field.name)[:80])
     return table
 
 
@@ -230,14 +228,14 @@ def whole_index(path: Path) -> Any:
     index = open_table(path, _FRAME_COLUMNS)
     if index.num_rows and (wrong := _wrong_column(index)) is not None:
         expected = f"a value of {wrong} in each row, as forestgen writes it"
-        raise DatasetError("a row of the index is not a frame's", where=str(path), expected=expected)
+        raise _wrong("a row of the index is not a frame's", path, expected=expected)
     names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
     for split, frame in names:
         if not is_split(split) or not is_frame(frame):
             expected, got = "names such as train and 000000-camera0", ascii((split, frame))[:160]
-            raise DatasetError("a row of the index names no frame", where=str(path), expected=expected, got=got)
+            raise _wrong("a row of the index names no frame", path, expected=expected, got=got)
     if len({frame for _, frame in names}) < len(names):
-        raise DatasetError("a frame has two rows of the index", where=str(path))
+        raise _wrong("a frame has two rows of the index", path)
     return index
 
 
@@ -248,8 +246,7 @@ def plain_rows(table: Any, path: Path) -> list[dict[str, Any]]:
     try:
         return list(table.to_pylist(maps_as_pydicts="strict"))
     except (ValueError, KeyError, TypeError, OverflowError, pa.ArrowException) as error:
-        got = " ".join(str(error).split())[:200]
-        raise DatasetError("a row of the index cannot be read", where=str(path), got=got) from error
+        raise _wrong("a row of the index cannot be read", path, got=one_line(error)) from error
 
 
 def _wrong_column(index: Any) -> str | None:

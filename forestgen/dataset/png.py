@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.core.parts import Part
 from forestgen.dataset.files import make_folder, write_bytes
-from forestgen.dataset.safe_path import SafePath, unreadable
+from forestgen.dataset.safe_path import SafePath, read_object
 from forestgen.dataset.settings import DatasetSettings
 
 if TYPE_CHECKING:
@@ -196,17 +196,14 @@ def read_legend(split: SafePath) -> dict[str, Any]:
     A file that is missing, damaged, or of another form raises `DatasetError`.
     """
     path = split / LEGEND_NAME
-    try:
-        content = path.read_json()
-    except (OSError, ValueError) as error:
-        raise unreadable(path, error, "forestgen verify checks all files") from error
+    content = read_object(path)
     for key, first in (("semantic", 0), ("categories", 1)):
-        named = content.get(key) if isinstance(content, dict) else None
+        named = content.get(key)
         numbers = [str(number) for number in range(first, first + len(named))] if isinstance(named, dict) else []
         if not isinstance(named, dict) or not all(isinstance(named.get(one), str) for one in numbers):
             expected = f"{key}: a name for each number, from {first} on"
             raise DatasetError("a file is not what its name says", where=str(path), expected=expected)
-    return dict(content)
+    return content
 
 
 def classes_text(class_names: Sequence[str]) -> str:

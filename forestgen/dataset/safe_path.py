@@ -24,10 +24,14 @@ import json
 import os
 import re
 import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
+
+from pydantic import ValidationError
 
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.processes import free_bytes
@@ -44,6 +48,7 @@ _FRAME = re.compile(r"[0-9]{6,18}-[A-Za-z0-9][A-Za-z0-9_-]{0,79}")
 _SPLIT = re.compile(r"[a-z][a-z0-9_-]{0,31}")
 _TOO_DEEP = f"nested too deeply: more than {_MOST_LEVELS} levels"
 _HALF_CHARACTER = re.compile(r"\\u[dD][89a-fA-F]")
+_REMEDY = "forestgen verify finds what is damaged, the command that made the data set makes it again with `resume=True`"
 _FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
 
 
@@ -224,19 +229,48 @@ def read_parquet(path: SafePath) -> Any:
         return file.read()
 
 
-def check_folder(root: Path, expected: str, hint: str | None = None) -> None:
+def check_folder(root: Path, expected: str) -> None:
     """Refuse what is no folder of this machine, with a `RecipeError`: a wrong name, not a damaged data set."""
     if not root.is_dir():
         problem = "this is a file" if root.exists() else "there is no such folder"
-        raise RecipeError(problem, where=str(root), expected=expected, hint=hint)
+        raise RecipeError(problem, where=str(root), expected=expected)
 
 
-def unreadable(path: SafePath | Path, error: Exception, hint: str | None = None) -> DatasetError:
+def unreadable(path: SafePath | Path, error: Exception, hint: str = _REMEDY) -> DatasetError:
     """The error of a file that raised `error` when it was read."""
     if isinstance(error, FileNotFoundError | NotADirectoryError):
         return DatasetError("a file of the data set is missing", where=str(path), hint=hint)
     problem = f"cannot read: {getattr(error, 'strerror', None) or one_line(error)}"
     return DatasetError(problem, where=str(path), hint=hint)
+
+
+@contextmanager
+def reading(path: SafePath, failed: Callable[[SafePath, Exception], Exception] = unreadable) -> Iterator[SafePath]:
+    """A file that is read in this block, by any library; what that raises becomes the error that `failed` makes."""
+    import pyarrow as pa
+    from PIL.Image import DecompressionBombError
+
+    kinds = (
+        OSError,
+        ValueError,
+        TypeError,
+        SyntaxError,
+        RuntimeError,
+        MemoryError,
+    )  # Pillow's and OpenEXR's among them
+    try:
+        yield path
+    except (*kinds, pa.ArrowException, DecompressionBombError) as error:
+        raise failed(path, error) from error
+
+
+def read_object(path: SafePath) -> dict[str, Any]:
+    """An object of JSON; a file that is missing, damaged or none raises `DatasetError`."""
+    with reading(path):
+        content = path.read_json()
+        if not isinstance(content, dict):
+            raise ValueError("this is no JSON object")
+        return content
 
 
 def one_line(error: Exception) -> str:
@@ -245,4 +279,7 @@ def one_line(error: Exception) -> str:
 
     if isinstance(error, UnidentifiedImageError):  # its text names the stream, with a number that changes
         return "this is no PNG"
+    if isinstance(error, ValidationError):
+        first = error.errors(include_url=False, include_input=False)[0]
+        return f"{'.'.join(map(str, first['loc']))}: {first['msg']}"[:200]
     return " ".join(str(error).split())[:200] or type(error).__name__

@@ -37,11 +37,12 @@ _LEAST_PATHS, _SAMPLES_SHARE = 2_000_000, 16
 _SHARE_OF_BATCH = 0.05  # that probes may take of a worker's time for the batch
 _PATIENCE = 3.0  # times the budget, after which the probe in work is given up
 
-# Time that goes with the light paths, and time that does not go with the pixels; see `render/` for the names.
+# Time that goes with the light paths, and time that does not go with the pixels, by the names under which `Timings`
+# books it.
 _BY_SAMPLE = ("light paths", "clouds: sky pixels")
 _BY_SCENE = (
     "amodal: build", "amodal: outlines", "clouds", "clouds: bake", "community", "identity: build", "load Mitsuba",
-    "measures", "plants", "radiance: build", "radiance: repaint", "recipe", "scene", "weather",
+    "measures", "plants", "radiance: build", "radiance: repaint", "recipe", "scene",
 )  # fmt: skip
 _MERGED = ("annotations.json",)  # what the files of a whole split repeat
 

@@ -33,7 +33,9 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from forestgen.core.arguments import flag_of, shown, whole_of
 from forestgen.core.errors import RecipeError
@@ -45,10 +47,18 @@ HIDDEN = ".forestgen"  # folder of records, lock and staging
 RUN = "run"  # folder of what belongs to a run, not to the data set
 RUN_DEPENDENT = (RUN, HIDDEN, "report.html")  # names in the data set's folder whose bytes may differ between runs
 
-
 ENGINES = ("local", "dask")
 DEVICES = ("llvm", "cuda")
 _LEAST_BYTES = 10**8  # less is a mistake, such as a number without its unit: Python and Mitsuba alone take more
+
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]  # of a `Stored`
+
+
+class Stored(BaseModel):
+    """A part of a file that anybody may have written: each value is of its type, other keys do not count."""
+
+    model_config = ConfigDict(strict=True)
 
 
 @dataclass(frozen=True)
@@ -236,6 +246,11 @@ class RunOptions:
             (of_dask and not is_dask, "engine", "`scheduler` and `resources` belong to `engine='dask'`"),
             (is_dask and self.workers is not None, "workers", "the cluster has its own workers"),
             (is_dask and self.timeout is not None, "timeout", "only workers of this machine can be stopped"),
+            (
+                is_dask and self.worker_memory is not None,
+                "worker_memory",
+                "`dask worker` takes its own, `--memory-limit`",
+            ),
             (is_dask and self.device is not None, "device", "set FORESTGEN_TRACING where the workers start"),
         ):
             if wrong:

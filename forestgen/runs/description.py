@@ -11,14 +11,15 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import PurePosixPath
 from typing import Annotated, Any, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import Field, create_model
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.manifest import package_versions
 from forestgen.dataset.png import THUMBNAILS
-from forestgen.dataset.safe_path import is_frame, load_json
+from forestgen.dataset.safe_path import is_frame, load_json, one_line
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.dataset import SplitName
+from forestgen.runs.contract import Count, Stored
 from forestgen.runs.record_index import FileSum, RecordIndex
 from forestgen.runs.records import versions_hash
 
@@ -183,35 +184,22 @@ def read_description(content: bytes | None, where: str) -> dict[str, Any]:
                 raise ValueError(f"more than {MOST_IMAGES:,} images")
         _check_settings(settings_of(data))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        text = " ".join(str(error).split())
-        if isinstance(error, ValidationError):
-            first = error.errors(include_url=False, include_input=False)[0]
-            text = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        got = f"{type(error).__name__}: {text[:200]}"
+        got = f"{type(error).__name__}: {one_line(error)}"
         raise DatasetError("dataset.json is damaged", where=where, expected=SCHEMA, got=got, hint=hint) from error
     return dict(data)
 
 
-Count = Annotated[int, Field(ge=0, lt=2**63)]
-
-
-class _Part(BaseModel):
-    """A part of dataset.json, as far as it is used."""
-
-    model_config = ConfigDict(strict=True)
-
-
-class _SplitCounts(_Part):
+class _SplitCounts(Stored):
     images: Count
     frames: Count
 
 
-class _FileGroup(_Part):
+class _FileGroup(Stored):
     files: Count
     bytes: Count
 
 
-class _RecipeEntry(_Part):
+class _RecipeEntry(Stored):
     file: Annotated[str, Field(pattern=r"^recipe(-[0-9]+)?\.yaml$")]
     hash: str
     root_seed: int
@@ -220,19 +208,19 @@ class _RecipeEntry(_Part):
     draws: dict[str, Any]
 
 
-class _Platform(_Part):
+class _Platform(Stored):
     system: str
     machine: str
 
 
-class _Versions(_Part):
+class _Versions(Stored):
     versions_hash: str
     packages: dict[str, str | None]
     python: str
     platform: _Platform
 
 
-class _Description(_Part):
+class _Description(Stored):
     schema_: str = Field(alias="schema")
     recipes: Annotated[list[_RecipeEntry], Field(min_length=1)]
     images: Count
@@ -245,7 +233,7 @@ class _Description(_Part):
 
 
 _SETTINGS: dict[str, Any] = {name: (kind, ...) for name, kind in get_type_hints(DatasetSettings).items()}
-_Settings = create_model("_Settings", __base__=_Part, **_SETTINGS)
+_Settings = create_model("_Settings", __base__=Stored, **_SETTINGS)
 
 
 def _check_settings(settings: DatasetSettings) -> None:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
+
+from pydantic import AfterValidator, Field
 
 from forestgen.core.cache import code_hash
 from forestgen.core.errors import DatasetError
-from forestgen.dataset.safe_path import is_frame, is_inside, is_split, load_json
+from forestgen.dataset.safe_path import is_frame, is_inside, load_json, one_line
 from forestgen.recipe.assets import scenes_dir
+from forestgen.recipe.dataset import SplitName
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import recipe_hash
-from forestgen.runs.contract import HIDDEN, JobRecord, StorageBackend
+from forestgen.runs.contract import HIDDEN, Count, JobRecord, StorageBackend, Stored
 
 # Everything that shapes a frame's files; the layers above only call it.
 _SOURCES = (
@@ -65,7 +67,6 @@ _TASKS_AHEAD = 64
 _SCHEMA = "forestgen-job/1"
 _ENDING = ".json"
 _SUM = b',"sha256":"'
-_SHA256 = re.compile(r"[0-9a-f]{64}")
 _READERS = 8
 _AGAIN = "the command that made the data set, with `resume=True`, makes the image again"
 
@@ -82,6 +83,39 @@ def record_bytes(record: JobRecord) -> bytes:
     return body + _SUM + hashlib.sha256(body).hexdigest().encode() + b'"}\n'
 
 
+def _check_row(row: dict[str, Any]) -> dict[str, Any]:
+    """Refuse a frame's row of the index that names none: the name becomes a path too."""
+    if not is_frame(row.get("frame")):
+        raise ValueError(f"{row.get('frame')!r:.80} is no frame's name")
+    return row
+
+
+def _check_path(path: str) -> str:
+    """Refuse what is no path below the data set's folder, or is not an image's."""
+    if not is_inside(path) or path.partition("/")[0] == HIDDEN:
+        raise ValueError(f"{path!r:.80} is no path of an image's file")
+    return path
+
+
+class _StoredFile(Stored):
+    bytes: Count
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+class _StoredRecord(Stored):
+    """What may be a `JobRecord`: anybody may have written it."""
+
+    key: str
+    image: Count
+    split: SplitName
+    image_seed: Count
+    recipe_hash: str
+    rows: list[Annotated[dict[str, Any], AfterValidator(_check_row)]]
+    files: dict[Annotated[str, AfterValidator(_check_path)], _StoredFile]
+    report: dict[str, Any]
+    notes: list[str]
+
+
 def read_record(content: bytes, where: str) -> JobRecord:
     """A record from its bytes; `where` names it in the `DatasetError` of one that is damaged or of another version."""
     try:
@@ -96,17 +130,8 @@ def read_record(content: bytes, where: str) -> JobRecord:
                 got=f"{data['schema']!r:.40}",
                 hint=_AGAIN + "; or take the version that made it",
             )
-        record = JobRecord(
-            key=_text(data["key"]),
-            image=_number(data["image"]),
-            split=str(_kept_if(is_split(data["split"]), data["split"], "split's name")),
-            image_seed=_number(data["image_seed"]),
-            recipe_hash=_text(data["recipe_hash"]),
-            rows=tuple(_row(row) for row in data["rows"]),
-            files={_path(path): _file(said) for path, said in data["files"].items()},
-            report=dict(data["report"]),
-            notes=tuple(_text(note) for note in data["notes"]),
-        )
+        stored = _StoredRecord.model_validate(data).model_dump()
+        record = JobRecord(**stored | {"rows": tuple(stored["rows"]), "notes": tuple(stored["notes"])})
         if record.image != image_of_key(record.key):
             raise ValueError(f"image {record.image} under the key {record.key:.60}")
         return record
@@ -115,45 +140,9 @@ def read_record(content: bytes, where: str) -> JobRecord:
             "this record of a finished image is damaged",
             where=where,
             expected=f"JSON, {_SCHEMA}",
-            got=f"{type(error).__name__}: {error}",
+            got=f"{type(error).__name__}: {one_line(error)}",
             hint=_AGAIN,
         ) from error
-
-
-def _kept_if(holds: bool, value: Any, what: str) -> Any:
-    """A value that a record may have; `ValueError` for another."""
-    if not holds:
-        raise ValueError(f"{value!r:.80} is no {what}")
-    return value
-
-
-def _text(value: Any) -> str:
-    return str(_kept_if(isinstance(value, str), value, "text"))
-
-
-def _number(value: Any) -> int:
-    return int(_kept_if(type(value) is int and 0 <= value < 2**63, value, "number of 63 bits"))
-
-
-def _row(value: Any) -> dict[str, Any]:
-    """A frame's row of the index; its name becomes a path too."""
-    row = dict(value)
-    _kept_if(is_frame(row["frame"]), row["frame"], "frame's name")
-    return row
-
-
-def _path(value: Any) -> str:
-    """A file's path below the data set's folder."""
-    is_file = is_inside(value) and value.partition("/")[0] != HIDDEN
-    return str(_kept_if(is_file, value, "path of an image's file"))
-
-
-def _file(value: Any) -> dict[str, Any]:
-    digest = _text(value["sha256"])
-    return {
-        "bytes": _number(value["bytes"]),
-        "sha256": _kept_if(_SHA256.fullmatch(digest) is not None, digest, "SHA-256"),
-    }
 
 
 def done_keys(storage: StorageBackend) -> set[str]:

@@ -19,15 +19,15 @@ from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, Annotated, Any, Protocol
+from typing import IO, Any, Protocol
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from forestgen.core.figures import count, seconds, table_lines
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import make_folder, output_error
 from forestgen.dataset.safe_path import load_json
-from forestgen.runs.contract import RUN, Done, Failed, JobRecord, Outcome, StorageBackend
+from forestgen.runs.contract import RUN, Count, Done, Failed, JobRecord, Outcome, StorageBackend, Stored
 from forestgen.runs.storage import LocalStorage
 
 LOG = f"{RUN}/log.jsonl"
@@ -215,13 +215,8 @@ def job_fields(outcome: Outcome) -> dict[str, Any]:
     return {**fields, "seconds": round(fields["seconds"], 4)}
 
 
-Count = Annotated[int, Field(ge=0, lt=2**63)]
-
-
-class _JobDone(BaseModel):
+class _JobDone(Stored):
     """A `job_done` of the log, in the order of the table's columns; the disk or a hand may have damaged one."""
-
-    model_config = ConfigDict(strict=True)
 
     image: Count
     split: str

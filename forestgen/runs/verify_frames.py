@@ -28,7 +28,7 @@ from forestgen.dataset.check.files import (
 )
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.png import thumbnail_name, write_thumbnail
-from forestgen.dataset.safe_path import SafePath
+from forestgen.dataset.safe_path import SafePath, one_line
 from forestgen.recipe.map_files import recipe_hash
 from forestgen.runs.description import this_version
 from forestgen.runs.records import in_order
@@ -182,7 +182,7 @@ def check_renders(
         try:
             images = sorted(_drawn_images(root, count, seed).items())
         except (DatasetError, KeyError, TypeError, ValueError) as error:
-            yield Finding(INDEX_NAME, "the index cannot be read", got=" ".join(str(error).split())[:200])
+            yield Finding(INDEX_NAME, "the index cannot be read", got=one_line(error))
             return
         for image, rows in images:
             if any(row.get("stopped_by") == "time_budget_s" for row in rows):

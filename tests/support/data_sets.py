@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,21 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from forestgen.dataset import png
-from forestgen.dataset.index import INDEX_NAME, write_index
+from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.dataset import split_of
 
 SPLITS = {"train": 8.0, "val": 1.0, "test": 1.0}
 SIZE_PX = (48, 36)
 STAGES = {"community": 2.1, "plants": 1.4, "radiance": 9.0, "identity": 1.1, "labels": 0.6, "write": 0.4}
+
+
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write an index of rows that are all in memory."""
+    types = DrawTypes()
+    for row in rows:
+        types.add(row)
+    write_index(path, rows, types.columns)
 
 
 def read_instance(path: Path) -> NDArray[np.uint32]:
@@ -62,7 +70,7 @@ def write_data_set(
     for split in {row["split"] for row in rows}:
         (folder / split).mkdir(exist_ok=True)
         png.write_legend(folder / split, settings)
-    write_index(folder / INDEX_NAME, rows)
+    write_rows(folder / INDEX_NAME, rows)
     (folder / "dataset.json").write_text(json.dumps(_card(images, rows, description)), encoding="utf-8")
     return rows
 

@@ -14,10 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image
 
-from forestgen.dataset.index import read_index, write_index
+from forestgen.dataset.index import read_index
 from forestgen.runs.description import file_groups
 from forestgen.runs.record_index import FileSum
 from forestgen.runs.records import read_record, record_bytes
+from support.data_sets import write_rows
 
 Harm = Callable[[Path], object]
 
@@ -124,7 +125,7 @@ def index(root: Path, change: Callable[[list[dict[str, Any]]], object]) -> None:
     """Change the rows of the index."""
     rows = list(read_index(root / "index.parquet"))
     change(rows)
-    write_index(root / "index.parquet", rows)
+    write_rows(root / "index.parquet", rows)
 
 
 def record(root: Path, image: int, **changes: Any) -> None:

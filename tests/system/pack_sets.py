@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from forestgen.dataset.index import write_index
 from forestgen.dataset.writer import write_dataset, write_frame
 from forestgen.runs.description import SCHEMA, this_version
+from support.data_sets import write_rows
 
 sys.path.append(str(Path(__file__).parents[1] / "unit" / "dataset"))
 from dataset_shots import HEIGHT, SETTINGS, WIDTH, make_shot
@@ -35,7 +35,7 @@ def batch(root: Path) -> Path:
         folders = [_frame(root / split, image) for image in images]
         write_dataset(root / split, folders, _SETTINGS)
         rows += [_row(split, folder, image) for folder, image in zip(folders, images, strict=True)]
-    write_index(root / "index.parquet", sorted(rows, key=lambda row: row["image"]))
+    write_rows(root / "index.parquet", sorted(rows, key=lambda row: row["image"]))
     _describe(root, SPLITS)
     (root / "README.md").write_text(CARD, encoding="utf-8")
     return root
@@ -52,7 +52,7 @@ def many(root: Path, frame: Path, copies: int) -> Path:
         known = {"width_px": WIDTH, "height_px": HEIGHT, "channels": ["R", "G", "B"], "plants_in_view": 5}
         rows.append({"frame": folder.name, "split": "train", "image": number, "camera": "camera0", **known})
     shutil.copy(frame.parent / "classes.json", split)
-    write_index(root / "index.parquet", rows)
+    write_rows(root / "index.parquet", rows)
     _describe(root, {"train": tuple(range(copies))})
     return root
 

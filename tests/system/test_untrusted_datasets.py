@@ -18,7 +18,8 @@ from command_line import Answer, run, tree
 from hostile_sets import MARK, OUTSIDE, WAYS, WHOLES, changed, outside, summed
 from pack_sets import batch
 
-from forestgen.dataset.index import read_index, write_index
+from forestgen.dataset.index import read_index
+from support.data_sets import write_rows
 from support.tiers import sampled
 
 _LONGEST_S = 60.0  # of a command; a pipe that is waited for, or a device that is read to its end, takes for ever
@@ -172,7 +173,7 @@ def test_no_row_of_an_index_names_a_file_outside(name: str, packable: Path, tmp_
         root = shutil.copytree(packable, tmp_path / column)
         rows = list(read_index(root / "index.parquet"))
         rows[0][column] = name
-        write_index(root / "index.parquet", rows)
+        write_rows(root / "index.parquet", rows)
         assert [answer.code for answer in ask("pack", root, secret)] == [6, 6]
         ask("report", root, secret)
 
@@ -184,7 +185,7 @@ def test_no_name_in_a_text_leads_out(name: str, whole: Path, tmp_path: Path, sec
     root = copied(whole, tmp_path / "set")
     rows = list(read_index(root / "index.parquet"))
     rows[0]["folder"] = name
-    write_index(root / "index.parquet", rows)
+    write_rows(root / "index.parquet", rows)
     digest = hashlib.sha256(MARK.encode()).hexdigest()
     with (root / "SHA256SUMS").open("a") as sums:
         sums.write(f"{digest}  {name}\n")

@@ -14,9 +14,10 @@ from batch_pieces import copied
 from command_line import run
 from dataset_breaks import edit, flip, sum_again
 
-from forestgen.dataset.index import read_index, write_index
+from forestgen.dataset.index import read_index
 from forestgen.runs.records import read_record, record_bytes
 from forestgen.runs.verify import VerificationReport, verify
+from support.data_sets import write_rows
 
 
 @pytest.fixture
@@ -142,7 +143,7 @@ def rows_changed(root: Path, **values: object) -> None:
     """An index with other values in its first row, and sums to match."""
     rows = list(read_index(root / "index.parquet"))
     rows[0].update(values)
-    write_index(root / "index.parquet", rows)
+    write_rows(root / "index.parquet", rows)
     sum_again(root)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.exr_chunks import read_whole
-from forestgen.dataset.safe_path import SafePath, load_json, one_line, read_parquet
+from forestgen.dataset.safe_path import SafePath, load_json, one_line, read_parquet, reading
 from forestgen.recipe.sources import parse_yaml
 
 if TYPE_CHECKING:
@@ -95,13 +95,13 @@ def misunderstood(file: str, error: Exception, image: str = "", plant_id: int | 
 
 
 def read_bytes(root: Path, name: str) -> bytes:
-    with _reading(name):
-        return SafePath(root, name).read()
+    with _reading(root, name) as path:
+        return path.read()
 
 
 def read_text(root: Path, name: str) -> str:
-    with _reading(name, UnicodeDecodeError):
-        return SafePath(root, name).read().decode("utf-8")
+    with _reading(root, name) as path:
+        return path.read().decode("utf-8")
 
 
 def read_json(root: Path, name: str) -> Any:
@@ -113,8 +113,8 @@ def read_json(root: Path, name: str) -> Any:
 
 def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:
     """Part -> channel -> (H, W) array in the type it was stored in; and the first part's header."""
-    with _reading(name, RuntimeError, ValueError, TypeError, MemoryError):
-        return read_whole(SafePath(root, name))
+    with _reading(root, name) as path:
+        return read_whole(path)
 
 
 def read_picture(root: Path, name: str) -> NDArray[Any]:
@@ -139,28 +139,20 @@ def read_palette(root: Path, name: str) -> tuple[list[int], dict[str, str]]:
 
 def read_table(root: Path, name: str) -> dict[str, NDArray[Any]]:
     """Columns of a Parquet file; null is NaN, and None among texts."""
-    import pyarrow as pa
-
-    with _reading(name, ValueError, TypeError, pa.ArrowException):
-        table = read_parquet(SafePath(root, name))
+    with _reading(root, name) as path:
+        table = read_parquet(path)
         return {column: table[column].to_numpy() for column in table.column_names}
 
 
-def unreadable(name: str, error: Exception) -> UnreadableError:
-    return UnreadableError(Finding(name, "the file cannot be read", got=one_line(error)))
+def unreadable(path: SafePath, error: Exception) -> UnreadableError:
+    if isinstance(error, FileNotFoundError):
+        return UnreadableError(Finding(path.name, "the file is missing"))
+    return UnreadableError(Finding(path.name, "the file cannot be read", got=one_line(error)))
 
 
-@contextmanager
-def _reading(name: str, *kinds: type[Exception]) -> Iterator[None]:
-    """In this block an `OSError` and errors of these kinds become `UnreadableError`."""
-    try:
-        yield
-    except FileNotFoundError as error:
-        raise UnreadableError(Finding(name, "the file is missing")) from error
-    except Exception as error:
-        if not isinstance(error, (OSError, *kinds)):
-            raise
-        raise unreadable(name, error) from error
+def _reading(root: Path, name: str) -> AbstractContextManager[SafePath]:
+    """A file that is read in this block; what fails becomes `UnreadableError`."""
+    return reading(SafePath(root, name), unreadable)
 
 
 @contextmanager
@@ -169,9 +161,9 @@ def _png(root: Path, name: str) -> Iterator[Image]:
 
     from PIL import Image
 
-    with _reading(name, ValueError, SyntaxError, Image.DecompressionBombError), warnings.catch_warnings():
+    with _reading(root, name) as path, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a picture's size
-        with SafePath(root, name).open() as stream, Image.open(stream, formats=("PNG",)) as image:
+        with path.open() as stream, Image.open(stream, formats=("PNG",)) as image:
             yield image
 
 

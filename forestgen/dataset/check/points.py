@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from forestgen.dataset.check.files import Finding, finding, read_bytes, unreadable
 from forestgen.dataset.check.frame_data import FrameData, frame_check
+from forestgen.dataset.safe_path import SafePath
 
 _PLY, _LAZ = "points.ply", "points.laz"
 _TYPES = {"double": "<f8", "float": "<f4", "uchar": "u1", "ushort": "<u2", "uint": "<u4"}
@@ -69,7 +70,7 @@ def laz(frame: FrameData) -> Iterator[Finding]:
             cloud = reader.read()
         plant, place = np.asarray(cloud["plant_id"]), np.asarray(cloud.xyz)
     except Exception as error:  # its two backends raise their own kinds, and struct's and NumPy's
-        raise unreadable(frame.file(_LAZ), error) from error
+        raise unreadable(SafePath(frame.root, frame.file(_LAZ)), error) from error
     found = read_ply(frame)
     if len(plant) != len(found):
         yield finding("there are not as many points as in points.ply", len(found), len(plant))

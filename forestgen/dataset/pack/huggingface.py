@@ -20,7 +20,7 @@ from forestgen.core.errors import DatasetError
 from forestgen.dataset.formats.shards import json_text
 from forestgen.dataset.pack.pack import Contents, Pack, Shard
 from forestgen.dataset.pack.source import Channel, Sample, Source
-from forestgen.dataset.safe_path import load_json
+from forestgen.dataset.safe_path import load_json, one_line
 from forestgen.recipe.sources import yaml_text
 
 _FOLDER = "data"
@@ -164,8 +164,8 @@ def _array(column: Column, values: Sequence[Any]) -> Any:
     try:
         return pa.array(values, column.feature.arrow)
     except (TypeError, ValueError, OverflowError, pa.ArrowException) as error:
-        got = " ".join(str(error).split())[:200]
-        raise DatasetError("frames have values of a wrong type", where=f"column {column.name}", got=got) from error
+        where, got = f"column {column.name}", one_line(error)
+        raise DatasetError("frames have values of a wrong type", where=where, got=got) from error
 
 
 def _leaves(schema: Any) -> int:

@@ -23,12 +23,10 @@ from forestgen.dataset.pack.source import (
     in_order,
     measure_frame,
     open_source,
-    read_file,
-    read_json,
     read_samples,
 )
 from forestgen.dataset.png import LEGEND_NAME
-from forestgen.dataset.safe_path import SafePath
+from forestgen.dataset.safe_path import SafePath, read_object, reading
 from forestgen.recipe.registries import PACKS
 from forestgen.recipe.sources import parse_yaml
 
@@ -145,7 +143,7 @@ def pack(
 def is_pack(folder: Path) -> bool:
     """Whether a folder is a pack of ours: only such a folder may be replaced."""
     try:
-        return str(read_json(SafePath(folder, _PACK_FILE)).get("schema", "")).startswith("forestgen-pack/")
+        return str(read_object(SafePath(folder, _PACK_FILE)).get("schema", "")).startswith("forestgen-pack/")
     except DatasetError:
         return False
 
@@ -168,7 +166,8 @@ def _write_rest(
 ) -> None:
     """classes.json, README.md, pack.json."""
     source, names = contents.source, [channel.name for channel in contents.channels]
-    write_bytes(folder / LEGEND_NAME, read_file(source.splits[0].folder / LEGEND_NAME))
+    with reading(source.splits[0].folder / LEGEND_NAME) as legend:
+        write_bytes(folder / LEGEND_NAME, legend.read())
     of_card, chapter = _card_of(source.root)
     code = _opening_code(form, "PATH", shards)
     text = readme_body(form.title, code, shards, source.classes, names) + chapter

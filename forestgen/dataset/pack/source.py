@@ -9,7 +9,7 @@ import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,12 +20,10 @@ from forestgen.dataset.formats.depth_png import SCALE_NAME
 from forestgen.dataset.formats.shards import json_text
 from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
 from forestgen.dataset.png import LEGEND_NAME, read_legend
-from forestgen.dataset.safe_path import SafePath, load_json, unreadable
+from forestgen.dataset.safe_path import SafePath, read_object, reading
 
-T = TypeVar("T")
 _LAST_FILE = "dataset.json"  # that a run writes
 _EXR_FILE, _CAMERA_FILE = "frame.exr", "camera.json"
-_REMEDY = "forestgen verify finds what is damaged, the command that made the data set makes it again with `resume=True`"
 # How a whole file of a kind begins and ends.
 _ENDS = {
     "png": (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"),
@@ -128,7 +126,7 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     """
     index = whole_index(root / INDEX_NAME)
     names = list(zip(index["split"].to_pylist(), index["frame"].to_pylist(), strict=True))
-    listed = read_json(SafePath(root, _LAST_FILE)).get("splits")
+    listed = read_object(SafePath(root, _LAST_FILE)).get("splits")
     order = list(listed) if isinstance(listed, dict) else []  # the recipe's
     frames: dict[str, list[str]] = {}
     for split, frame in names:
@@ -145,7 +143,7 @@ def open_source(root: Path, splits: Sequence[str] = ()) -> Source:
     classes = read_legend(found[0].folder)
     for other in found[1:]:
         path = other.folder / LEGEND_NAME
-        if read_json(path) != classes:
+        if read_object(path) != classes:
             texts = {"expected": f"the same as in {found[0].name}", "hint": "pack them one by one, with `splits`"}
             raise DatasetError("splits differ in the numbers of their classes", where=str(path), **texts)
     return Source(root, found, classes, index, numbers)
@@ -193,8 +191,12 @@ def _has(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]
 
 def measure_frame(folder: SafePath, channels: Sequence[Channel], pixels: int) -> int:
     """Bytes that a frame's channels take; a file that is missing raises `DatasetError`."""
-    sizes = [(_size(folder / one.file), one) for one in channels]
-    return sum(128 + 4 * pixels * len(one.layers) if one.part else size_bytes for size_bytes, one in sizes)
+    total = 0
+    for channel in channels:
+        with reading(folder / channel.file) as path:
+            size_bytes = path.size_bytes()
+        total += 128 + 4 * pixels * len(channel.layers) if channel.part else size_bytes
+    return total
 
 
 def in_order(split: Split, seed: int | None) -> Sequence[str]:
@@ -218,7 +220,7 @@ def read_samples(
         contents = {one.name: _npy(folder, one, exr) if one.part else _whole(folder / one.file) for one in channels}
         unit_m = _depth_unit_m(folder) if "depth" in contents else None
         row = plain_rows(source.index.slice(source.row_numbers[frame], 1), source.root / INDEX_NAME)[0]
-        camera = read_json(folder / _CAMERA_FILE)
+        camera = read_object(folder / _CAMERA_FILE)
         try:
             json_text([row, camera])
         except (TypeError, ValueError) as error:  # a date, or a number that is none: a stranger's column
@@ -229,7 +231,7 @@ def read_samples(
 
 
 def _depth_unit_m(folder: SafePath) -> float:
-    unit_m = read_json(folder / SCALE_NAME).get("unit_m")
+    unit_m = read_object(folder / SCALE_NAME).get("unit_m")
     if not isinstance(unit_m, float):
         where = str(folder / SCALE_NAME)
         raise DatasetError("a file is not what its name says", where=where, expected="unit_m: metres")
@@ -249,47 +251,14 @@ def _npy(folder: SafePath, channel: Channel, exr: Mapping[str, Mapping[str, Any]
 
 
 def _whole(path: SafePath) -> bytes:
-    content = read_file(path)
-    head, tail = _ENDS[path.name.rpartition(".")[2]]
-    if not (content.startswith(head) and content.endswith(tail)):
-        raise _damaged(path)
-    return content
+    with reading(path):
+        content = path.read()
+        head, tail = _ENDS[path.name.rpartition(".")[2]]
+        if not (content.startswith(head) and content.endswith(tail)):
+            raise ValueError("it is cut short or damaged")
+        return content
 
 
 def _read_exr(path: SafePath) -> dict[str, dict[str, Any]]:
-    _size(path)
-    try:
+    with reading(path):
         return read_whole(path)[0]
-    except Exception as error:  # the library raises whatever its C++ threw
-        raise _damaged(path) from error
-
-
-def read_file(path: SafePath) -> bytes:
-    """A file's bytes; failures are `DatasetError`."""
-    return _sound(path, path.read)
-
-
-def _size(path: SafePath) -> int:
-    return _sound(path, path.size_bytes)
-
-
-def _sound(path: SafePath, read: Callable[[], T]) -> T:
-    try:
-        return read()
-    except OSError as error:
-        raise unreadable(path, error, _REMEDY) from error
-
-
-def read_json(path: SafePath) -> dict[str, Any]:
-    """An object of JSON; what is none raises `DatasetError`."""
-    try:
-        content = load_json(read_file(path))
-    except ValueError as error:
-        raise _damaged(path) from error
-    if not isinstance(content, dict):
-        raise DatasetError("a file is not what its name says", where=str(path), expected="a JSON object")
-    return content
-
-
-def _damaged(path: SafePath) -> DatasetError:
-    return DatasetError("a file is cut short or damaged", where=str(path), hint=_REMEDY)

@@ -14,7 +14,6 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from forestgen.core.errors import DatasetError
 from forestgen.dataset.index import open_table
 from forestgen.dataset.report.charts import Chart, Fact, ShareList, histogram, shares, short
 
@@ -82,13 +81,7 @@ class Frames:
 
 def read_frames(path: Path) -> Frames:
     """Read an index; one that cannot be read, or is none of ours, raises `DatasetError`."""
-    try:
-        return Frames(open_table(path, _NEEDED))
-    except DatasetError as error:
-        hint = "the command that made the data set, with `resume=True`, writes it again"
-        raise DatasetError(
-            error.problem, where=error.where, expected=error.expected, got=error.got, hint=hint
-        ) from error
+    return Frames(open_table(path, _NEEDED))
 
 
 def no_frames() -> Frames:

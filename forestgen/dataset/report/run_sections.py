@@ -125,18 +125,23 @@ def _pace(run: RunLog) -> Chart | None:
 def provenance_section(source: Source) -> Section:
     """What the data set was made from, and with."""
     metadata = source.metadata
+    licence = " ".join(filter(None, ((metadata.licence or {}).get(key) for key in ("name", "url"))))
 
     def text_of(recipe: RecipeMetadata) -> str:
-        parts = [("recipe hash", recipe.hash), ("seed", recipe.root_seed), ("images asked for", f"{recipe.images:,}")]
+        parts = [
+            ("recipe hash", recipe.hash),
+            ("seed", str(recipe.root_seed)),
+            ("images asked for", f"{recipe.images:,}"),
+        ]
         return ", ".join(f"{name} {value}" for name, value in parts if value)
 
     values = [
         ("description", metadata.description),
         ("contributor", metadata.contributor),
-        ("licence", metadata.licence or "none stated"),
+        ("licence", licence or "none stated"),
         ("size on disk", show_bytes(metadata.bytes) if metadata.bytes else ""),
         *((one.file or "recipe", text_of(one)) for one in metadata.recipes),
-        *(("made with", versions) for versions in metadata.made_with),
+        *(("made with", str(versions)) for versions in metadata.made_with),
         ("missing images", gaps_text(metadata.missing, 100) or "none"),
     ]
     rows = [Row(name, [Cell(text)]) for name, text in values if text]

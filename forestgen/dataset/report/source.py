@@ -11,7 +11,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any
+
+from pydantic import BaseModel, Field
 
 from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.index import INDEX_NAME
@@ -161,7 +163,6 @@ def _seconds_of(text: Any) -> float | None:
 
 
 _CARD_NAME, _RUN_NAME = "dataset.json", "run"
-_RECIPE_TEXTS = ("file", "hash", "root_seed")
 
 
 @dataclass(frozen=True)
@@ -177,29 +178,49 @@ class Legend:
         return self.colours.get(name, "")
 
 
-@dataclass(frozen=True)
-class RecipeMetadata:
+class RecipeMetadata(BaseModel):
     """A recipe that images were drawn from."""
 
-    file: str
-    hash: str
-    root_seed: str
-    images: int  # that were asked for
-    missing: tuple[tuple[int, int], ...]  # first and last image of each gap
-    draws: Mapping[str, Any]  # key -> its distribution as written
+    file: str = ""
+    hash: str = ""
+    root_seed: int | str = ""
+    images: int = 0  # that were asked for
+    missing: list[tuple[int, int]] = []  # first and last image of each gap
+    draws: dict[str, Any] = {}  # key -> its distribution as written
 
 
-@dataclass(frozen=True)
-class Metadata:
+class _Versions(BaseModel):
+    """What a kind of machine made images with."""
+
+    platform: dict[str, str] = {}  # system and machine
+    python: str = ""
+    packages: dict[str, str | None] = {}
+
+    def __str__(self) -> str:
+        where = " ".join(self.platform[key] for key in ("system", "machine") if key in self.platform)
+        versions = [f"{name} {version}" for name, version in sorted(self.packages.items()) if version]
+        return ", ".join(filter(None, [where, self.python and f"Python {self.python}", *versions]))
+
+
+class _FileGroup(BaseModel):
+    bytes: Annotated[int, Field(ge=0)] = 0
+
+
+class Metadata(BaseModel):
     """The data set as dataset.json describes it."""
 
-    description: str
-    contributor: str
-    licence: str
-    splits: tuple[str, ...]
-    recipes: tuple[RecipeMetadata, ...]
-    made_with: tuple[str, ...]  # versions, a text for each kind of machine
-    bytes: int  # of all files; 0: not known
+    description: str = ""
+    contributor: str = ""
+    licence: dict[str, str] | None = None  # its name and url
+    splits: dict[str, Any] = {}  # in the recipe's order
+    recipes: list[RecipeMetadata] = []
+    made_with: list[_Versions] = []
+    files: dict[str, _FileGroup] = {}  # by kind
+
+    @property
+    def bytes(self) -> int:
+        """Of all files; 0: not known."""
+        return sum(one.bytes for one in self.files.values())
 
     @property
     def missing(self) -> list[tuple[int, int]]:
@@ -229,16 +250,16 @@ def open_source(folder: Path) -> Source:
     """Read a data set, finished or not; a folder of none raises `RecipeError`, a damaged index `DatasetError`."""
     check_folder(folder, "a folder that forestgen render, batch or merge wrote")
     notes: list[str] = []
-    card = _read_json(SafePath(folder, _CARD_NAME), notes)
+    metadata = _read_metadata(folder, notes)
     if os.path.lexists(folder / INDEX_NAME):
         frames = read_frames(folder / INDEX_NAME)
-    elif card or (folder / _RUN_NAME).is_dir():
+    elif metadata is not None or (folder / _RUN_NAME).is_dir():
         frames = no_frames()
         notes.append("index.parquet is missing: the run has not ended, and can be resumed.")
     else:
         hint = "name a folder that forestgen render, batch or merge wrote"
         raise RecipeError("this is no data set of forestgen", where=str(folder), hint=hint)
-    metadata = _metadata(card)
+    metadata = metadata or Metadata()
     splits = tuple(dict.fromkeys([*metadata.splits, *sorted(set(frames.split))]))
     return Source(folder, frames, _read_legend(folder, splits, notes), splits, metadata, read_run(folder), tuple(notes))
 
@@ -267,48 +288,18 @@ def _read_legend(folder: Path, splits: tuple[str, ...], notes: list[str]) -> Leg
     )
 
 
-def _read_json(path: SafePath, notes: list[str]) -> dict[str, Any]:
+def _read_metadata(folder: Path, notes: list[str]) -> Metadata | None:
+    """dataset.json; None where there is none that can be read."""
     try:
-        content = path.read_json()
+        return Metadata.model_validate(SafePath(folder, _CARD_NAME).read_json())
     except (FileNotFoundError, NotADirectoryError):
-        return {}
+        return None
     except (OSError, ValueError):
-        content = None
-    if not isinstance(content, dict):
-        notes.append(f"{path.name.rpartition('/')[2]} cannot be read.")
-        return {}
-    return content
+        notes.append(f"{_CARD_NAME} cannot be read.")
+        return None
 
 
-def _metadata(card: Mapping[str, Any]) -> Metadata:
-    licence = _of(card, "licence", dict)
-    return Metadata(
-        description=str(card.get("description") or ""),
-        contributor=str(card.get("contributor") or ""),
-        licence=" ".join(str(licence[key]) for key in ("name", "url") if licence.get(key)),
-        splits=tuple(str(name) for name in _of(card, "splits", dict)),
-        recipes=tuple(map(_recipe, _of(card, "recipes", list))),
-        made_with=tuple(map(_machine, _of(card, "made_with", list))),
-        bytes=sum(max(0, _of(one, "bytes", int)) for one in _of(card, "files", dict).values()),
-    )
-
-
-def _recipe(card: Any) -> RecipeMetadata:
-    file, recipe_hash, root_seed = (str(_of(card, key, str | int)) for key in _RECIPE_TEXTS)
-    gaps = [one for one in _of(card, "missing", list) if isinstance(one, list) and len(one) == 2]
-    missing = tuple((first, last) for first, last in gaps if isinstance(first, int) and isinstance(last, int))
-    return RecipeMetadata(file, recipe_hash, root_seed, _of(card, "images", int), missing, _of(card, "draws", dict))
-
-
-def _machine(card: Any) -> str:
-    platform = _of(card, "platform", dict)
-    where = " ".join(str(platform[key]) for key in ("system", "machine") if platform.get(key))
-    python = _of(card, "python", str)
-    versions = [f"{name} {version}" for name, version in sorted(_of(card, "packages", dict).items()) if version]
-    return ", ".join(filter(None, [where, python and f"Python {python}", *versions]))
-
-
-def _of(mapping: Any, key: str, kind: Any) -> Any:
+def _of(mapping: Any, key: str, kind: type) -> Any:
     """A mapping's value of a kind; an empty one where there is none, or it is of another kind."""
     value = mapping.get(key) if isinstance(mapping, dict) else None
-    return value if isinstance(value, kind) else (get_args(kind) or (kind,))[0]()
+    return value if isinstance(value, kind) else kind()

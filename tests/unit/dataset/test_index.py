@@ -7,6 +7,7 @@ import pytest
 
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.index import COLUMNS, DrawTypes, read_index, write_index
+from support.data_sets import write_rows
 
 EMPTY = dict.fromkeys(COLUMNS)
 
@@ -31,7 +32,7 @@ def test_rows_come_back(tmp_path):
     rows = [row(number, depth_min_m=0.1 * number) for number in range(1100)]  # several groups
     rows[1099]["draw.site.slope"] = 0.1 + 0.2
     rows[0]["draw.count"] = 3
-    write_index(tmp_path / "index.parquet", rows)
+    write_rows(tmp_path / "index.parquet", rows)
     back = list(read_index(tmp_path / "index.parquet"))
     assert back == [{"draw.count": None, "draw.site.slope": None, **one} for one in rows]
     file = pq.ParquetFile(tmp_path / "index.parquet")
@@ -53,7 +54,7 @@ def test_rows_come_back(tmp_path):
     ],
 )
 def test_a_draw_has_one_type(tmp_path, values, kind, back):
-    write_index(tmp_path / "i.parquet", [row(k, **{"draw.x": value}) for k, value in enumerate(values)])
+    write_rows(tmp_path / "i.parquet", [row(k, **{"draw.x": value}) for k, value in enumerate(values)])
     assert str(pq.read_schema(tmp_path / "i.parquet").field("draw.x").type) == kind
     assert [one["draw.x"] for one in read_index(tmp_path / "i.parquet")] == back
 
@@ -63,20 +64,20 @@ def test_the_same_bytes_from_a_stream(tmp_path):
     types = DrawTypes()
     for one in rows:
         types.add(one)
-    write_index(tmp_path / "one", rows)
+    write_rows(tmp_path / "one", rows)
     write_index(tmp_path / "deeper" / "two", iter(rows), types.columns)
     assert (tmp_path / "one").read_bytes() == (tmp_path / "deeper" / "two").read_bytes()
 
 
 def test_no_rows(tmp_path):
-    write_index(tmp_path / "i.parquet", [])
+    write_rows(tmp_path / "i.parquet", [])
     assert list(read_index(tmp_path / "i.parquet")) == []
     assert pq.read_schema(tmp_path / "i.parquet").names == list(COLUMNS)
 
 
 def test_an_unknown_column_is_a_bug(tmp_path):
     with pytest.raises(ValueError, match="colour"):
-        write_index(tmp_path / "i.parquet", [row(0, colour="red")])
+        write_rows(tmp_path / "i.parquet", [row(0, colour="red")])
 
 
 def test_what_cannot_be_read_or_written(tmp_path):
@@ -87,7 +88,7 @@ def test_what_cannot_be_read_or_written(tmp_path):
         list(read_index(tmp_path / "bad"))
     (tmp_path / "folder").mkdir()
     with pytest.raises(OutputError):
-        write_index(tmp_path / "folder", [])
+        write_rows(tmp_path / "folder", [])
 
 
 def test_the_table_of_columns_names_them_all():

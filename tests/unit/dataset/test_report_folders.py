@@ -18,12 +18,12 @@ from forestgen.api.datasets import write_report as write_page
 from forestgen.cli import app
 from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.dataset import png
-from forestgen.dataset.index import INDEX_NAME, read_index, write_index
+from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.report.frames import read_frames
 from forestgen.dataset.report.gallery import BUDGET_BYTES, MOST_FRAMES, _mask, _photo, choose
 from forestgen.dataset.report.page import write_report
 from forestgen.dataset.report.source import MOST_MESSAGES, read_run
-from support.data_sets import SPLITS, write_data_set
+from support.data_sets import SPLITS, write_data_set, write_rows
 
 PICTURE = re.compile(r'src="data:image/webp;base64,([^"]*)"')
 
@@ -165,7 +165,7 @@ def test_pictures_outside_the_data_set_stay_there(tmp_path, folder):
     (row,) = write_data_set(data, 1, run=False)
     shutil.move(data / row["folder"], outside / "a")
     (data / "train" / "link").symlink_to(outside / "a")
-    write_index(data / INDEX_NAME, [{**row, "folder": folder.format(outside=outside)}])
+    write_rows(data / INDEX_NAME, [{**row, "folder": folder.format(outside=outside)}])
     assert pictures(report(data)) == []
 
 
@@ -216,7 +216,7 @@ def test_a_picture_keeps_within_its_quota(encode, quota):
 def test_a_page_of_many_images_stays_small(tmp_path):
     rows = write_data_set(tmp_path, 40, run=False, pictures=False)
     many = [{**rows[k % 40], "frame": f"{k:06d}-eye", "image": k, "folder": "train/noise"} for k in range(3000)]
-    write_index(tmp_path / INDEX_NAME, many)
+    write_rows(tmp_path / INDEX_NAME, many)
     noise = np.random.default_rng(0).integers(0, 256, (24, 32, 3), dtype=np.uint8)
     (tmp_path / "train" / "noise").mkdir(parents=True)
     for name in ("preview.png", "overlay.png", "semantic.png"):

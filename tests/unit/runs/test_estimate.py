@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import tempfile
 from collections.abc import Callable
@@ -13,12 +14,15 @@ from types import SimpleNamespace
 
 import pytest
 
+import forestgen
 from forestgen.core.errors import OutputError, ResourceError
 from forestgen.core.progress import Silent
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.recipe.load import LoadedRecipe, load_recipe
 from forestgen.runs import estimate as module
 from forestgen.runs.calibration_runs import (
+    _BY_SAMPLE,
+    _BY_SCENE,
     CalibrationRun,
     CalibrationRuns,
     ReducedSettings,
@@ -126,6 +130,14 @@ def test_a_probe_is_scaled_to_its_image() -> None:
     }
     totals = [sum(full_stages(stages, ReducedSettings(s, p)).values()) for s, p in ((1, 1), (2, 1), (2, 2), (4, 2))]
     assert totals == sorted(set(totals))
+
+
+def test_stages_that_are_scaled_are_booked_under_these_names() -> None:
+    """A stage that was renamed would count as one that goes with the pixels."""
+    package = Path(forestgen.__file__).parent
+    sources = (path.read_text(encoding="utf-8") for path in package.rglob("*.py"))
+    booked = {name for text in sources for name in re.findall(r'\b_?tim(?:er|ings)\("([^"]+)"\)', text)}
+    assert {*_BY_SAMPLE, *_BY_SCENE} <= booked
 
 
 def test_probes_are_lighter_than_their_images(recipe: Callable[..., LoadedRecipe]) -> None:

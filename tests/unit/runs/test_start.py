@@ -101,6 +101,7 @@ def test_many_failures_are_counted() -> None:
         ({"resources": {"GPU": 1.0}}, "engine", "`engine='dask'`"),
         ({"engine": "dask", "workers": 2}, "workers", "its own workers"),
         ({"engine": "dask", "timeout": "3min"}, "timeout", "of this machine"),
+        ({"engine": "dask", "worker_memory": "4GB"}, "worker_memory", "--memory-limit"),
     ],
 )
 def test_options_that_cannot_be(options: dict[str, Any], where: str, said: str) -> None:
