@@ -63,7 +63,8 @@ def parts_page() -> str:
     text = [
         "# Community models of your own\n",
         "The classes that a community model uses, each with the module to import it from.",
-        "[A community model as a plug-in](../tutorials/plugin.md) writes two; [`fg.register`](api.md#fgregister) adds one.\n",
+        "[A community model as a plug-in](../tutorials/plugin.md) writes two;",
+        "[`fg.register`](api.md#fgregister) adds them.\n",
         "## Base classes\n",
         *(_class(f"{one.__module__}.{one.__name__}", one, title=one.__name__) for one in _STATIC),
         "## The protocol of all models\n",
