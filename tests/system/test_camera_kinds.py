@@ -17,9 +17,10 @@ from forestgen.render.frame import Identity, Surface
 from forestgen.render.identity import SceneTracer, sample_offsets
 from forestgen.render.identity.tracer import camera_rays
 from forestgen.render.variant import mitsuba, using
-from forestgen.scene.projection import depth_is_distance, image_circle, lens_points
+from forestgen.scene.projection import depth_is_distance, image_circle
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cameras import KINDS, camera_of
+from support.lens_points import lens_points
 from support.scenes import dyadic_scene, plain_ground, window_hits
 from support.twins import Oracle, trace_twin
 

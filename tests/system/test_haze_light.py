@@ -13,7 +13,7 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.render.denoise import guide_values, guides_of, trace_guides
+from forestgen.render.denoise import guide_values, guides_of
 from forestgen.render.frame import Radiance
 from forestgen.render.haze import (
     ASYMMETRY,
@@ -35,6 +35,7 @@ from forestgen.render.wavelengths import ColourAtOnce, Pass, quadrature_of
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.projection import rays, world_rays
 from forestgen.scene.spec import Camera, Lens, Sky
+from support.guides import trace_guides
 from support.radiometry import lights
 from support.scenes import camera_at, plain_ground, scattered_scene
 
@@ -170,7 +171,7 @@ def test_guides_and_haze_share_their_rays():
     """One launch finds both, equal to the last bit to what each finds alone."""
     camera, dr = views()["perspective"], drjit()
     tracer, extinction = SceneTracer(stand(camera, 2000.0), Timings()), np.array([1e-3, 4e-3])
-    alone = trace_guides(tracer, camera, timer=Timings()), trace_seen(tracer, camera, extinction, timer=Timings())
+    alone = trace_guides(tracer, camera), trace_seen(tracer, camera, extinction, timer=Timings())
     with using(tracer.variant), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         sums = pixel_sums(tracer, camera, [guide_values(tracer, camera), seen_values(extinction)])

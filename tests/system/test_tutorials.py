@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,15 @@ def _done(words: list[str], folder: Path, environment: dict[str, str]) -> str:
 def test_the_model_of_the_tutorial_is_the_file_of_the_example() -> None:
     (text,) = (text for _, title, text in blocks(ROOT / "docs" / "tutorials" / "plugin.md") if title)
     assert text == (PLUGIN / "forestgen_plantation" / "__init__.py").read_text(encoding="utf-8")
+
+
+def test_each_module_of_the_example_has_an_entry_point_that_the_tutorial_shows() -> None:
+    groups = tomllib.loads((PLUGIN / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    (shown,) = (text for language, _, text in blocks(ROOT / "docs" / "tutorials" / "plugin.md") if language == "toml")
+    assert groups == tomllib.loads(shown)["project"]["entry-points"]
+    named = {path.partition(":")[0] for group in groups.values() for path in group.values()}
+    files = (PLUGIN / "forestgen_plantation").glob("*.py")
+    assert named == {f"forestgen_plantation.{file.stem}".removesuffix(".__init__") for file in files}
 
 
 def test_the_notebook_of_the_example_has_the_cells_of_the_tutorial() -> None:

@@ -10,8 +10,6 @@ from forestgen.scene.projection import (
     centre_rays,
     depth_is_distance,
     image_circle,
-    lens_points,
-    pixel_hash,
     project,
     projection_of,
     rays,
@@ -19,6 +17,7 @@ from forestgen.scene.projection import (
 )
 from forestgen.scene.spec import Camera
 from support.cameras import KINDS, camera_of
+from support.lens_points import lens_points, pixel_hash
 
 POSITION_M = (120.0, -35.0, 4.0)
 
