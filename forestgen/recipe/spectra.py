@@ -113,12 +113,13 @@ _SUFFIXES = ("", *(f"_{season}" for season in SEASONS))
 
 
 @lru_cache(maxsize=256)
-def surface_columns(text: str, file: str) -> Columns:
+def surface_columns(text: str, file: str, where: str | None = None) -> Columns:
     """Columns of a surface's table from its text: reflectance, transmittance, perhaps by season; fractions of 1.
 
-    `file` names it in messages. Raises `AssetError`: no surface can have it; file, line, what was expected and found.
+    `file` names it in messages, `where` the place in the recipe. Raises `AssetError`: no surface can have it; file,
+    line, what was expected and found.
     """
-    table = _Table(text, file, None)
+    table = _Table(text, file, where)
     names = {f"{what}{suffix}" for what in ("reflectance", "transmittance") for suffix in _SUFFIXES}
     line = table.header_line
     for name in table.names:

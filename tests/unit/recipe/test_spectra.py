@@ -34,8 +34,8 @@ def table(
     return "mine.csv"
 
 
-def read(folder: Path, name: str = "mine.csv") -> Columns:
-    return surface_columns(table_text(folder / name), str(folder / name))
+def read(folder: Path, name: str = "mine.csv", where: str | None = None) -> Columns:
+    return surface_columns(table_text(folder / name), str(folder / name), where)
 
 
 def test_a_table_is_read_as_it_stands(tmp_path):
@@ -82,9 +82,9 @@ def test_byte_order_marks_and_line_ends_do_no_harm(tmp_path):
 def test_a_bad_table_is_told_with_its_line(tmp_path, rows, header, line, told):
     name = table(tmp_path, rows, header or "wavelength_nm,reflectance,transmittance")
     with pytest.raises(AssetError) as error:
-        read(tmp_path, name)
+        read(tmp_path, name, "stand.yaml:3: species.elm")
     message = str(error.value)
-    assert message.startswith(f"{tmp_path / name}:{line}: ")
+    assert message.startswith(f"{tmp_path / name}:{line} (named by stand.yaml:3: species.elm): ")
     for text in told:
         assert text in message
 
