@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import math
 import os
 import re
 import unicodedata
@@ -92,15 +91,16 @@ def whole_of(value: Any, parameter: str, least: int, most: int) -> int:
     """A whole number from `least` to `most`; True and 1.0 are none. Raises `RecipeError`."""
     if _is_a(Integral, value) and least <= value <= most:
         return int(value)
-    raise _no_number(value, parameter, least, most, "a whole number, ")
+    kind = "" if _is_a(Integral, value) else "a whole number, "
+    raise _wrong("no such number", value, parameter, f"{kind}{least:,} to {most:,}")
 
 
-def number_of(value: Any, parameter: str, least: float = -math.inf, most: float = math.inf) -> float:
-    """A number from `least` to `most`, which NaN is not; without these any number. Raises `RecipeError`."""
-    if _is_a(Real, value) and (least <= value <= most or least == -most == -math.inf):
+def number_of(value: Any, parameter: str) -> float:
+    """Any number, also NaN. Raises `RecipeError`."""
+    if _is_a(Real, value):
         with suppress(OverflowError):  # of a whole number beyond all floats
             return float(value)
-    raise _no_number(value, parameter, least, most, "")
+    raise _wrong("no such number", value, parameter, "a number")
 
 
 def flag_of(value: Any, parameter: str) -> bool:
@@ -128,13 +128,6 @@ def _is_a(kind: type, value: Any) -> bool:
 
 def _wrong(problem: str, value: Any, parameter: str, expected: str) -> RecipeError:
     return RecipeError(problem, parameter=parameter, expected=expected, got=shown(value))
-
-
-def _no_number(value: Any, parameter: str, least: float, most: float, kind: str) -> RecipeError:
-    low, high = (f"{one:,}" if isinstance(one, int) else f"{one:,.6g}" for one in (least, most))
-    kind = "" if _is_a(Integral, value) else kind
-    expected = f"{kind}{low} to {high}" if math.isfinite(least + most) else "a number"
-    return _wrong("no such number", value, parameter, expected)
 
 
 def plain_copy(value: Any, where: str) -> Any:

@@ -14,14 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.identity.surface import (
-    SAMPLES,
-    Values,
-    albedo,
-    corners_of,
-    shading_normal,
-    sun_visible,
-)
+from forestgen.render.identity.surface import SAMPLES, Values, albedo, corners_of, shading_normal, sun_visible
 from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.skies.model import sky_model_of
 from forestgen.render.variant import dr, mi, mitsuba

@@ -170,17 +170,14 @@ class ExactView:
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         with using(SCALAR):
-            return self._take(channels, samples, number)
-
-    def _take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
-        with self.timer("radiance: repaint"):
-            self.bsdfs.repaint(channels)
-        if self._parts is None:
-            with self.timer("light paths"):
-                return _captured(self._tracer, self._whole, self.job, samples, ("whole", *number))
-        # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
-        image = self._parts.by_sun((samples + 1) // 2, number)
-        return image + self._parts.by_clouds(channels, samples, number, self.followed)
+            with self.timer("radiance: repaint"):
+                self.bsdfs.repaint(channels)
+            if self._parts is None:
+                with self.timer("light paths"):
+                    return _captured(self._tracer, self._whole, self.job, samples, ("whole", *number))
+            # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
+            image = self._parts.by_sun((samples + 1) // 2, number)
+            return image + self._parts.by_clouds(channels, samples, number, self.followed)
 
     def followed(self, place_m: Floats, direction: Floats, seed: int) -> Floats:
         """(N, 3) radiance that comes from the scene with its clouds to (N, 3) places, one path each."""

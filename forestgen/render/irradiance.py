@@ -126,20 +126,16 @@ def measure(
     max_depth: int,
     seed: int,
     progress: Progress,
-    sources: Callable[[Floats], Sequence[Source]] | None = None,
 ) -> PointLight:
     """Light at one point (3,) of the world, on a surface with a normal (3,).
 
-    Parameters
-    ----------
-    samples : light paths of each light at each wavelength, all replicates together.
-    sources : lights in place of the scene's own, by the origin of the renderer's frame.
+    `samples` are light paths of each light at each wavelength, all replicates together.
     """
     origin = np.asarray(point_m, dtype=np.float64)
     spp = max(1, round(samples / REPLICATES / _PIXELS**2))
     with using(SCALAR):
         sensor = _sensor(normal, spp)
-        lights = sources(origin) if sources is not None else sources_of(spec, origin)
+        lights = sources_of(spec, origin)
         lit = Lit(spec, origin, lights, {"meter": _patch(normal)})
 
         def shoot(row: int, depth: int) -> Floats:
@@ -231,22 +227,15 @@ class ChartImages:
 
 
 def render_chart(
-    spec: SceneSpec,
-    camera: Camera,
-    *,
-    samples: int,
-    max_depth: int,
-    seed: int,
-    progress: Progress,
-    sources: Callable[[Floats], Sequence[Source]] | None = None,
+    spec: SceneSpec, camera: Camera, *, samples: int, max_depth: int, seed: int, progress: Progress
 ) -> ChartImages:
-    """Render `camera`'s view, under `sources` as for `measure`.
+    """Render `camera`'s view under the scene's lights.
 
     `samples` are those of each pixel by each light in each mode's image; a quarter of them at each of 81 wavelengths.
     """
     origin = origin_of(camera)
     with using(SCALAR):
-        lights = sources(origin) if sources is not None else sources_of(spec, origin)
+        lights = sources_of(spec, origin)
         lit = Lit(spec, origin, lights)
         integrators = [lit.integrator(row, max_depth=max_depth, block_px=BLOCK_PX) for row in range(len(lights))]
         threes, passes = passes_at(WAVELENGTHS_NM), ColourBySpectrum().passes

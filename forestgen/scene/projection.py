@@ -355,11 +355,6 @@ def project(camera: Camera, points_m: Floats) -> Pixels:
     return Pixels(at.x_px + width / 2, at.y_px + height / 2, at.depth_m, at.in_front)
 
 
-def depth_is_distance(camera: Camera) -> bool:
-    """Whether depth runs along the ray; otherwise it runs along z."""
-    return projection_of(camera).depth_is_distance
-
-
 def image_circle(camera: Camera) -> Bools:
     """(H, W) pixels whose centre sees something: all but those outside of a fisheye's circle."""
     return centre_rays(camera).valid

@@ -8,7 +8,6 @@ import pytest
 from forestgen.scene.projection import (
     Projection,
     centre_rays,
-    depth_is_distance,
     image_circle,
     project,
     projection_of,
@@ -41,7 +40,7 @@ def test_points_along_rays_project_to_where_the_rays_come_from(kind):
     assert at.in_front.all()
     np.testing.assert_allclose(at.x_px, x, atol=1e-9)
     np.testing.assert_allclose(at.y_px, y, atol=1e-9)
-    expected = distance if depth_is_distance(camera) else distance * found.direction[:, 2]
+    expected = distance if projection_of(camera).depth_is_distance else distance * found.direction[:, 2]
     np.testing.assert_allclose(at.depth_m, expected, rtol=1e-12)
 
 
