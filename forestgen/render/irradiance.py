@@ -44,7 +44,7 @@ from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.colour_checker import axes_of
 from forestgen.scene.spec import Camera, SceneSpec
 
-REPLICATES = 8
+REPLICATES = 8  # of a measurement, and of a chart's spectral mode
 NODES_NM = np.concatenate(
     [[300.0, 340.0], np.arange(380.0, 781.0, 20.0), [860, 950, 1050, 1250, 1450, 1650, 1800, 2000, 2250, 2500]]
 )
@@ -53,7 +53,6 @@ _PIXELS, _BLOCK_PX = 8, 2  # along the side of the picture of the patch; blocks 
 Floats = NDArray[np.float64]
 Emitter = Callable[[Channels], dict[str, Any]]
 WAVELENGTHS_NM = np.arange(380.0, 781.0, 5.0)  # the colour matching functions' own table has steps of 5 nm (CIE 15)
-_REPLICATES = 8  # of the spectral mode
 
 
 @dataclass(frozen=True)
@@ -177,9 +176,7 @@ def passes_at(wavelength_nm: Floats) -> list[tuple[NDArray[np.intp], Channels]]:
 
 def _grid(lights: Sequence[Source]) -> Floats:
     """Wavelengths of all spectra and of the nodes, 300 to 2500 nm, no two further apart than 5 nm where eyes see."""
-    every = np.concatenate(
-        [NODES_NM, np.arange(380.0, 781.0, 5.0), *(source.spectrum.wavelength_nm for source in lights)]
-    )
+    every = np.concatenate([NODES_NM, WAVELENGTHS_NM, *(source.spectrum.wavelength_nm for source in lights)])
     return np.unique(every[(every >= NODES_NM[0]) & (every <= NODES_NM[-1])])
 
 
@@ -250,13 +247,13 @@ def render_chart(
             advance(1)
             return np.asarray(np.sum(images, axis=0)[..., :3])
 
-        with progress.stage("chart", 1 + _REPLICATES * passes + len(threes)) as advance:
+        with progress.stage("chart", 1 + REPLICATES * passes + len(threes)) as advance:
             rgb = view(RGB, samples, "rgb")
             spectral = np.zeros_like(rgb)
-            for replicate in range(_REPLICATES):
+            for replicate in range(REPLICATES):
                 for index, one in enumerate(ColourBySpectrum().draw(child_rng(seed, "wavelengths"), replicate)):
-                    few = max(1, round(samples / _REPLICATES / passes))
-                    spectral += view(one.channels, few, "spectral", replicate, index) @ one.weight.T / _REPLICATES
+                    few = max(1, round(samples / REPLICATES / passes))
+                    spectral += view(one.channels, few, "spectral", replicate, index) @ one.weight.T / REPLICATES
             wavelengths = np.empty((*rgb.shape[:2], len(WAVELENGTHS_NM)), dtype=np.float32)
             for rows, channels in threes:
                 # All wavelengths follow the same random numbers: noise does not bend spectra.
