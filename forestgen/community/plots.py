@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from forestgen.community.model import Site
 from forestgen.community.plan import NO_OBSTACLES, Obstacles
 from forestgen.community.population import Floats, Population, Status, count_by_species
-from forestgen.core.errors import OutputError
+from forestgen.core.errors import writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,11 +78,9 @@ def new_figure(width_in: float, height_in: float) -> Figure:
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as a PNG, or raise `OutputError`."""
-    try:
+    with writing(path, "the picture cannot be written"):
         # Without the name of the library's version the same picture has the same bytes.
         figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
-    except OSError as error:
-        raise OutputError("the picture cannot be written", where=str(path), got=str(error)) from error
 
 
 def tidy(axes: Axes, grid: Literal["both", "y"] = "both") -> None:
