@@ -42,7 +42,7 @@ from forestgen.core.parts import Part
 from forestgen.core.progress import Silent, Timings
 from forestgen.geometry.mesh import Mesh
 from forestgen.recipe.load import load_recipe
-from forestgen.render.denoise import denoise, trace_guides
+from forestgen.render.denoise import denoise
 from forestgen.render.frame import Identity, Radiance, RenderJob, StoppingCriterion
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.rendering import Estimate, noise_of, render_radiance
@@ -51,6 +51,7 @@ from forestgen.render.wavelengths import Mode
 from forestgen.scene.build import build_scene
 from forestgen.scene.plan import make_plan
 from forestgen.scene.spec import Camera, SceneSpec
+from support.guides import trace_guides
 
 RECIPE = Path(__file__).parents[1] / "recipes" / "quickstart.yaml"
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
@@ -326,7 +327,7 @@ def denoised(spec: SceneSpec, sizes: Sizes) -> bool:
     good, tracer = True, SceneTracer(spec, Timings())
     print(f"denoised, {sizes.denoise_px[0]} x {sizes.denoise_px[1]} px, reference of {sizes.reference} samples:")
     for camera in views(spec, sizes.denoise_px):
-        guide = trace_guides(tracer, camera, timer=Timings())
+        guide = trace_guides(tracer, camera)
         truth = take(spec, camera, StoppingCriterion(sizes.reference), 1)[0]
         scale = np.maximum(truth.mean, 0.1 * truth.mean.mean(axis=(0, 1))) ** 2
         few, many = (take(spec, camera, StoppingCriterion(samples), 2)[0].mean for samples in (16, 128))

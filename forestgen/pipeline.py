@@ -14,13 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from forestgen.community.population import Population
-from forestgen.community.simulation import (
-    counts_of,
-    final_population,
-    lifeless_note,
-    snapshots,
-    standing_dead,
-)
+from forestgen.community.simulation import counts_of, final_population, lifeless_note, snapshots, standing_dead
 from forestgen.community.summary import SimulationSummary
 from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.folder import OutputFolder

@@ -19,7 +19,7 @@ from forestgen.core.parts import Part
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import FileSet, check_writable
 from forestgen.dataset.tonemap import tone_map
-from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of, mesh_suffixes, model_files, png
+from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of, mesh_suffixes, png
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.geometry.simplify import with_light_wood
 from forestgen.plants.bark.texture import texture_images
@@ -240,7 +240,7 @@ class Plant:
                 continue
             if model is None:
                 model = mesh_model(self._plan, self._exemplar, self.seed, wood_triangles)
-            for name, content in model_files(model, path.name).items():
+            for name, content in exporter_of(path.name).files(model, path.name).items():
                 yield path.with_name(name), content
 
     def picture(

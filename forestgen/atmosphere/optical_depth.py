@@ -181,9 +181,9 @@ def cloud_opacity(
 
 
 def distance_into(
-    grid: CloudGrid, origin_m: NDArray[np.float64], direction: NDArray[np.float64], share: float = 0.5
+    grid: CloudGrid, origin_m: NDArray[np.float64], direction: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(...) metres along rays to where a share of what clouds take out of them is taken; inf where that is nothing."""
+    """(...) metres along rays to where half of what clouds take out of them is taken; inf where that is nothing."""
     size = np.subtract(grid.high_m, grid.low_m)
     middle = (np.asarray(grid.low_m) + grid.high_m) / 2
     far = np.linalg.norm(np.asarray(origin_m) - middle, axis=-1) + np.linalg.norm(size)  # beyond the box
@@ -191,7 +191,7 @@ def distance_into(
     low, high = np.zeros(whole.shape), np.broadcast_to(far, whole.shape).astype(np.float64)
     for _ in range(_HALVINGS):
         half = (low + high) / 2
-        before = -np.expm1(-optical_depth(grid, origin_m, direction, half, enough=_OPAQUE)) < share * whole
+        before = -np.expm1(-optical_depth(grid, origin_m, direction, half, enough=_OPAQUE)) < 0.5 * whole
         low, high = np.where(before, half, low), np.where(before, high, half)
     return np.where(whole > 0, high, np.inf)
 

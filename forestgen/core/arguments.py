@@ -96,7 +96,7 @@ def whole_of(value: Any, parameter: str, least: int, most: int) -> int:
 
 
 def number_of(value: Any, parameter: str) -> float:
-    """Any number, NaN among them. Raises `RecipeError`."""
+    """Any number, also NaN. Raises `RecipeError`."""
     if _is_a(Real, value):
         with suppress(OverflowError):  # of a whole number beyond all floats
             return float(value)

@@ -113,11 +113,6 @@ def exporter_of(file_name: str) -> MeshExporter:
     return found
 
 
-def model_files(model: Model, file_name: str) -> dict[str, bytes]:
-    """Name -> content of a model's files: `file_name` first, then what goes beside it."""
-    return exporter_of(file_name).files(model, file_name)
-
-
 def texture_files(model: Model, file_name: str) -> tuple[dict[tuple[str, str], str], dict[str, bytes]]:
     """Textures that go beside `file_name`: (surface, "colour" or "normal") -> name, and name -> PNG."""
     names: dict[tuple[str, str], str] = {}

@@ -17,7 +17,7 @@ Example: ``forestgen measure colour_chart RECIPE --out sheet.html``, or ``forest
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Any
 
@@ -44,7 +44,7 @@ from forestgen.instruments.light_meter import LightMeter, place, read
 from forestgen.recipe.fields import Flag, Section, Whole
 from forestgen.render.cloud_shadow import check_far_clouds, near_base_of
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.irradiance import WAVELENGTHS_NM, ChartImages, Source, measure, render_chart
+from forestgen.render.irradiance import WAVELENGTHS_NM, ChartImages, measure, render_chart
 from forestgen.render.skies.model import sky_model_of
 from forestgen.scene import colour_checker as checker
 from forestgen.scene.build import BuiltScene
@@ -56,7 +56,6 @@ _ABOVE_PLANTS_M = 2.0
 _IDENTITY_SAMPLES = 4
 _FEWEST_PX = 16  # of a region
 Floats = NDArray[np.float64]
-Sources = Callable[[Floats], Sequence[Source]]
 
 
 class ColourChartKeys(Section):
@@ -111,20 +110,15 @@ def measure_chart(
     max_depth: int,
     seed: int,
     progress: Progress,
-    sources: Sources | None = None,
 ) -> Calibration:
-    """The chart at a point of a scene; `sources` are lights in place of the scene's own."""
+    """The chart at a point of a scene."""
     point, towards = np.array(point_m), np.array(normal)
     camera = checker.camera(point, towards, width_px)
     charted = with_chart(spec, point, towards, camera)
     regions, notes = find_regions(charted, camera, progress)
-    images = render_chart(
-        charted, camera, samples=samples, max_depth=max_depth, seed=seed, progress=progress, sources=sources
-    )
+    images = render_chart(charted, camera, samples=samples, max_depth=max_depth, seed=seed, progress=progress)
     paths = samples * width_px * 32
-    light = measure(
-        spec, point, towards, samples=paths, max_depth=max_depth, seed=seed, progress=progress, sources=sources
-    )
+    light = measure(spec, point, towards, samples=paths, max_depth=max_depth, seed=seed, progress=progress)
     meter = read(light, point_m, above_ground_m, normal)
     return judge(images, regions, meter, notes, samples)
 

@@ -32,7 +32,7 @@ SUFFIXES = {
     "spectra": (".csv",),
 }
 ALLOWED = "FORESTGEN_ALLOW_FOLDERS"  # environment: folders, separated as in PATH
-MAPS = "maps"  # beside an image's folder, dataset/maps.py
+MAPS = "maps"  # beside an image's folder, by dataset/writer.py
 _STORED = re.compile(rf"\.\./{MAPS}/([0-9a-f]{{16}})\.[a-z]{{2,4}}")  # the name is the beginning of its SHA-256
 _ELSEWHERE = re.compile(r"//|\\\\|~|[A-Za-z][A-Za-z0-9+.-]*://|[A-Za-z]:[\\/]")  # network, home, URL, drive
 _RELATIVE = "a path that is relative to the recipe's folder and does not leave it"

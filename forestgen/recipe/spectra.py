@@ -48,24 +48,21 @@ _TOLERANCE = 1e-6  # of reflectance + transmittance: tables are rounded
 Columns = dict[str, Spectrum]
 
 
-def load_spectra(name: str, *, folder: Path | None = None, where: str | None = None) -> Columns:
-    """The columns of a surface's table: reflectance, transmittance, perhaps by season; fractions of 1.
-
-    The name is a shipped table's, such as ``leaves/birch``, or a path from `folder` (the recipe's; None: the working
-    directory). `where` names the place in the recipe for messages.
-
-    Raises
-    ------
-    AssetError : no such table, or one that no surface can have; file, line, what was expected and found.
-    """
-    path = find_asset(KIND, name, folder=folder, where=where)
-    return surface_columns(table_text(path), str(path), where)
+def load_spectra(name: str) -> Columns:
+    """The columns of a shipped table of a surface, such as ``leaves/birch``: see `surface_columns`."""
+    path = find_asset(KIND, name)
+    return surface_columns(table_text(path), str(path))
 
 
 def load_bands(name: str, *, folder: Path | None = None, where: str | None = None) -> tuple[Band, ...]:
-    """The bands of a sensor, in the order of its file; parameters and errors as those of `load_spectra`.
+    """The bands of a sensor, in the order of its file.
 
-    A sensor's name does without its folder: ``sentinel2a`` is ``responses/sentinel2a``.
+    The name is a shipped sensor's without its folder (``sentinel2a`` is ``responses/sentinel2a``), or a path from
+    `folder` (the recipe's; None: the working directory). `where` names the place in the recipe for messages.
+
+    Raises
+    ------
+    AssetError : no such table, or one that no sensor can have; file, line, what was expected and found.
     """
     path = sensor_file(name, folder, where)
     return bands_of(table_text(path), str(path), where)
@@ -117,7 +114,11 @@ _SUFFIXES = ("", *(f"_{season}" for season in SEASONS))
 
 @lru_cache(maxsize=256)
 def surface_columns(text: str, file: str, where: str | None = None) -> Columns:
-    """The columns of a surface's table from its text; `file` names it in messages."""
+    """Columns of a surface's table from its text: reflectance, transmittance, perhaps by season; fractions of 1.
+
+    `file` names it in messages, `where` the place in the recipe. Raises `AssetError`: no surface can have it; file,
+    line, what was expected and found.
+    """
     table = _Table(text, file, where)
     names = {f"{what}{suffix}" for what in ("reflectance", "transmittance") for suffix in _SUFFIXES}
     line = table.header_line

@@ -318,11 +318,6 @@ def _cell_numbers(cells: int) -> NDArray[np.uint64]:
     return numbers
 
 
-def least_samples(camera: Camera) -> int:
-    """Samples a pixel of one capture, to which fewer are raised."""
-    return LEAST_SAMPLES if is_assembled(camera) else 1
-
-
 def capture(
     integrator: Any, scene: Any, camera: Camera, *, samples: int, seed: int, window: FilmWindow | None = None
 ) -> NDArray[np.float64]:

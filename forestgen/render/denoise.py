@@ -8,22 +8,13 @@ the denoiser.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.identity.surface import (
-    SAMPLES,
-    Values,
-    albedo,
-    corners_of,
-    pixel_sums,
-    shading_normal,
-    sun_visible,
-)
+from forestgen.render.identity.surface import SAMPLES, Values, albedo, corners_of, shading_normal, sun_visible
 from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.skies.model import sky_model_of
 from forestgen.render.variant import dr, mi, mitsuba
@@ -38,12 +29,6 @@ class Guides:
 
     colour: NDArray[np.float32]  # (H, W, 3) reflectance + transmittance, times the light of sun and shade; the sky: 1
     normal: NDArray[np.float32]  # (H, W, 3) shading normals, world; the sky: 0
-
-
-def trace_guides(tracer: SceneTracer, camera: Camera, *, timer: Callable[[str], Any]) -> Guides:
-    """Guides of what `camera` sees of the tracer's scene."""
-    with timer("identity: guides"):
-        return guides_of(*pixel_sums(tracer, camera, [guide_values(tracer, camera)]))
 
 
 def guide_values(tracer: SceneTracer, camera: Camera) -> Values:

@@ -170,17 +170,14 @@ class ExactView:
 
     def take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
         with using(SCALAR):
-            return self._take(channels, samples, number)
-
-    def _take(self, channels: Channels, samples: int, number: tuple[int, int]) -> Floats:
-        with self.timer("radiance: repaint"):
-            self.bsdfs.repaint(channels)
-        if self._parts is None:
-            with self.timer("light paths"):
-                return _captured(self._tracer, self._whole, self.job, samples, ("whole", *number))
-        # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
-        image = self._parts.by_sun((samples + 1) // 2, number)
-        return image + self._parts.by_clouds(channels, samples, number, self.followed)
+            with self.timer("radiance: repaint"):
+                self.bsdfs.repaint(channels)
+            if self._parts is None:
+                with self.timer("light paths"):
+                    return _captured(self._tracer, self._whole, self.job, samples, ("whole", *number))
+            # In the scenes that were looked at the sun's own light was much less noisy than that of clouds and sky.
+            image = self._parts.by_sun((samples + 1) // 2, number)
+            return image + self._parts.by_clouds(channels, samples, number, self.followed)
 
     def followed(self, place_m: Floats, direction: Floats, seed: int) -> Floats:
         """(N, 3) radiance that comes from the scene with its clouds to (N, 3) places, one path each."""
@@ -237,7 +234,8 @@ class _Parts:
         self._field = WalkField.of(spec.clouds, origin)
         self._disc, self._by_sun = None, None
         if has_sun(spec.sky):
-            self._disc = _disc_of(spec)
+            matrix = np.array(sun_disc(spec.sky, RGB)["to_world"].matrix, dtype=np.float64)  # as the renderer has it
+            self._disc = disc_parameters(matrix[:3, 3], float(np.linalg.norm(matrix[:3, 0])))
             shapes, _ = cloud_bricks.brick_shapes(spec.clouds, bricks, origin, albedo=0.0)
             sun = view.bsdfs.add(lambda channels: sun_disc(spec.sky, channels))
             self._by_sun = load({**surfaces, **shapes, "sun": sun})
@@ -338,12 +336,6 @@ def _mended(result: Floats, paths: int, again: Callable[..., None]) -> Floats:
         f"{count} of {paths} paths of light through the clouds end in no number",
         hint="the image would be wrong; move the camera by a few metres, or choose coarser clouds",
     )
-
-
-def _disc_of(spec: SceneSpec) -> Floats:
-    """(13,) the sun as the renderer has it, for walks."""
-    matrix = np.array(sun_disc(spec.sky, RGB)["to_world"].matrix, dtype=np.float64)
-    return disc_parameters(matrix[:3, 3], float(np.linalg.norm(matrix[:3, 0])))
 
 
 def _films(width: int, height: int, samples: int) -> list[tuple[int, FilmWindow]]:

@@ -47,7 +47,6 @@ Bucholtz, A. (1995): Rayleigh-scattering calculations for the terrestrial atmosp
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -61,8 +60,8 @@ from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
 from forestgen.render.cloud_shadow import base_of, shadow_of
 from forestgen.render.frame import Radiance
-from forestgen.render.identity.surface import SAMPLES, Values, pixel_sums
-from forestgen.render.identity.tracer import Hits, SceneTracer
+from forestgen.render.identity.surface import SAMPLES, Values
+from forestgen.render.identity.tracer import Hits
 from forestgen.render.light import along, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map_directions
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
@@ -173,28 +172,15 @@ def under_clouds(spec: SceneSpec) -> UnderClouds | None:
 
 
 def through_haze(
-    radiance: Radiance,
-    tracer: SceneTracer,
-    camera: Camera,
-    *,
-    mode: Mode,
-    timer: Callable[[str], Any],
-    seen: Seen | None = None,
+    radiance: Radiance, spec: SceneSpec, camera: Camera, seen: Seen, extinction_per_m: Floats, mode: Mode
 ) -> Radiance:
-    """The image as the sky's haze, if any, shows it. `seen` is through `extinction_towards`; None: it is traced."""
-    sky = tracer.spec.sky
-    extinction = extinction_towards(camera, sky, mode)
-    if extinction is None or sky.visibility_m is None:
-        return radiance
-    if seen is None:
-        seen = trace_seen(tracer, camera, extinction, timer=timer)
-    haze, quadrature = Haze(sky.visibility_m), quadrature_of(camera, mode, daylight_of(sky).on_level)
-    with timer("haze: airlight"):
-        with using(SCALAR):
-            light = airlight_of(haze, quadrature, sky, under_clouds(tracer.spec))
-        clouds = tracer.spec.clouds
-        veil = None if clouds is None else cloud_veil(clouds, camera, extinction)
-        return hazed(radiance, seen, light, camera, veil)
+    """The image as the sky's haze shows it; `seen` is through its extinction (C,), see `extinction_towards`."""
+    assert spec.sky.visibility_m is not None
+    haze, quadrature = Haze(spec.sky.visibility_m), quadrature_of(camera, mode, daylight_of(spec.sky).on_level)
+    with using(SCALAR):
+        light = airlight_of(haze, quadrature, spec.sky, under_clouds(spec))
+    veil = None if spec.clouds is None else cloud_veil(spec.clouds, camera, extinction_per_m)
+    return hazed(radiance, seen, light, camera, veil)
 
 
 def extinction_towards(camera: Camera, sky: Sky, mode: Mode) -> Floats | None:
@@ -285,12 +271,6 @@ def _kernels() -> tuple[Floats, Floats]:
         for weighed in (molecular_phase(cosine) * angle, aerosol_phase(cosine) * angle)
     )
     return molecules, aerosol
-
-
-def trace_seen(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats, *, timer: Callable[[str], Any]) -> Seen:
-    """What `camera` sees of the tracer's scene through a haze of an extinction (C,)."""
-    with timer("haze: distances"):
-        return seen_of(*pixel_sums(tracer, camera, [seen_values(extinction_per_m)]))
 
 
 def seen_values(extinction_per_m: Floats) -> Values:

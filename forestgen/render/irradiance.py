@@ -44,7 +44,7 @@ from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.colour_checker import axes_of
 from forestgen.scene.spec import Camera, SceneSpec
 
-REPLICATES = 8
+REPLICATES = 8  # of a measurement, and of a chart's spectral mode
 NODES_NM = np.concatenate(
     [[300.0, 340.0], np.arange(380.0, 781.0, 20.0), [860, 950, 1050, 1250, 1450, 1650, 1800, 2000, 2250, 2500]]
 )
@@ -53,7 +53,6 @@ _PIXELS, _BLOCK_PX = 8, 2  # along the side of the picture of the patch; blocks 
 Floats = NDArray[np.float64]
 Emitter = Callable[[Channels], dict[str, Any]]
 WAVELENGTHS_NM = np.arange(380.0, 781.0, 5.0)  # the colour matching functions' own table has steps of 5 nm (CIE 15)
-_REPLICATES = 8  # of the spectral mode
 
 
 @dataclass(frozen=True)
@@ -126,20 +125,16 @@ def measure(
     max_depth: int,
     seed: int,
     progress: Progress,
-    sources: Callable[[Floats], Sequence[Source]] | None = None,
 ) -> PointLight:
     """Light at one point (3,) of the world, on a surface with a normal (3,).
 
-    Parameters
-    ----------
-    samples : light paths of each light at each wavelength, all replicates together.
-    sources : lights in place of the scene's own, by the origin of the renderer's frame.
+    `samples` are light paths of each light at each wavelength, all replicates together.
     """
     origin = np.asarray(point_m, dtype=np.float64)
     spp = max(1, round(samples / REPLICATES / _PIXELS**2))
     with using(SCALAR):
         sensor = _sensor(normal, spp)
-        lights = sources(origin) if sources is not None else sources_of(spec, origin)
+        lights = sources_of(spec, origin)
         lit = Lit(spec, origin, lights, {"meter": _patch(normal)})
 
         def shoot(row: int, depth: int) -> Floats:
@@ -181,9 +176,7 @@ def passes_at(wavelength_nm: Floats) -> list[tuple[NDArray[np.intp], Channels]]:
 
 def _grid(lights: Sequence[Source]) -> Floats:
     """Wavelengths of all spectra and of the nodes, 300 to 2500 nm, no two further apart than 5 nm where eyes see."""
-    every = np.concatenate(
-        [NODES_NM, np.arange(380.0, 781.0, 5.0), *(source.spectrum.wavelength_nm for source in lights)]
-    )
+    every = np.concatenate([NODES_NM, WAVELENGTHS_NM, *(source.spectrum.wavelength_nm for source in lights)])
     return np.unique(every[(every >= NODES_NM[0]) & (every <= NODES_NM[-1])])
 
 
@@ -231,22 +224,15 @@ class ChartImages:
 
 
 def render_chart(
-    spec: SceneSpec,
-    camera: Camera,
-    *,
-    samples: int,
-    max_depth: int,
-    seed: int,
-    progress: Progress,
-    sources: Callable[[Floats], Sequence[Source]] | None = None,
+    spec: SceneSpec, camera: Camera, *, samples: int, max_depth: int, seed: int, progress: Progress
 ) -> ChartImages:
-    """Render `camera`'s view, under `sources` as for `measure`.
+    """Render `camera`'s view under the scene's lights.
 
     `samples` are those of each pixel by each light in each mode's image; a quarter of them at each of 81 wavelengths.
     """
     origin = origin_of(camera)
     with using(SCALAR):
-        lights = sources(origin) if sources is not None else sources_of(spec, origin)
+        lights = sources_of(spec, origin)
         lit = Lit(spec, origin, lights)
         integrators = [lit.integrator(row, max_depth=max_depth, block_px=BLOCK_PX) for row in range(len(lights))]
         threes, passes = passes_at(WAVELENGTHS_NM), ColourBySpectrum().passes
@@ -261,13 +247,13 @@ def render_chart(
             advance(1)
             return np.asarray(np.sum(images, axis=0)[..., :3])
 
-        with progress.stage("chart", 1 + _REPLICATES * passes + len(threes)) as advance:
+        with progress.stage("chart", 1 + REPLICATES * passes + len(threes)) as advance:
             rgb = view(RGB, samples, "rgb")
             spectral = np.zeros_like(rgb)
-            for replicate in range(_REPLICATES):
+            for replicate in range(REPLICATES):
                 for index, one in enumerate(ColourBySpectrum().draw(child_rng(seed, "wavelengths"), replicate)):
-                    few = max(1, round(samples / _REPLICATES / passes))
-                    spectral += view(one.channels, few, "spectral", replicate, index) @ one.weight.T / _REPLICATES
+                    few = max(1, round(samples / REPLICATES / passes))
+                    spectral += view(one.channels, few, "spectral", replicate, index) @ one.weight.T / REPLICATES
             wavelengths = np.empty((*rgb.shape[:2], len(WAVELENGTHS_NM)), dtype=np.float32)
             for rows, channels in threes:
                 # All wavelengths follow the same random numbers: noise does not bend spectra.

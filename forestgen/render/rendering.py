@@ -47,7 +47,7 @@ from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.schema import Recipe
-from forestgen.render.capture import least_samples
+from forestgen.render.capture import LEAST_SAMPLES, is_assembled
 from forestgen.render.cloud_shadow import cloud_transport_of
 from forestgen.render.denoise import denoise, denoise_bands, guide_values, guides_of
 from forestgen.render.frame import Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface, Timer, View
@@ -130,14 +130,19 @@ def _radiance(
     )
     kept = None if key is None else unfinished(key, seed, camera.name)
     radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept, tracer=tracer)
-    extinction, guides, seen = extinction_towards(camera, tracer.spec.sky, settings.mode), None, None
+    extinction = extinction_towards(camera, tracer.spec.sky, settings.mode)
+    wanted = [] if extinction is None else [seen_values(extinction)]
     if settings.denoise:
-        wanted = [guide_values(tracer, camera)] + ([] if extinction is None else [seen_values(extinction)])
+        wanted.insert(0, guide_values(tracer, camera))
+    sums = []
+    if wanted:
         with timings("identity: guides"):  # and the haze's distances, along the same rays
             sums = pixel_sums(tracer, camera, wanted)
-        guides, seen = guides_of(sums[0]), None if extinction is None else seen_of(sums[1])
-    radiance = through_haze(radiance, tracer, camera, mode=settings.mode, timer=timings, seen=seen)
-    if guides is not None:
+    if extinction is not None:
+        with timings("haze: airlight"):
+            radiance = through_haze(radiance, tracer.spec, camera, seen_of(sums[-1]), extinction, settings.mode)
+    if settings.denoise:
+        guides = guides_of(sums[0])
         with timings("denoise"):
             clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)
@@ -334,7 +339,8 @@ def render_radiance(
     """
     open_light = daylight_of(job.spec.sky).on_level
     quadrature = quadrature_of(job.camera, job.mode, open_light)
-    schedule = Schedule(job.until, quadrature.passes, least_samples(job.camera) if job.is_exact else 1)
+    least = LEAST_SAMPLES if job.is_exact and is_assembled(job.camera) else 1
+    schedule = Schedule(job.until, quadrature.passes, least)
     view = build_view(job, progress, timer, tracer)
     with progress.stage("radiance", _STEPS) as advance:
         total, noise = _replicates(job, view, quadrature, schedule, advance, kept)

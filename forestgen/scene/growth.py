@@ -191,7 +191,7 @@ def _tables(plan: Plan, population: Population) -> Tables:
 
 
 def grow_planned(
-    plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress, population: Population | None = None
+    plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress, population: Population
 ) -> tuple[Exemplar, ...]:
     """The exemplars of a plan; see `exemplar_requests`."""
     section = plan.drawn.recipe.plants
@@ -218,24 +218,20 @@ def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
     return as_solids(exemplar, generator.crown_profile(request.parameters, *size) if known else None)
 
 
-def _buildings(
-    plan: Plan, exemplar_plan: ExemplarPlan, population: Population | None
-) -> dict[int, tuple[Building, float]]:
+def _buildings(plan: Plan, exemplar_plan: ExemplarPlan, population: Population) -> dict[int, tuple[Building, float]]:
     """The exemplars that are buildings, by their index: the building, and the radius of its row."""
-    rows = {} if population is None else plan.community.obstacles.rows_of(population)
+    rows = plan.community.obstacles.rows_of(population)
     pairs = zip(exemplar_plan.plant.tolist(), exemplar_plan.radius_m.tolist(), strict=True)
     return {index: (rows[row], radius_m) for index, (row, radius_m) in enumerate(pairs) if row in rows}
 
 
-def exemplar_requests(
-    plan: Plan, exemplar_plan: ExemplarPlan, population: Population | None = None
-) -> list[ExemplarRequest]:
-    """What to grow, all but buildings. A plant's randomness belongs to its species, cluster's rank and variant.
+def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population) -> list[ExemplarRequest]:
+    """What to grow of a population's plan, all but buildings.
 
-    `population`: of the plan, which plants that grew branches of their own are part of.
+    A plant's randomness belongs to its species, cluster's rank and variant; if it grew branches of its own, to itself.
     """
     names = list(plan.drawn.species)
-    requests = {} if population is None else _own_requests(plan, exemplar_plan, population)
+    requests = _own_requests(plan, exemplar_plan, population)
     grown = set(range(len(exemplar_plan))) - _buildings(plan, exemplar_plan, population).keys() - requests.keys()
     for index in grown:
         name = names[exemplar_plan.species[index]]

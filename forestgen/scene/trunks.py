@@ -77,7 +77,7 @@ class Trunks:
             if not len(rows) or not len(corners):
                 continue
             top = height_m / float(self._scale[rows].min())  # as far up as the smallest of its plants needs
-            points = _clipped(corners, 0.0, top)
+            points = _clipped(corners, top)
             if not len(points):
                 continue
             box = points.min(axis=0), points.max(axis=0)
@@ -100,14 +100,14 @@ def _corners(exemplar: Exemplar) -> Floats:
     return np.zeros((0, 3, 3))
 
 
-def _clipped(corners: Floats, low_m: float, high_m: float) -> Floats:
-    """(P, 3) ends of the parts of triangles' edges between two heights."""
+def _clipped(corners: Floats, high_m: float) -> Floats:
+    """(P, 3) ends of the parts of triangles' edges from the foot up to a height."""
     start = corners.reshape(-1, 3)
     way = np.roll(corners, -1, axis=1).reshape(-1, 3) - start
     rise = way[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        crossings = np.stack([(low_m - start[:, 2]) / rise, (high_m - start[:, 2]) / rise])
-    level = (start[:, 2] >= low_m) & (start[:, 2] <= high_m)
+        crossings = np.stack([(0.0 - start[:, 2]) / rise, (high_m - start[:, 2]) / rise])
+    level = (start[:, 2] >= 0.0) & (start[:, 2] <= high_m)
     first = np.where(rise == 0, 0.0, np.maximum(crossings.min(axis=0), 0.0))
     last = np.where(rise == 0, 1.0, np.minimum(crossings.max(axis=0), 1.0))
     kept = np.where(rise == 0, level, first <= last)
@@ -173,7 +173,8 @@ def way_around(waypoints_m: Floats, middles_m: Floats, radii_m: Floats, clearanc
 
 
 def _way(waypoints_m: Floats, middles_m: Floats, keep_m: Floats) -> Floats:
-    near = _near(waypoints_m, middles_m, keep_m)
+    low, high = waypoints_m.min(axis=0) - _CORRIDOR_M[-1], waypoints_m.max(axis=0) + _CORRIDOR_M[-1]
+    near = ((middles_m + keep_m[:, None] > low) & (middles_m - keep_m[:, None] < high)).all(axis=1)
     middles_m, keep_m = middles_m[near], keep_m[near]
     stops = [_freed(point, middles_m, keep_m, index) for index, point in enumerate(waypoints_m)]
     way = [stops[0]]
@@ -184,12 +185,6 @@ def _way(waypoints_m: Floats, middles_m: Floats, keep_m: Floats) -> Floats:
     if len(apart) and float(apart.max()) > 0.02:  # squeezed between two trunks
         return np.array(way)
     return rounded
-
-
-def _near(waypoints_m: Floats, middles_m: Floats, keep_m: Floats) -> NDArray[np.bool_]:
-    low, high = waypoints_m.min(axis=0) - _CORRIDOR_M[-1], waypoints_m.max(axis=0) + _CORRIDOR_M[-1]
-    inside = (middles_m + keep_m[:, None] > low) & (middles_m - keep_m[:, None] < high)
-    return np.asarray(inside.all(axis=1))
 
 
 def _depth(points_m: Floats, middles_m: Floats, keep_m: Floats) -> Floats:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.core.spectrum import Spectrum
+from forestgen.render import irradiance
 from forestgen.render.irradiance import Source
 from forestgen.render.light import emitters_of, envmap
 from forestgen.render.variant import mitsuba
@@ -186,3 +190,13 @@ def uniform_sky(irradiance: Spectrum) -> Source:
 def lights(sky: Sky, channels: Channels) -> dict[str, dict[str, Any]]:
     """All lights of a cloudless scene by name."""
     return {name: emitter(channels) for name, emitter in emitters_of(sky).items()}
+
+
+@contextmanager
+def under_uniform_sky(spectrum: Spectrum | None) -> Iterator[None]:
+    """Light meters and charts are lit by a uniform sky in place of the scene's own lights; None: by their own."""
+    if spectrum is None:
+        yield
+        return
+    with mock.patch.object(irradiance, "sources_of", return_value=[uniform_sky(spectrum)]):
+        yield

@@ -18,8 +18,8 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.render.build import load, origin_of, to_mesh
 from forestgen.render.identity import camera_rays, sample_offsets
 from forestgen.render.variant import LLVM, drjit, mitsuba
-from forestgen.scene.projection import lens_points
 from forestgen.scene.spec import Camera, SceneSpec
+from support.lens_points import lens_points
 
 _RAYS_AT_ONCE = 64
 

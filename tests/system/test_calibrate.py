@@ -23,7 +23,7 @@ from forestgen.instruments.calibration import Calibration
 from forestgen.instruments.light_meter import Quantity, with_error
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
-from support.radiometry import uniform_sky
+from support.radiometry import under_uniform_sky
 
 
 def level(half_m: float, z_m: float) -> Mesh:
@@ -50,22 +50,18 @@ def site(roof_m: float | None = None, half_m: float = 1.0) -> SceneSpec:
 
 def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> Calibration:
     """Under a uniform sky of a standard illuminant, or under the scene's own."""
-    sources = None
-    if name is not None:
-        light = illuminant(name)
-        sources = lambda origin: [uniform_sky(light)]  # noqa: E731
-    return stage.measure_chart(
-        spec,
-        (0.0, 0.0, 1.0),
-        (0.0, 0.0, 1.0),
-        above_ground_m=1.0,
-        width_px=64,
-        samples=samples,
-        max_depth=4,
-        seed=3,
-        progress=Silent(),
-        sources=sources,
-    )
+    with under_uniform_sky(None if name is None else illuminant(name)):
+        return stage.measure_chart(
+            spec,
+            (0.0, 0.0, 1.0),
+            (0.0, 0.0, 1.0),
+            above_ground_m=1.0,
+            width_px=64,
+            samples=samples,
+            max_depth=4,
+            seed=3,
+            progress=Silent(),
+        )
 
 
 def illuminant(name: str) -> Spectrum:

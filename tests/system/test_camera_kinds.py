@@ -17,9 +17,10 @@ from forestgen.render.frame import Identity, Surface
 from forestgen.render.identity import SceneTracer, sample_offsets
 from forestgen.render.identity.tracer import camera_rays
 from forestgen.render.variant import mitsuba, using
-from forestgen.scene.projection import depth_is_distance, image_circle, lens_points
+from forestgen.scene.projection import image_circle, projection_of
 from forestgen.scene.spec import Camera, SceneSpec
 from support.cameras import KINDS, camera_of
+from support.lens_points import lens_points
 from support.scenes import dyadic_scene, plain_ground, window_hits
 from support.twins import Oracle, trace_twin
 
@@ -104,7 +105,7 @@ def test_surfaces_are_those_of_brute_force(name, spec, seen):
     point = np.asarray(camera.position_m) + start + direction * hits.distance_m[:, None]
     np.testing.assert_allclose(surface.position_m.reshape(-1, 3)[hit], point[hit], atol=3e-3)
     along = direction @ camera.world_from_camera[:, 2]
-    depth = hits.distance_m * (1.0 if depth_is_distance(camera) else along)
+    depth = hits.distance_m * (1.0 if projection_of(camera).depth_is_distance else along)
     np.testing.assert_allclose(surface.depth_m.ravel()[hit], depth[hit], rtol=2e-5)
     for name_of, expected in (("normal", hits.normal), ("shading_normal", hits.shading_normal)):
         np.testing.assert_allclose(getattr(surface, name_of).reshape(-1, 3)[hit], expected[hit], atol=2e-5)

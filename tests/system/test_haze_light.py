@@ -13,17 +13,16 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Band, Spectrum
-from forestgen.render.denoise import guide_values, guides_of, trace_guides
+from forestgen.render.denoise import guide_values, guides_of
 from forestgen.render.frame import Radiance
 from forestgen.render.haze import (
     ASYMMETRY,
     Haze,
     airlight_of,
     extinction_of,
+    extinction_towards,
     seen_of,
     seen_values,
-    through_haze,
-    trace_seen,
     under_clouds,
 )
 from forestgen.render.identity import SceneTracer
@@ -35,6 +34,7 @@ from forestgen.render.wavelengths import ColourAtOnce, Pass, quadrature_of
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.projection import rays, world_rays
 from forestgen.scene.spec import Camera, Lens, Sky
+from support.guides import seen_through_haze, trace_guides, trace_seen
 from support.radiometry import lights
 from support.scenes import camera_at, plain_ground, scattered_scene
 
@@ -143,7 +143,7 @@ def test_shares_and_transmittances_are_those_of_the_samples(kind):
     camera = views()[kind]
     spec = stand(camera, 2000.0)
     extinction = np.array([1e-3, 4e-3])
-    found = trace_seen(SceneTracer(spec, Timings()), camera, extinction, timer=Timings())
+    found = trace_seen(SceneTracer(spec, Timings()), camera, extinction)
     identity, _ = seen(spec, 64)
     whole = found.inside == 1
     up = world_rays(camera).direction[..., 2] > 0.15  # the sliver between ground and horizon counts as surface
@@ -161,7 +161,7 @@ def test_the_rays_are_traced_once_for_all_channels():
     tracer = SceneTracer(stand(camera, 2000.0), Timings())
     with using(tracer.variant), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        trace_seen(tracer, camera, np.array([1e-3, 2e-3, 4e-3]), timer=Timings())
+        trace_seen(tracer, camera, np.array([1e-3, 2e-3, 4e-3]))
         launched = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
     assert len(launched) == 1
 
@@ -170,7 +170,7 @@ def test_guides_and_haze_share_their_rays():
     """One launch finds both, equal to the last bit to what each finds alone."""
     camera, dr = views()["perspective"], drjit()
     tracer, extinction = SceneTracer(stand(camera, 2000.0), Timings()), np.array([1e-3, 4e-3])
-    alone = trace_guides(tracer, camera, timer=Timings()), trace_seen(tracer, camera, extinction, timer=Timings())
+    alone = trace_guides(tracer, camera), trace_seen(tracer, camera, extinction)
     with using(tracer.variant), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         sums = pixel_sums(tracer, camera, [guide_values(tracer, camera), seen_values(extinction)])
@@ -197,7 +197,7 @@ def test_every_camera_sees_through_haze(kind):
     spec = stand(camera, 1500.0, plants=0)
     clear = radiance(stand(camera, None, plants=0), 16, seed=1)
     tracer = SceneTracer(spec, Timings())
-    hazy = through_haze(clear, tracer, camera, mode="rgb", timer=Timings())
+    hazy = seen_through_haze(clear, tracer, camera, "rgb")
     identity, surface = seen(spec, 16)
     sky = (identity.part == Part.NOTHING).all(axis=2) & (world_rays(camera).direction[..., 2] > 0.25)
     np.testing.assert_array_equal(hazy.mean[sky], clear.mean[sky])
@@ -211,12 +211,9 @@ def test_every_camera_sees_through_haze(kind):
     np.testing.assert_allclose(hazy.mean[ground], expected, rtol=0.03)
 
 
-def test_no_haze_is_the_same_image():
+def test_no_haze_takes_no_light():
     camera = views()["perspective"]
-    spec = stand(camera, None)
-    clear = radiance(spec, 4, seed=1)
-    tracer = SceneTracer(spec, Timings())
-    assert through_haze(clear, tracer, camera, mode="rgb", timer=Timings()) is clear
+    assert extinction_towards(camera, stand(camera, None).sky, "rgb") is None
 
 
 def under(depth: float, base_m: float = 600.0) -> Any:
@@ -263,7 +260,7 @@ def test_haze_under_thick_clouds_adds_no_sunlight():
     seen_light = {}
     for depth in (0.0, 10.0):
         tracer = SceneTracer(under(depth), Timings())
-        seen_light[depth] = through_haze(black, tracer, camera, mode="rgb", timer=Timings()).mean[far].mean()
+        seen_light[depth] = seen_through_haze(black, tracer, camera, "rgb").mean[far].mean()
     assert 0 < seen_light[10.0] < 0.7 * seen_light[0.0]
 
 
@@ -286,11 +283,11 @@ def test_near_infrared_lenses_and_clouds_go_through_haze_too(kind):
     channels = 2 if kind == "bands" else 3
     clear = Radiance(np.full((12, 16, channels), 0.01, np.float32), np.ones((12, 16, channels), np.float32), None, 4)
     tracer = SceneTracer(spec, Timings())
-    hazy = through_haze(clear, tracer, camera, mode=mode, timer=Timings())
+    hazy = seen_through_haze(clear, tracer, camera, mode)
     quadrature = quadrature_of(camera, mode, daylight_of(spec.sky).on_level)
     extinction = extinction_of(Haze(5000.0), quadrature, spec.sky)
     assert np.isfinite(hazy.mean).all()
-    found = trace_seen(tracer, camera, extinction, timer=Timings())
+    found = trace_seen(tracer, camera, extinction)
     with using(SCALAR):
         light = airlight_of(Haze(5000.0), quadrature, spec.sky, under_clouds(spec))
     whole = (found.inside == 1) & (found.surface == 1)

@@ -18,12 +18,12 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.labels.masks import coverage_ranks, instance_mask
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.load import load_recipe
-from forestgen.render.denoise import trace_guides
 from forestgen.render.identity import SceneTracer, sample_offsets
 from forestgen.render.variant import CUDA
 from forestgen.scene.build import build_scene
 from forestgen.scene.plan import make_plan
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
+from support.guides import trace_guides
 from support.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene
 from support.twins import trace_twin
 
@@ -116,7 +116,7 @@ def test_a_view_of_the_sky_alone_is_empty():
     ours, surface = seen(replace(spec, instances=aside), 4, faces=True)
     for values in (ours.plant_id, ours.part, ours.exemplar, ours.face, surface.plant_id, surface.part):
         assert not values.any()
-    guides = trace_guides(SceneTracer(replace(spec, instances=aside), Timings()), camera, timer=Timings())
+    guides = trace_guides(SceneTracer(replace(spec, instances=aside), Timings()), camera)
     np.testing.assert_array_equal(guides.colour, 1.0)
     np.testing.assert_array_equal(guides.normal, 0.0)
     assert np.isinf(surface.depth_m).all()

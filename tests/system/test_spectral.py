@@ -19,7 +19,7 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.recipe.load import load_recipe
 from forestgen.render import wavelengths
 from forestgen.render.capture import capture
-from forestgen.render.denoise import denoise, denoise_bands, trace_guides
+from forestgen.render.denoise import denoise, denoise_bands
 from forestgen.render.frame import RenderJob, StoppingCriterion
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import _replicate
@@ -30,6 +30,7 @@ from forestgen.scene.build import build_scene
 from forestgen.scene.colour import Channels, colour_of_radiance, colour_of_reflectance, observer
 from forestgen.scene.plan import make_plan
 from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
+from support.guides import trace_guides
 from support.scenes import camera_at, plain_ground, scattered_scene
 
 VISIBLE = np.arange(360.0, 831.0, 5.0)
@@ -333,7 +334,7 @@ def test_a_leaf_is_bright_beyond_the_red_edge():
         a, b = image.mean[where[material]].mean(axis=0)
         assert low < (b - a) / (b + a) < high
         assert (np.array([a, b]) < irradiance).all()
-    guides = trace_guides(SceneTracer(spec, Timings()), spec.cameras[0], timer=Timings())
+    guides = trace_guides(SceneTracer(spec, Timings()), spec.cameras[0])
     clean = denoise_bands(image.mean, guides.colour, guides.normal)
     assert clean.shape == image.mean.shape
     np.testing.assert_allclose(clean.mean(axis=(0, 1)), image.mean.mean(axis=(0, 1)), rtol=0.03)

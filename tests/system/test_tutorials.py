@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -66,6 +67,15 @@ def test_the_models_of_the_tutorial_are_the_files_of_the_example() -> None:
     page = (ROOT / "docs" / "tutorials" / "plugin.md").read_text(encoding="utf-8")
     for text in shown.values():
         assert f"{len(text.splitlines())} lines" in page
+
+
+def test_each_module_of_the_example_has_an_entry_point_that_the_tutorial_shows() -> None:
+    groups = tomllib.loads((PLUGIN / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
+    (shown,) = (text for language, _, text in blocks(ROOT / "docs" / "tutorials" / "plugin.md") if language == "toml")
+    assert groups == tomllib.loads(shown)["project"]["entry-points"]
+    named = {path.partition(":")[0] for group in groups.values() for path in group.values()}
+    files = (PLUGIN / "forestgen_plantation").glob("*.py")
+    assert named == {f"forestgen_plantation.{file.stem}".removesuffix(".__init__") for file in files}
 
 
 def test_the_notebook_of_the_example_has_the_cells_of_the_tutorial() -> None:

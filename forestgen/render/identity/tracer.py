@@ -21,10 +21,13 @@ from forestgen.render.build import load, origin_of, plants_dict, to_mesh
 from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import LLVM, dr, mi, require, tracing_variant, using
 from forestgen.scene.colour import RGB
-from forestgen.scene.projection import HASH_ROUNDS, LENS_STEPS, DeviceRays, Projection, Rays, projection_of
+from forestgen.scene.projection import DeviceRays, Projection, Rays, projection_of
 from forestgen.scene.spec import Camera, Material, SceneSpec
 from forestgen.scene.surfaces import film_factor
 
+# Steps of the R2 sequence (Roberts 2018) in units of 2^-32: powers of the inverse of the real root of x^3 = x + 1.
+LENS_STEPS = (3242174889, 2447445414)
+HASH_ROUNDS = 8  # of the cipher TEA; after 4, numbers of neighbouring pixels are not yet uniform
 NONE = 2**32 - 1  # instead of a first row: the mesh has none
 
 
@@ -208,7 +211,11 @@ def _uploaded(rays: Rays, projection: Projection) -> DeviceRays:
 
 
 def _lens_points(column: Any, row: Any, number: Any) -> Any:
-    """As `scene.projection.lens_points`."""
+    """Points of the unit disc through which the samples of pixels go; uniform over it.
+
+    A pixel's samples are points (a, b) of the R2 sequence on the torus, shifted by two random numbers of the pixel
+    (Zafar, Olano and Curtis 2010), in whole steps of 2^-32; then r = sqrt(a), phi = 2 pi b.
+    """
     keys = mi.sample_tea_32(mi.UInt32(column), mi.UInt32(row), HASH_ROUNDS)
     a, b = (mi.Float((shift + number * step) >> 8) * 2.0**-24 for shift, step in zip(keys, LENS_STEPS, strict=True))
     sine, cosine = dr.sincos(2 * np.pi * b)

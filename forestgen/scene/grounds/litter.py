@@ -60,17 +60,6 @@ def _lay_leaves(centre, cos, sin, half_length, half_width, upper, side):  # type
                     side[(row + dy) % pixels, (column + dx) % pixels] = np.sign(across)
 
 
-def litter_texture(rng: np.random.Generator) -> NDArray[np.float32]:
-    """(P, P, 3) reflectance of a forest floor, periodic: fallen leaves on dark humus, moss in patches."""
-    upper, leaf_colour, shade = _scattered_leaves(rng)
-    patches = tile_noise(9.0, 0.25, 2.6, rng)
-    grain = tile_noise(0.25, 0.032, 0.5, rng)
-    cover = 1 / (1 + np.exp(-(patches - 0.55) / 0.22))
-    texture = np.empty((*upper.shape, 3), dtype=np.float32)
-    _grow_moss(upper, leaf_colour, shade, patches, grain, cover, texture)
-    return texture
-
-
 @compiled
 def _grow_moss(upper, leaf_colour, shade, patches, grain, cover, texture):  # type: ignore[no-untyped-def]
     """Write the colours of leaves, humus and moss: every image has a floor of its own, so it has to be fast.
@@ -98,7 +87,13 @@ class Litter(GroundCover):
     """Fallen leaves and moss."""
 
     def pattern(self, rng: np.random.Generator) -> NDArray[np.float32]:
-        return litter_texture(rng)
+        upper, leaf_colour, shade = _scattered_leaves(rng)
+        patches = tile_noise(9.0, 0.25, 2.6, rng)
+        grain = tile_noise(0.25, 0.032, 0.5, rng)
+        cover = 1 / (1 + np.exp(-(patches - 0.55) / 0.22))
+        texture = np.empty((*upper.shape, 3), dtype=np.float32)
+        _grow_moss(upper, leaf_colour, shade, patches, grain, cover, texture)
+        return texture
 
 
 COVER = Litter("litter", darkens_when_wet=True)

@@ -15,11 +15,15 @@ import pytest
 import trimesh
 
 from forestgen.core.parts import Part
-from forestgen.geometry.export import Model, Piece, Surface, mesh_suffixes, model_files
+from forestgen.geometry.export import Model, Piece, Surface, exporter_of, mesh_suffixes
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 
 LEAF = Surface("leaf", (0.1, 0.4, 0.05), (0.05, 0.2, 0.02), 0.45, sheet=True)
 BARK = Surface("bark", (0.2140, 0.0, 1.0), roughness=0.9)
+
+
+def model_files(model: Model, file_name: str) -> dict[str, bytes]:
+    return exporter_of(file_name).files(model, file_name)
 
 
 def wedge() -> Mesh:

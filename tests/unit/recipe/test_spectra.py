@@ -11,12 +11,15 @@ from forestgen.recipe.spectra import (
     MOST_BYTES,
     MOST_ROWS,
     SEASONS,
+    Columns,
     load_bands,
     load_spectra,
     load_table,
     of_season,
     seasons_of,
     sensor_names,
+    surface_columns,
+    table_text,
 )
 
 SURFACES = [name for name in list_assets("spectra") if not name.startswith(("responses/", "standards/"))]
@@ -31,8 +34,12 @@ def table(
     return "mine.csv"
 
 
+def read(folder: Path, name: str = "mine.csv", where: str | None = None) -> Columns:
+    return surface_columns(table_text(folder / name), str(folder / name), where)
+
+
 def test_a_table_is_read_as_it_stands(tmp_path):
-    columns = load_spectra(table(tmp_path, GOOD), folder=tmp_path)
+    columns = read(tmp_path, table(tmp_path, GOOD))
     assert list(columns) == ["reflectance", "transmittance"]
     np.testing.assert_array_equal(columns["transmittance"].wavelength_nm, [400, 550, 670, 800])
     assert columns["reflectance"].at(610.0) == pytest.approx(0.095)
@@ -41,7 +48,7 @@ def test_a_table_is_read_as_it_stands(tmp_path):
 
 def test_byte_order_marks_and_line_ends_do_no_harm(tmp_path):
     (tmp_path / "mine.csv").write_bytes("\ufeff# µ\r\nwavelength_nm, reflectance\r\n400, 0.1\r\n700, 0.2\r\n".encode())
-    assert load_spectra("./mine.csv", folder=tmp_path)["reflectance"].at(550.0) == pytest.approx(0.15)
+    assert read(tmp_path)["reflectance"].at(550.0) == pytest.approx(0.15)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +82,7 @@ def test_byte_order_marks_and_line_ends_do_no_harm(tmp_path):
 def test_a_bad_table_is_told_with_its_line(tmp_path, rows, header, line, told):
     name = table(tmp_path, rows, header or "wavelength_nm,reflectance,transmittance")
     with pytest.raises(AssetError) as error:
-        load_spectra(name, folder=tmp_path, where="stand.yaml:3: species.elm")
+        read(tmp_path, name, "stand.yaml:3: species.elm")
     message = str(error.value)
     assert message.startswith(f"{tmp_path / name}:{line} (named by stand.yaml:3: species.elm): ")
     for text in told:
@@ -85,16 +92,16 @@ def test_a_bad_table_is_told_with_its_line(tmp_path, rows, header, line, told):
 def test_huge_and_binary_files_are_refused(tmp_path):
     name = table(tmp_path, [(400 + k * 0.01, 0.1, 0.1) for k in range(MOST_ROWS + 1)])
     with pytest.raises(AssetError, match="too many rows"):
-        load_spectra(name, folder=tmp_path)
+        read(tmp_path, name)
     (tmp_path / name).write_bytes(b"#" * (MOST_BYTES + 1))
     with pytest.raises(AssetError, match="too large"):
-        load_spectra(name, folder=tmp_path)
+        read(tmp_path, name)
     (tmp_path / name).write_bytes(b"wavelength_nm,reflectance\n\x00\xff")
     with pytest.raises(AssetError, match="not a text file"):
-        load_spectra(name, folder=tmp_path)
+        read(tmp_path, name)
     (tmp_path / name).write_text("# nothing\n\n")
     with pytest.raises(AssetError, match="empty"):
-        load_spectra(name, folder=tmp_path)
+        read(tmp_path, name)
 
 
 def test_an_unknown_name_meets_the_nearest_one():

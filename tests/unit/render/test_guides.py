@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from forestgen.core.progress import Timings
-from forestgen.render.denoise import trace_guides
 from forestgen.render.identity import SceneTracer
+from support.guides import trace_guides
 from support.scenes import camera_at, plain_ground, scattered_scene
 
 
@@ -20,7 +20,7 @@ def lit_ground(elevation_deg, kind="clear"):
     camera = camera_at((0.0, 0.0, 30.0), (0.0, 0.1, 0.0), (16, 16))
     sky = replace(spec.sky, sun_elevation_deg=elevation_deg, kind=kind)
     spec = replace(spec, instances=aside, cameras=(camera,), sky=sky)
-    return trace_guides(SceneTracer(spec, Timings()), camera, timer=Timings()), spec.terrain.mean_colour
+    return trace_guides(SceneTracer(spec, Timings()), camera), spec.terrain.mean_colour
 
 
 @pytest.mark.parametrize("elevation_deg", [15.0, 60.0])

@@ -14,7 +14,7 @@ from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.render.irradiance import LUMINANCE, PointLight, measure
 from forestgen.render.skies.model import daylight_of
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
-from support.radiometry import uniform_sky
+from support.radiometry import under_uniform_sky
 
 ALBEDO = 0.3
 FLAT = Spectrum(np.array([300.0, 2500.0]), np.array([0.5, 0.2]))  # W/m²/nm
@@ -46,17 +46,9 @@ def site(wall: Mesh | None = None, sky: Sky | None = None) -> SceneSpec:
 
 
 def meter(spec: SceneSpec, normal=UP, light: Spectrum | None = FLAT, samples: int = 4096) -> PointLight:
-    sources = None if light is None else lambda origin: [uniform_sky(light)]
-    return measure(
-        spec,
-        np.array([0.0, 0.0, 1.0]),
-        np.array(normal),
-        samples=samples,
-        max_depth=4,
-        seed=5,
-        progress=Silent(),
-        sources=sources,
-    )
+    point = np.array([0.0, 0.0, 1.0])
+    with under_uniform_sky(light):
+        return measure(spec, point, np.array(normal), samples=samples, max_depth=4, seed=5, progress=Silent())
 
 
 def test_a_uniform_sky_is_measured_without_noise() -> None:

@@ -69,7 +69,7 @@ def herbs(plan: Plan, n: int = 12) -> Population:
 
 def keys(plan: Plan) -> set[str]:
     chosen = growth.choose_exemplars(plan, herbs(plan), ())
-    return {request.key() for request in growth.exemplar_requests(plan, chosen)}
+    return {request.key() for request in growth.exemplar_requests(plan, chosen, herbs(plan))}
 
 
 def test_images_of_a_split_ask_for_the_same_plants_and_other_splits_for_others(recipe: Path) -> None:
@@ -91,7 +91,7 @@ def test_without_a_library_every_image_has_its_own(recipe: Path) -> None:
     one, other = (keys(planned(recipe, image, "plants.library=null")) for image in (0, 2))
     assert not one & other
     plan = planned(recipe, 0, "plants.library=null")
-    requests = growth.exemplar_requests(plan, growth.choose_exemplars(plan, herbs(plan), ()))
+    requests = growth.exemplar_requests(plan, growth.choose_exemplars(plan, herbs(plan), ()), herbs(plan))
     assert requests[0].identity == ("exemplar", "fireweed", 0)
     assert requests[0].seed == plan.drawn.image_seed
     assert requests[0].species is plan.drawn.species["fireweed"]
@@ -118,7 +118,7 @@ def test_images_late_in_the_data_set_take_their_plants_from_memory_or_disk(
     chosen = growth.choose_exemplars(plan, herbs(plan), ())
 
     def vertices() -> list[bytes]:
-        grown = growth.grow_planned(plan, chosen, Silent())
+        grown = growth.grow_planned(plan, chosen, Silent(), herbs(plan))
         return [organ.mesh.vertices_m.tobytes() for one in grown for organ in one.organs]
 
     first = vertices()
@@ -135,7 +135,7 @@ def test_memory_holds_no_more_than_its_bytes(recipe: Path, monkeypatch: pytest.M
     monkeypatch.setattr(growing._shared, "most_bytes", 300_000)
     for image in (0, 2):
         plan = planned(recipe, image)
-        growth.grow_planned(plan, growth.choose_exemplars(plan, herbs(plan), ()), Silent())
+        growth.grow_planned(plan, growth.choose_exemplars(plan, herbs(plan), ()), Silent(), herbs(plan))
         held = list(growing._shared._kept.values())
         assert sum(one.nbytes for one in held) <= 300_000
 

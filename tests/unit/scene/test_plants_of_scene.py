@@ -100,7 +100,7 @@ def test_identities_are_the_species_rank_and_variant_at_any_level() -> None:
     population = herbs([*np.linspace(0, 1, 40), *np.linspace(1500, 1600, 40)])
     built = scene.build_scene(plan, population, Silent(), Timings())
     chosen = growth.choose_exemplars(plan, built.population, built.spec.cameras)
-    requests = growth.exemplar_requests(plan, chosen)
+    requests = growth.exemplar_requests(plan, chosen, built.population)
     by_identity: dict[tuple[str | int, ...], set[float]] = {}
     for one in requests:
         by_identity.setdefault(one.identity, set()).add(one.radius_m)

@@ -8,10 +8,7 @@ import pytest
 from forestgen.scene.projection import (
     Projection,
     centre_rays,
-    depth_is_distance,
     image_circle,
-    lens_points,
-    pixel_hash,
     project,
     projection_of,
     rays,
@@ -19,6 +16,7 @@ from forestgen.scene.projection import (
 )
 from forestgen.scene.spec import Camera
 from support.cameras import KINDS, camera_of
+from support.lens_points import lens_points, pixel_hash
 
 POSITION_M = (120.0, -35.0, 4.0)
 
@@ -42,7 +40,7 @@ def test_points_along_rays_project_to_where_the_rays_come_from(kind):
     assert at.in_front.all()
     np.testing.assert_allclose(at.x_px, x, atol=1e-9)
     np.testing.assert_allclose(at.y_px, y, atol=1e-9)
-    expected = distance if depth_is_distance(camera) else distance * found.direction[:, 2]
+    expected = distance if projection_of(camera).depth_is_distance else distance * found.direction[:, 2]
     np.testing.assert_allclose(at.depth_m, expected, rtol=1e-12)
 
 
