@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import operator
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -53,6 +53,10 @@ class Run:
 
     @cached_property
     def dataset(self) -> Dataset:
+        """Its frames. `RecipeError` where it lies in an object store: a copy on this machine can be read."""
+        from forestgen.runs.verify import refuse_address
+
+        refuse_address(Path(self.target))
         return Dataset(self.target)
 
     def __repr__(self) -> str:
@@ -60,7 +64,7 @@ class Run:
         return f"<Run {one.target}: {one.already + one.made} of {one.images} images, {one.frames} frames>"
 
 
-class Dataset(Sequence[Frame]):
+class Dataset:
     """A finished data set: a sequence of its frames, whose files are read when they are asked for.
 
     Parameters
@@ -118,6 +122,9 @@ class Dataset(Sequence[Frame]):
 
     def __len__(self) -> int:
         return int(self._rows.num_rows)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[number] for number in range(len(self)))
 
     @overload
     def __getitem__(self, index: int | str) -> Frame: ...
@@ -194,7 +201,7 @@ class Dataset(Sequence[Frame]):
         format : webdataset (tar files), huggingface (Parquet), or a pack of another package.
         shard_size : bytes, or a text such as 500MB; no file is larger.
         channels : what goes in; by default preview, semantic, instance, and depth and annotations if there are any.
-        splits : by default all.
+        splits : by default all whose frames are here.
         seed : of the frames' random order.
         by_name : in the order of their names instead.
         """
@@ -202,11 +209,15 @@ class Dataset(Sequence[Frame]):
 
         target = path_of(out, "out", output=True)
         names = None if channels is None else texts_of(channels, "channels")
+        wanted = texts_of(splits, "splits") or ([] if self._split is None else [self._split])
+        if self._split is not None and wanted != [self._split]:
+            problem, got = "these frames are in another split", ", ".join(wanted)
+            raise RecipeError(problem, parameter="splits", expected=self._split, got=got)
         display = display_of(progress)
         with display.running():
             return pack(
                 self.folder, target, text_of(format, "format"), shard_size=shard_size, channels=names,
-                splits=texts_of(splits, "splits"), seed=None if by_name else seed, overwrite=overwrite,
+                splits=wanted, seed=None if by_name else seed, overwrite=overwrite,
                 progress=display,
             )  # fmt: skip
 
@@ -316,6 +327,7 @@ def merge(
     out: PathLike,
     *,
     link: bool = False,
+    overwrite: bool = False,
     progress: bool | Progress | None = None,
 ) -> Merged:
     """Make one data set of several; pieces of one recipe become what one run would have made, to the last byte.
@@ -323,8 +335,9 @@ def merge(
     Parameters
     ----------
     sources : folders of finished data sets, or one.
-    out : a new or empty folder.
+    out : its folder.
     link : hard links instead of copies.
+    overwrite : replace a previous data set.
 
     Raises
     ------
@@ -335,11 +348,11 @@ def merge(
     pieces, target = paths_of(sources, "sources"), path_of(out, "out", output=True)
     display = display_of(progress)
     with display.running():
-        done = merge_pieces(pieces, target, link=link, progress=display)
+        done = merge_pieces(pieces, target, link=link, overwrite=overwrite, progress=display)
     return Merged(target, done.frames, done.bytes, done.notes)
 
 
-def torch_frames(frames: Sequence[Frame], channels: Sequence[str], transform: Transform | None) -> Any:
+def torch_frames(frames: Dataset, channels: Sequence[str], transform: Transform | None) -> Any:
     """See `Dataset.as_torch`. The class is made here, as PyTorch may be missing or slow to load."""
     for name in channels:
         if name not in _ARRAYS:

@@ -5,6 +5,7 @@ All of it goes to standard error, or to the notebook's cell; results never do.
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -120,18 +121,24 @@ class Bars(SilentDisplay):
 
 
 class Lines(SilentDisplay):
-    """A line a minute on standard error: how far the run is, and the stage in work."""
+    """A line a minute on standard error: how far the run is, and the stage in work.
+
+    The minutes go on from one block of `running` to the next: those of an iteration over frames are short.
+    """
 
     def __init__(self, every_s: float = _LINE_EVERY_S) -> None:
         self._every_s = every_s
+        self._next_s = math.inf  # monotonic time of the next line
         self._stages: list[_Stage] = []  # in work, the innermost last
 
     @contextmanager
     def running(self) -> Iterator[Lines]:
         stop = threading.Event()
+        self._next_s = min(self._next_s, time.monotonic() + self._every_s)
 
         def write() -> None:
-            while not stop.wait(self._every_s):
+            while not stop.wait(max(self._next_s - time.monotonic(), 0.0)):
+                self._next_s = time.monotonic() + self._every_s
                 if text := self.line():
                     self._tell(text)
 
@@ -165,7 +172,7 @@ class Lines(SilentDisplay):
 
 
 class NotebookDisplay(Lines):
-    """One line under the cell that changes."""
+    """One line under the cell that changes, the same in all blocks of `running`."""
 
     def __init__(self) -> None:
         super().__init__(_NOTEBOOK_EVERY_S)
@@ -189,7 +196,6 @@ class NotebookDisplay(Lines):
             yield self
         if self._handle is not None:
             self._tell(self.line() or "done")
-            self._handle = None
 
 
 class _Stage:

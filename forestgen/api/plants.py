@@ -250,7 +250,7 @@ class Plant:
         samples: int = 32,
         distance_m: float | None = None,
         look_at_m: float | None = None,
-        progress: bool | Progress | None = False,
+        progress: bool | Progress | None = None,
     ) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB picture under a fixed sun and sky.
 
@@ -274,7 +274,7 @@ class Plant:
         return [Plant(self._plan, one, self.seed) for one in posed]
 
     def _repr_png_(self) -> bytes:
-        return png(self.picture((360, 480), samples=_REPR_SAMPLES))
+        return png(self.picture((360, 480), samples=_REPR_SAMPLES, progress=False))
 
     def __repr__(self) -> str:
         one = self.measures

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, get_type_hints
 
 import typer
@@ -84,3 +84,8 @@ def _parameter(usage: str, about: str) -> Any:
 def progress_of(quiet: bool) -> bool | Progress | None:
     """The API's argument `progress`."""
     return False if quiet else None
+
+
+def listed_names(values: Iterable[str] | None) -> list[str]:
+    """The names of an option that may be repeated, and takes several at a time: ``A,B``."""
+    return [name for value in values or () for one in value.split(",") if (name := one.strip())]

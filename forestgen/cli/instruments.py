@@ -12,7 +12,7 @@ from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds, table_lines
 
 if TYPE_CHECKING:
-    from forestgen.atmosphere.clouds.source import WeatherReport
+    from forestgen.api.rendering import ImageWeather
 
 
 def measure(
@@ -173,7 +173,7 @@ def weather(
         say(f"file: {one}")
 
 
-def _print_weather(reports: Sequence[WeatherReport], say: Printer) -> None:
+def _print_weather(reports: Sequence[ImageWeather], say: Printer) -> None:
     names = ("image", "type", "time", "cover", "base", "top", "depth", "cloud", "rain", "fallen", "up")
     units = ("", "", "s", "%", "m", "m", "", "g/m²", "g/m²", "mm", "m/s")
     rows = [names, units]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,8 +76,8 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure as a PNG, or raise `OutputError`."""
+def save_figure(figure: Figure, path: Path | BinaryIO) -> None:
+    """Write a figure as a PNG into a file or a stream, or raise `OutputError`."""
     try:
         # Without the name of the library's version the same picture has the same bytes.
         figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
