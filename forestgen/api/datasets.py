@@ -64,6 +64,62 @@ class Run:
         return f"<Run {one.target}: {one.already + one.made} of {one.images} images, {one.frames} frames>"
 
 
+def verify(
+    folder: PathLike | Dataset,
+    *,
+    rerender: int = 0,
+    seed: int = 0,
+    workers: int | None = None,
+    hashes: bool = True,
+    progress: bool | Progress | None = None,
+) -> VerificationReport:
+    """Check files, index, splits and labels of a data set, which may be damaged.
+
+    `ok` of the report says whether all is right, `findings` what is not.
+
+    Parameters
+    ----------
+    rerender : render so many images again and compare all bytes.
+    seed : draws these.
+    workers : processes and threads that check; by default one a core.
+    hashes : read all files and compare their checksums.
+
+    Raises
+    ------
+    RecipeError : the folder holds no data set.
+    """
+    from forestgen.runs.verify import verify as check
+
+    root, display = _folder_of(folder), display_of(progress)
+    with display.running():
+        return check(root, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
+
+
+def write_report(folder: PathLike | Dataset, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
+    """Write the page of a data set, finished or not; the path of it.
+
+    Parameters
+    ----------
+    out : by default report.html in the data set's folder, which is renewed.
+    overwrite : replace another file if it exists.
+    """
+    from forestgen.dataset.files import check_writable
+    from forestgen.dataset.report import page
+
+    root = _folder_of(folder)
+    own = root / page.REPORT_NAME
+    target = own if out is None else path_of(out, "out", output=True)
+    is_own = target.name == own.name and os.path.realpath(target.parent) == os.path.realpath(own.parent)
+    if os.path.lexists(target):
+        check_writable([target], overwrite=overwrite or is_own)
+    page.write_report(root, target)
+    return target
+
+
+def _folder_of(folder: PathLike | Dataset) -> Path:
+    return folder.folder if isinstance(folder, Dataset) else path_of(folder, "folder")
+
+
 class Dataset:
     """A finished data set: a sequence of its frames, whose files are read when they are asked for.
 
@@ -77,6 +133,8 @@ class Dataset:
     RecipeError : there is no such folder, or it holds no data set, or one that is not finished.
     DatasetError : the data set is damaged.
     """
+
+    verify, report = verify, write_report  # of its folder, whole
 
     def __init__(self, folder: PathLike, split: str | None = None) -> None:
         self.folder = path_of(folder, "folder")
@@ -150,36 +208,6 @@ class Dataset:
         if text_of(name, "name") not in self._numbers:
             raise RecipeError("the data set has no such frame", parameter="name", got=shown(name))
         return self[self._numbers[name]]
-
-    def verify(
-        self,
-        *,
-        rerender: int = 0,
-        seed: int = 0,
-        workers: int | None = None,
-        hashes: bool = True,
-        progress: bool | Progress | None = None,
-    ) -> VerificationReport:
-        """Check files, index, splits and labels. `ok` of the report says whether all is right, `findings` what is not.
-
-        Parameters
-        ----------
-        rerender : render so many images again and compare all bytes.
-        seed : draws these.
-        workers : processes and threads that check; by default one a core.
-        hashes : read all files and compare their checksums.
-        """
-        return verify(self.folder, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=progress)
-
-    def report(self, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
-        """Write the data set's page, by default report.html in its folder, which is renewed; the path of it.
-
-        Parameters
-        ----------
-        out : another file.
-        overwrite : replace that file if it exists.
-        """
-        return write_report(self.folder, out, overwrite=overwrite)
 
     def pack(
         self,
@@ -273,39 +301,6 @@ class Dataset:
 
     def __repr__(self) -> str:
         return f"<Dataset {self.folder}: {len(self)} frames, {', '.join(self.splits)}>"
-
-
-def verify(
-    folder: PathLike,
-    *,
-    rerender: int = 0,
-    seed: int = 0,
-    workers: int | None = None,
-    hashes: bool = True,
-    progress: bool | Progress | None = None,
-) -> VerificationReport:
-    """Check a data set that may be damaged; see `Dataset.verify`. Raises `RecipeError` if the folder holds none."""
-    from forestgen.runs.verify import verify as check
-
-    root = path_of(folder, "folder")
-    display = display_of(progress)
-    with display.running():
-        return check(root, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
-
-
-def write_report(folder: PathLike, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
-    """Write the page of a data set, finished or not; the path of it. See `Dataset.report`."""
-    from forestgen.dataset.files import check_writable
-    from forestgen.dataset.report import page
-
-    root = path_of(folder, "folder")
-    own = root / page.REPORT_NAME
-    target = own if out is None else path_of(out, "out", output=True)
-    is_own = target.name == own.name and os.path.realpath(target.parent) == os.path.realpath(own.parent)
-    if os.path.lexists(target):
-        check_writable([target], overwrite=overwrite or is_own)
-    page.write_report(root, target)
-    return target
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
-from forestgen.core.figures import three_digits
+from forestgen.core.figures import seconds, three_digits
 from forestgen.core.progress import Progress
 from forestgen.runs.summary import Display, ProgressTracker, SilentDisplay
 
@@ -223,26 +223,14 @@ def pace(tracker: ProgressTracker) -> str:
     """How fast a run is, and what went wrong."""
     parts = []
     if tracker.images_per_hour is not None and tracker.seconds_left is not None:
-        parts += [f"{three_digits(tracker.images_per_hour)} an hour", f"{span(tracker.seconds_left)} left"]
+        parts += [f"{three_digits(tracker.images_per_hour)} an hour", f"{seconds(round(tracker.seconds_left))} left"]
     else:
-        parts.append(f"{span(time.monotonic() - tracker.started_s)} so far")
+        parts.append(f"{seconds(round(time.monotonic() - tracker.started_s))} so far")
     if tracker.failed:
         parts.append(f"{tracker.failed:,} failed")
     if tracker.retried:
         parts.append(f"{tracker.retried:,} attempt{'' if tracker.retried == 1 else 's'} again")
     return ", ".join(parts)
-
-
-def span(seconds: float) -> str:
-    """A long duration for people: 40 s, 12 min, 3 h 40 min, 2 d 5 h."""
-    if seconds < 60:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    if minutes < 60:
-        return f"{minutes} min"
-    if minutes < 24 * 60:
-        return f"{minutes // 60} h {minutes % 60:02d} min"
-    return f"{minutes // 1440} d {minutes % 1440 // 60} h"
 
 
 def _in_notebook() -> bool:

@@ -30,6 +30,7 @@ from forestgen.plants.parameters import with_detail
 from forestgen.plants.plan import PlantPlan, plan_plants
 from forestgen.recipe.assets import SUFFIXES, find_asset
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
+from forestgen.recipe.schema import NO_PLANTS
 from forestgen.recipe.species import TALLEST_M, Species
 from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph
 from forestgen.scene.spec import Camera, Material
@@ -342,7 +343,7 @@ def drawn_of(species: str, seed: int) -> DrawnRecipe:
     source = f"./{path.name}" if is_file else species  # a file of the user's own may lie anywhere
     if not is_file:
         find_asset("species", species, parameter="species")
-    alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "none"}}
+    alone = {"species": {name_of(species): {"from": source}}, "community": NO_PLANTS}
     folder = path.parent if is_file else Path()
     return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant", folder).draw(0)
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from forestgen.api.datasets import Run
 from forestgen.api.display import display_of
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from forestgen.atmosphere.grid import Weather
     from forestgen.dataset.frame import Frame
     from forestgen.instruments.calibration import Calibration
-    from forestgen.instruments.instrument import Instrument, Reading, ReadingT
+    from forestgen.instruments.instrument import Reading
     from forestgen.instruments.light_meter import LightReadings
     from forestgen.recipe.load import LoadedRecipe
     from forestgen.runs.start import DryRun
@@ -191,7 +191,7 @@ class Rendering:
         overwrite: bool = False,
         progress: bool | Progress | None = None,
     ) -> LightReadings:
-        """Measure light at points of the first image's scene.
+        """Measure light at points of the first image's scene: `measure` with the instrument light_meter.
 
         Parameters
         ----------
@@ -203,10 +203,9 @@ class Rendering:
         spectrum : step in nm of the spectra in `out`.
         overwrite : replace an existing file.
         """
-        from forestgen.instruments.light_meter import INSTRUMENT
-
         keys = {"at": at, "normals": normals, "samples": samples, "absolute_z": absolute_z, "spectrum": spectrum}
-        return _measured(self._loaded, INSTRUMENT, keys, out, overwrite, progress)
+        read = self.measure("light_meter", keys, out=out, overwrite=overwrite, progress=progress)
+        return cast("LightReadings", read)
 
     def measure(
         self,
@@ -227,12 +226,25 @@ class Rendering:
         out : a file, in one of the formats of the instrument; most write .json.
         overwrite : replace an existing file.
         """
+        from forestgen.dataset.files import FileSet, check_writable
+        from forestgen.instruments.instrument import Instrument, read_keys
+        from forestgen.pipeline import measure
         from forestgen.recipe.registries import INSTRUMENTS
 
         values = keys if isinstance(keys, Mapping) else _values(texts_of(keys or (), "keys"))
         INSTRUMENTS.check(instrument, parameter="instrument")
         chosen: Instrument[Any, Reading] = INSTRUMENTS.load(instrument)
-        return _measured(self._loaded, chosen, values, out, overwrite, progress)
+        target = None if out is None else path_of(out, "out", output=True)
+        section, display = read_keys(chosen, values), display_of(progress)
+        if target is not None:
+            _check_ending(target, chosen.endings)
+            check_writable([target], overwrite=overwrite)
+        with display.running():
+            reading = measure(self._loaded, chosen, section, display, Timings())
+        if target is not None:
+            with FileSet(overwrite=overwrite) as files:
+                files.write(target, reading.content(target.suffix.lower(), self._loaded))
+        return reading
 
     def weather(
         self,
@@ -381,32 +393,6 @@ def _values(texts: Sequence[str]) -> dict[str, Any]:
             raise RecipeError("this gives no key a value", parameter="keys", expected="key=value", got=shown(text))
         found[key.strip()], _ = parse_yaml(written, f"keys: {key.strip()}", lines=False)
     return found
-
-
-def _measured(
-    loaded: LoadedRecipe,
-    instrument: Instrument[Any, ReadingT],
-    keys: Mapping[str, Any],
-    out: PathLike | None,
-    overwrite: bool,
-    progress: bool | Progress | None,
-) -> ReadingT:
-    """Measure, and write a file of it."""
-    from forestgen.dataset.files import FileSet, check_writable
-    from forestgen.instruments.instrument import read_keys
-    from forestgen.pipeline import measure
-
-    target = None if out is None else path_of(out, "out", output=True)
-    section, display = read_keys(instrument, keys), display_of(progress)
-    if target is not None:
-        _check_ending(target, instrument.endings)
-        check_writable([target], overwrite=overwrite)
-    with display.running():
-        reading = measure(loaded, instrument, section, display, Timings())
-    if target is not None:
-        with FileSet(overwrite=overwrite) as files:
-            files.write(target, reading.content(target.suffix.lower(), loaded))
-    return reading
 
 
 def _weather_file(path: Path, report: WeatherReport) -> bytes:

@@ -27,7 +27,7 @@ from forestgen.recipe.distributions import Distribution, Scalar
 from forestgen.recipe.draws import Draws, find_written, make_draws, mentions, put, splits_of, whole_number
 from forestgen.recipe.map_files import embed_maps, recipe_hash
 from forestgen.recipe.messages import Explainer, distribution_of, show
-from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
+from forestgen.recipe.schema import NO_PLANTS, SCHEMA_VERSION, Recipe
 from forestgen.recipe.sources import Keys, Place, SourceMap, copied, mapping_of, read_yaml, yaml_text
 from forestgen.recipe.species import Species
 
@@ -378,7 +378,7 @@ def _replace_sections(data: dict[str, Any], wrong: Iterable[Keys]) -> frozenset[
             else:
                 data[section] = {_STAND_IN: plant}
         elif section == "community":
-            data[section] = {"model": "none"}
+            data[section] = dict(NO_PLANTS)
         elif section == "forestgen":
             data[section] = SCHEMA_VERSION
         else:

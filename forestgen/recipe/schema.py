@@ -156,6 +156,10 @@ class Community(OpenSection):
     model: Text = Field(min_length=1, max_length=100, description="Id of the community model.")
 
 
+#: A section of no plants, where a recipe's community does not matter.
+NO_PLANTS: Mapping[str, Any] = {"model": "uniform", "plants": {}}
+
+
 Channel = Annotated[Text, *part_name(LABEL_CHANNELS)]
 
 
