@@ -191,7 +191,7 @@ class Rendering:
         overwrite: bool = False,
         progress: bool | Progress | None = None,
     ) -> LightReadings:
-        """Measure light at points of the first image's scene: `measure` with the instrument light_meter.
+        """Measure light at points of the first image's scene: `measure` with a light meter.
 
         Parameters
         ----------
@@ -203,8 +203,10 @@ class Rendering:
         spectrum : step in nm of the spectra in `out`.
         overwrite : replace an existing file.
         """
+        from forestgen.instruments.light_meter import INSTRUMENT
+
         keys = {"at": at, "normals": normals, "samples": samples, "absolute_z": absolute_z, "spectrum": spectrum}
-        read = self.measure("light_meter", keys, out=out, overwrite=overwrite, progress=progress)
+        read = self.measure(INSTRUMENT.name, keys, out=out, overwrite=overwrite, progress=progress)
         return cast("LightReadings", read)
 
     def measure(

@@ -78,12 +78,13 @@ def light(
     --samples N  Light paths of each light at each wavelength. [512 to 100000000]
     """
     from forestgen.core.errors import RecipeError
+    from forestgen.instruments.light_meter import INSTRUMENT
 
     if not at:
         raise RecipeError("no point was given", where="--at", expected="--at X Y Z, metres", hint="--at 30 40 1.5")
     points = [one.split(",") for one in at]
     keys = {"samples": samples, "absolute_z": absolute_z, "spectrum": spectrum, "normals": normals or ["up"]}
-    _measure(recipe, set_, "light_meter", {"at": points, **keys}, out, overwrite, quiet)
+    _measure(recipe, set_, INSTRUMENT.name, {"at": points, **keys}, out, overwrite, quiet)
 
 
 def calibrate(
