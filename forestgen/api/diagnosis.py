@@ -74,7 +74,7 @@ class Diagnosis:
 def doctor() -> Diagnosis:
     """What this machine offers: `Diagnosis.ready` tells whether forestgen can render here."""
     libraries = (_tried(*one) for one in _LIBRARIES)  # each in a process of its own
-    gpu = _tried("GPU", "check_cuda", "", required=False)
+    gpu = _tried("GPU", "cuda_devices", "", required=False)
     use = "used if FORESTGEN_TRACING is cuda" if gpu.good else "not needed"
     findings = (*_machine(), *libraries, replace(gpu, text=f"{gpu.text}; {use}"))
     system = f"{platform.system()} {platform.machine()}"

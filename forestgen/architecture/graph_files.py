@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.architecture.geometry import SkeletalGraph
-from forestgen.core.errors import OutputError
+from forestgen.core.errors import OutputError, writing
 from forestgen.geometry.usd import new_stage
 
 GRAPH_FORMATS = (".parquet", ".csv", ".gltf", ".glb", ".obj", ".usda", ".usdc")
@@ -58,10 +58,8 @@ def write_graph(path: Path, graph: SkeletalGraph, *, foot_m: Any = None, columns
         content = _obj(graph, position).encode()
     else:
         content = _usd(graph, position, known, suffix)
-    try:
+    with writing(path, "the graph cannot be written"):
         path.write_bytes(content)
-    except OSError as cause:
-        raise OutputError("the graph cannot be written", where=str(path), got=str(cause)) from cause
 
 
 def _table_bytes(

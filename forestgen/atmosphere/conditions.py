@@ -20,17 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere import sounding as soundings
 from forestgen.atmosphere.grid import AirGrid
-from forestgen.atmosphere.sounding import (
-    AIR_EXPONENT,
-    GAS_CONSTANT_AIR_J_PER_KG_K,
-    GRAVITY_M_PER_S2,
-    Sounding,
-    saturation_ratio,
-)
 
 ZERO_CELSIUS_K = 273.15
-_DRY_K_PER_M = GRAVITY_M_PER_S2 * AIR_EXPONENT / GAS_CONSTANT_AIR_J_PER_KG_K
+_DRY_K_PER_M = soundings.GRAVITY_M_PER_S2 * soundings.AIR_EXPONENT / soundings.GAS_CONSTANT_AIR_J_PER_KG_K
 _MOST_HUMID = 0.9995  # air at rest holds no cloud
 _INVERSION_SHARE, _INVERSION_M = 0.1, 100.0
 
@@ -50,7 +44,7 @@ class Layers:
     relative_humidity_above: float
     ground_pressure_hpa: float = 1013.25
 
-    def sounding(self, top_m: float, wind_m_per_s: tuple[float, float]) -> Sounding:
+    def sounding(self, top_m: float, wind_m_per_s: tuple[float, float]) -> soundings.Sounding:
         """The column up to `top_m`. ValueError: the layers leave no air that can be: below 100 K, or above 400 K."""
         mixed = min(self.mixed_layer_m, self.inversion_m)
         thin = min(_INVERSION_SHARE * self.inversion_m, _INVERSION_M)
@@ -63,8 +57,8 @@ class Layers:
         if not (temperature.min() > 100.0 and temperature.max() < 400.0):
             raise ValueError(f"air of {temperature.min():.0f} to {temperature.max():.0f} K")
         pressure_pa = 100.0 * self.ground_pressure_hpa
-        dry = Sounding(height, temperature, 0 * height, np.zeros((len(height), 2)), pressure_pa)
-        saturated = saturation_ratio(temperature, dry.pressure_at(height))
+        dry = soundings.Sounding(height, temperature, 0 * height, np.zeros((len(height), 2)), pressure_pa)
+        saturated = soundings.saturation_ratio(temperature, dry.pressure_at(height))
         own = self.relative_humidity * saturated[0]
         top_rh = min(own / float(np.interp(mixed, height, saturated)), 1.0)
         over = np.interp(
@@ -115,7 +109,7 @@ class Conditions:
     """One kind of weather."""
 
     kind: str
-    layers: Layers | Sounding
+    layers: Layers | soundings.Sounding
     emission: Emission
     domain: Domain
     cooling_k_per_h: float  # of the air below the inversion
@@ -130,7 +124,7 @@ class Conditions:
         rise = np.diff(self.layers.potential_temperature_at(height))
         return float(height[int(np.argmax(rise))])
 
-    def sounding(self) -> Sounding:
+    def sounding(self) -> soundings.Sounding:
         """The air at rest, with the wind."""
         top_m = self.domain.height_m
         if isinstance(self.layers, Layers):
@@ -141,18 +135,18 @@ class Conditions:
         return replace(measured, wind_m_per_s=np.tile(np.asarray(self.wind_m_per_s), (len(measured.height_m), 1)))
 
 
-def _between_levels(measured: Sounding, height_m: NDArray[np.float64]) -> Sounding:
+def _between_levels(measured: soundings.Sounding, height_m: NDArray[np.float64]) -> soundings.Sounding:
     """A sounding with levels at more heights, where vapour is bounded by saturation.
 
     Between far levels of humid air, vapour, which is linear, would exceed saturation, which sags below the line.
     """
     height = np.union1d(measured.height_m, height_m)
     temperature = measured.temperature_at(height)
-    most = _MOST_HUMID * saturation_ratio(temperature, measured.pressure_at(height))
+    most = _MOST_HUMID * soundings.saturation_ratio(temperature, measured.pressure_at(height))
     own = np.isin(height, measured.height_m)  # these are the author's to answer for
     vapour = measured.vapour_at(height)
     vapour = np.where(own, vapour, np.minimum(vapour, most))
-    return Sounding(height, temperature, vapour, measured.wind_at(height), measured.ground_pressure_pa)
+    return soundings.Sounding(height, temperature, vapour, measured.wind_at(height), measured.ground_pressure_pa)
 
 
 def wind_towards(speed_m_per_s: float, from_deg: float) -> tuple[float, float]:

@@ -186,12 +186,8 @@ def check_room(byte_count: int, where: str) -> None:
     """Raise `ResourceError` for a file whose fields would take more than half of the memory that is free."""
     free = free_bytes()
     if byte_count > free / 2:
-        raise ResourceError(
-            "the file's fields do not fit into memory",
-            where=where,
-            expected=f"at most half of the {free / 1e9:.1f} GB that are free",
-            got=f"{byte_count / 1e9:,.1f} GB",
-        )
+        expected, got = f"at most half of the {free / 1e9:.1f} GB that are free", f"{byte_count / 1e9:,.1f} GB"
+        raise ResourceError("the file's fields do not fit into memory", where=where, expected=expected, got=got)
 
 
 def _check_array(name: str, values: NDArray[Any], shape: tuple[int, ...], kind: type[np.generic]) -> None:

@@ -14,8 +14,8 @@ from PIL import Image, ImageColor, ImageDraw, ImageFont
 from forestgen.community.model import Site
 from forestgen.community.plan import NO_OBSTACLES, Obstacles
 from forestgen.community.plots import OBSTACLE, colours_of
-from forestgen.community.population import Floats, Population, Status
-from forestgen.core.errors import OutputError
+from forestgen.community.population import Population, Status
+from forestgen.core.errors import writing
 
 MOST_FRAMES = 60
 MOST_BYTES = 3_000_000
@@ -27,7 +27,7 @@ _INK = (60, 60, 60)
 _FRAME_MS, _LAST_MS = 110, 2500
 _MOST_COLOURS = 256
 _LEAST_PX = 200  # wide: room for the caption
-_SMALL_PX = 5.0  # of radius, before the averaging: below, a circle has no edge
+_SMALL_PX, _LEAST_RADIUS_PX = 5.0, 1.0  # before the averaging: circles without an edge; and the smallest
 _OPACITY, _DARKER = 0.55, 0.7  # of fills, and of edges, as on the map
 
 
@@ -77,37 +77,16 @@ class Film:
         for one in self._obstacles.entries:
             corners = one.corners_m() * (scale, -scale) + (0, height)
             ImageDraw.Draw(ground).polygon([(x, y) for x, y in corners.tolist()], fill=_rgb(OBSTACLE))
-        large = int(np.count_nonzero(radius >= _SMALL_PX))
-        self._draw_large(ImageDraw.Draw(ground), centre[:large], radius[:large], kind[:large])
-        pixels = np.array(ground)
-        self._stamp_small(pixels, centre[large:], radius[large:], kind[large:])
-        return Image.fromarray(pixels)
-
-    def _draw_large(self, draw: ImageDraw.ImageDraw, centre: Floats, radius: Floats, kind: NDArray[np.uint16]) -> None:
-        width, height = (side * _FINER for side in self._size_px)
+        draw = ImageDraw.Draw(ground)
         fills = [_mixed(rgb, _GROUND, _OPACITY) for rgb in self._rgb]
         edges = [_mixed(rgb, (0, 0, 0), _DARKER) for rgb in self._rgb]
         for (x, y), r, k in zip(centre.tolist(), radius.tolist(), kind.tolist(), strict=True):
+            fill, outline = (fills[k], edges[k]) if r >= _SMALL_PX else (self._rgb[k], None)
+            r = max(r, _LEAST_RADIUS_PX)
             for dx in self._shifts(x, r, width):
                 for dy in self._shifts(y, r, height):
-                    box = (x + dx - r, y + dy - r, x + dx + r, y + dy + r)
-                    draw.ellipse(box, fill=fills[k], outline=edges[k], width=_FINER)
-
-    def _stamp_small(self, pixels: NDArray[np.uint8], centre: Floats, radius: Floats, kind: NDArray[np.uint16]) -> None:
-        """Small circles without an edge, all of one size at once: there may be a hundred thousand."""
-        height, width = pixels.shape[:2]
-        column, row = np.floor(centre).astype(np.intp).T
-        colour = np.array(self._rgb, dtype=np.uint8).reshape(-1, 3)[kind]
-        steps = np.maximum(np.round(radius).astype(np.intp), 1)
-        for size in range(int(_SMALL_PX) + 1, 0, -1):
-            some = steps == size
-            for dx, dy in _disc(size):
-                i, j = row[some] + dy, column[some] + dx
-                if self._periodic:
-                    pixels[i % height, j % width] = colour[some]
-                else:
-                    seen = (i >= 0) & (i < height) & (j >= 0) & (j < width)
-                    pixels[i[seen], j[seen]] = colour[some][seen]
+                    draw.ellipse((x + dx - r, y + dy - r, x + dx + r, y + dy + r), fill, outline, _FINER)
+        return ground
 
     def _shifts(self, at: float, radius: float, size: float) -> tuple[float, ...]:
         """How far to move a circle so that all of it is seen."""
@@ -127,15 +106,8 @@ class Film:
             stride = math.ceil(len(data) / MOST_BYTES) if len(frames) > 4 else 2
             frames = [*frames[:-1][:: max(2, stride)], frames[-1]]
             data = _gif(frames)
-        try:
+        with writing(path, "the animation cannot be written", "free some space, or choose a folder on another disk"):
             path.write_bytes(data)
-        except OSError as error:
-            raise OutputError(
-                "the animation cannot be written",
-                where=str(path),
-                got=str(error),
-                hint="free some space, or choose a folder on another disk",
-            ) from error
 
 
 def _gif(frames: Sequence[Image.Image]) -> bytes:
@@ -145,12 +117,6 @@ def _gif(frames: Sequence[Image.Image]) -> bytes:
         stream, format="GIF", save_all=True, append_images=frames[1:], duration=duration, loop=0, optimize=False
     )
     return stream.getvalue()
-
-
-def _disc(radius: int) -> list[tuple[int, int]]:
-    """Pixels of a disc about the corner of four."""
-    side = range(-radius, radius)
-    return [(x, y) for x in side for y in side if (x + 0.5) ** 2 + (y + 0.5) ** 2 <= radius**2]
 
 
 def _rgb(colour: str) -> tuple[int, int, int]:

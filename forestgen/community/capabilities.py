@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from forestgen.community.ecology import Ecologies
     from forestgen.community.model import Site
     from forestgen.community.placement.model import Densities
+    from forestgen.community.plan import CommunityPlan
     from forestgen.community.population import Population
     from forestgen.core.progress import Progress
     from forestgen.recipe.load import DrawnRecipe
@@ -62,15 +63,7 @@ class OwnAir(Protocol):
     def air_grid(self, drawn: DrawnRecipe, parameters: Any) -> AirGrid:
         """The cells of the air that a picture shows; raises `RecipeError` if there is none at the last step."""
 
-    def air(
-        self,
-        drawn: DrawnRecipe,
-        parameters: Any,
-        site: Site,
-        species: Ecologies,
-        population: Population,
-        progress: Progress,
-    ) -> Weather:
+    def air(self, plan: CommunityPlan, population: Population, progress: Progress) -> Weather:
         """The air over a population as the community left it; raises `RecipeError` if it cannot be stepped."""
 
 

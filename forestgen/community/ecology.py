@@ -34,11 +34,5 @@ Ecologies = Sequence[SpeciesEcology]  # the recipe's species, in its order: a sp
 
 def ecology_of(name: str, species: Species) -> SpeciesEcology:
     """The ecology of a recipe's species."""
-    law = species.allometry.height_m
-    return SpeciesEcology(
-        name=name,
-        height_scale=law.scale,
-        height_exponent=law.exponent,
-        modules=species.modules,
-        **species.ecology.model_dump(),
-    )
+    law, own = species.allometry.height_m, species.ecology.model_dump()
+    return SpeciesEcology(name, height_scale=law.scale, height_exponent=law.exponent, modules=species.modules, **own)

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from forestgen.community import history_tables as tables
 from forestgen.community.population import Population
-from forestgen.core.errors import OutputError
+from forestgen.core.errors import writing
 
 _OWN = "model."
 _KEY = b"forestgen.community"
@@ -108,21 +108,18 @@ def write_history(
     table beside it. `size_m` is the site's, for the places of maps; None: a cell is a metre. Raises `OutputError` where
     the file cannot be written, `ValueError` for no snapshot, or snapshots of different species or columns.
     """
-    try:
-        with ExitStack() as stack:
-            map_writer = tables.MapWriter(path.with_name(tables.MAPS_NAME), size_m)
-            module_writer = tables.ModuleWriter(path.with_name(tables.MODULES_NAME)) if modules else None
-            writer = _PlantWriter(path, origin or {}, module_writer, map_writer)
-            # The history itself appears last.
-            writers = [stack.enter_context(one) for one in (writer, map_writer, module_writer) if one is not None]
-            for population in populations:
-                for one in writers:
-                    one.add(population)
-            if writer.file is None:
-                raise ValueError("a history needs at least one snapshot")
-    except OSError as error:
-        problem, hint = "the community's history cannot be written", "another folder or disk"
-        raise OutputError(problem, where=str(path), got=str(error), hint=hint) from error
+    problem = "the community's history cannot be written"
+    with writing(path, problem, "another folder or disk"), ExitStack() as stack:
+        map_writer = tables.MapWriter(path.with_name(tables.MAPS_NAME), size_m)
+        module_writer = tables.ModuleWriter(path.with_name(tables.MODULES_NAME)) if modules else None
+        writer = _PlantWriter(path, origin or {}, module_writer, map_writer)
+        # The history itself appears last.
+        writers = [stack.enter_context(one) for one in (writer, map_writer, module_writer) if one is not None]
+        for population in populations:
+            for one in writers:
+                one.add(population)
+        if writer.file is None:
+            raise ValueError("a history needs at least one snapshot")
 
 
 @dataclass(frozen=True)

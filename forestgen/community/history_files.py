@@ -22,7 +22,7 @@ from forestgen.community.plots import map_figure, plot_densities, save_figure
 from forestgen.community.population import Population, plant_mass
 from forestgen.community.resume import origin
 from forestgen.community.trajectory import Moment, Trajectory, describe_step, describe_thinning, moment, thinning_slope
-from forestgen.core.errors import OutputError, RecipeError
+from forestgen.core.errors import OutputError, RecipeError, writing
 
 _CURVE_POINTS = 400
 _DESCRIBED_STEPS = 40  # of which each costs the searches for nearest neighbours
@@ -143,10 +143,8 @@ def _write_statistics(path: Path, seen: _Observer, thinning: dict[str, Any] | No
     for name in ("clustering", "water"):
         if name in seen.last.state:
             document[name] = seen.last.state[name]
-    try:
+    with writing(path, "the statistics cannot be written"):
         path.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError("the statistics cannot be written", where=str(path), got=str(error)) from error
 
 
 def check_map_steps(plan: CommunityPlan, map_steps: Sequence[int], first: int = 0) -> None:

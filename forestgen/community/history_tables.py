@@ -44,6 +44,9 @@ _SCHEMA = pa.schema(
     [("step", pa.uint32()), ("plant_id", pa.uint32()), *_PLAIN.items()]
     + [(name, pa.float32()) for names in _SPLIT.values() for name in names]
 )
+_DAMAGES = (  # what readers of damaged files raise: RuntimeError is h5py's, with RecursionError
+    OSError, pa.ArrowException, LookupError, ValueError, TypeError, AttributeError, ArithmeticError, RuntimeError,
+)  # fmt: skip
 _UNITS = {"_mm": "mm", "_c": "degree_Celsius", "_g_per_m2": "g m-2"}
 
 
@@ -52,16 +55,7 @@ def readable(path: Path, problem: str, expected: str, hint: str | None = None) -
     """Raise whatever is wrong with a file as an `AssetError`."""
     try:
         yield
-    except (
-        OSError,
-        pa.ArrowException,
-        LookupError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        ArithmeticError,
-        RuntimeError,  # of h5py; with RecursionError
-    ) as error:
+    except _DAMAGES as error:
         got = f"no {error}" if isinstance(error, KeyError) else (str(error).splitlines() or [""])[0]
         got = "no such file" if isinstance(error, FileNotFoundError) else got
         raise AssetError(problem, where=str(path), expected=expected, got=got, hint=hint) from error

@@ -75,25 +75,18 @@ class CommunityParameters(BaseModel):
         """Refuse another model's key as such: a similar key of this one would mean something else."""
         for key in map(str, data) if isinstance(data, Mapping) else ():
             if key not in cls.model_fields and (owners := _models_with(key)):
-                raise violation(
-                    f"one of {', '.join(cls.model_fields)}",
-                    problem=f"another model's key, {key!r}",
-                    got=show(data[key]),
-                    hint=f"{key} is a key of {', '.join(owners)}: choose that as community.model, or leave the key out",
-                    at=(key,),
-                )
+                expected, problem = f"one of {', '.join(cls.model_fields)}", f"another model's key, {key!r}"
+                hint = f"{key} is a key of {', '.join(owners)}: choose that as community.model, or leave the key out"
+                raise violation(expected, problem=problem, got=show(data[key]), hint=hint, at=(key,))
         return data
 
     @model_validator(mode="after")
     def _plantings_have_known_columns(self) -> Self:
         for index, one in enumerate(self.disturbances):
             if one.plant is not None and one.plant.vigour is not None and "vigour" not in self.planting_columns:
-                raise violation(
-                    "a planting without vigour",
-                    problem="plants of this model have no vigour",
-                    got=f"{one.plant.vigour:g}",
-                    at=("disturbances", index, "plant", "vigour"),
-                )
+                expected, problem = "a planting without vigour", "plants of this model have no vigour"
+                got = f"{one.plant.vigour:g}"
+                raise violation(expected, problem=problem, got=got, at=("disturbances", index, "plant", "vigour"))
         return self
 
     def for_trial(self) -> Self:

@@ -129,12 +129,9 @@ class MultisetParameters(CommunityParameters):
                 )
             if name not in asked:
                 own = sorted(asked.difference(OF_SITE, OF_SPECIES))
-                raise violation(
-                    f"one of {', '.join(own)}" if own else "none: the program has no parameters",
-                    problem=f"the program {self.program.name} has no parameter {name}",
-                    got=name,
-                    at=("parameters", name),
-                )
+                expected = f"one of {', '.join(own)}" if own else "none: the program has no parameters"
+                problem = f"the program {self.program.name} has no parameter {name}"
+                raise violation(expected, problem=problem, got=name, at=("parameters", name))
             self._check_value(listing, name, value)
         self.environment.check()
         return self
@@ -202,20 +199,13 @@ def form_of(program: Program) -> Form:
     plants = [i for i, kind in enumerate(program.kinds) if kind.symbol == "T"]
     queries = [i for i, kind in enumerate(program.kinds) if kind.symbol == "?E"]
     if len(plants) != 1 or len(queries) != 1:
-        raise LsystemError(
-            "this program writes no plants",
-            where=program.name,
-            expected="plants as T(x, y, r, sp)?E(c), all with the same number of parameters",
-            got=", ".join(f"{symbol}({arity})" for symbol, arity in program.kinds if symbol in ("T", "?E")) or "no T",
-        )
+        expected = "plants as T(x, y, r, sp)?E(c), all with the same number of parameters"
+        got = ", ".join(f"{symbol}({arity})" for symbol, arity in program.kinds if symbol in ("T", "?E")) or "no T"
+        raise LsystemError("this program writes no plants", where=program.name, expected=expected, got=got)
     arity, answers = program.kinds[plants[0]].arity, program.kinds[queries[0]].arity
     if arity < OWN or answers < 1:
-        raise LsystemError(
-            "plants have too few parameters",
-            where=program.name,
-            expected="T(x, y, r, sp)?E(c), or more parameters",
-            got=f"T with {arity}, ?E with {answers}",
-        )
+        problem, expected = "plants have too few parameters", "T(x, y, r, sp)?E(c), or more parameters"
+        raise LsystemError(problem, where=program.name, expected=expected, got=f"T with {arity}, ?E with {answers}")
     return Form(plants[0], queries[0], arity, answers, _names(program, arity, answers))
 
 
@@ -265,12 +255,9 @@ def _refuse(multiset: Multiset, form: Form, is_plant: NDArray[np.bool_], name: s
         begin, end = multiset.word_start[index : index + 2]
         if np.any(multiset.code[begin:end] == form.plant):
             lone = words_at(multiset, np.array([index]))
-            raise LsystemError(
-                "a word holds a plant and more, or only a part of one",
-                where=name,
-                expected="T(...)?E(...) alone; % before each new plant cuts it off",
-                got=f"{next(words_as_text(lone)):.80}",
-            )
+            problem = "a word holds a plant and more, or only a part of one"
+            expected = "T(...)?E(...) alone; % before each new plant cuts it off"
+            raise LsystemError(problem, where=name, expected=expected, got=f"{next(words_as_text(lone)):.80}")
 
 
 def words_at(multiset: Multiset, index: NDArray[np.integer]) -> Multiset:

@@ -11,7 +11,7 @@ Parameters: see below; all else is that of `community.weather`.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 from pydantic import Field
 
@@ -33,34 +33,28 @@ class CommunityKeys(AirKeys):
         (*WeatherKeys.model_fields, "seed", "story"), "the air is that of community.weather: leave it out"
     )
 
-    time_s: Annotated[
-        NonNegative | None,
-        Field(
-            le=1e6,
-            description="When the picture is taken, seconds after the day's simulated hours begin. Default: their end.",
-        ),
-    ] = None
-    day: Annotated[
-        Whole | None,
-        Field(
-            ge=0,
-            le=30,
-            description="Of type community: which day of the month after the snapshot; the simulation sees those below "
-            "its days_per_month. Default 0.",
-        ),
-    ] = None
-    cell_m: Annotated[
-        Positive | None,
-        Field(
-            ge=5,
-            le=1000,
-            description="Of type community: width of the air's cells, metres; other cells make another draw of the "
-            "same air. Default: community.weather's.",
-        ),
-    ] = None
-    cell_height_m: Annotated[
-        Positive | None, Field(ge=5, le=500, description="Of type community: their height, metres. Default: as above.")
-    ] = None
+    time_s: NonNegative | None = Field(
+        None,
+        le=1e6,
+        description="When the picture is taken, seconds after the day's simulated hours begin. Default: their end.",
+    )
+    day: Whole | None = Field(
+        None,
+        ge=0,
+        le=30,
+        description="Of type community: which day of the month after the snapshot; the simulation sees those below "
+        "its days_per_month. Default 0.",
+    )
+    cell_m: Positive | None = Field(
+        None,
+        ge=5,
+        le=1000,
+        description="Of type community: width of the air's cells, metres; other cells make another draw of the "
+        "same air. Default: community.weather's.",
+    )
+    cell_height_m: Positive | None = Field(
+        None, ge=5, le=500, description="Of type community: their height, metres. Default: as above."
+    )
 
 
 class CommunityClouds(CloudSource[CommunityKeys]):
@@ -76,10 +70,8 @@ class CommunityClouds(CloudSource[CommunityKeys]):
         return simulated_bytes(self.keys_of(drawn), math.prod(grid.cells), grid.size_m[0])
 
     def grid(self, request: CloudRequest) -> CloudGrid | None:
-        drawn, plan = request.drawn, request.plan
-        air = _air_of(drawn, plan.model)
-        weather = air.air(drawn, plan.parameters, plan.site, plan.ecologies, request.population, request.progress)
-        keys = self.keys_of(drawn)
+        keys, air = self.keys_of(request.drawn), _air_of(request.drawn, request.plan.model)
+        weather = air.air(request.plan, request.population, request.progress)
         radius_um = keys.droplet_radius_um or _DROPLET_RADIUS_UM
         return clouds_of_air(request, keys, weather, radius_um, request.middle_of_site_m)
 

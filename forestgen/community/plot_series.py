@@ -5,7 +5,6 @@ References: Lane 2002, Figures 2.1 and 4.4 (the self-thinning line) and 2.2 (how
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.clouds.source import WeatherReport
 from forestgen.atmosphere.extinction import droplet_extinction, rain_extinction
 from forestgen.community.model import Site
-from forestgen.community.plots import colours_of, darker, draw_discs, new_figure, save_figure, tidy
+from forestgen.community.plots import colours_of, darker, draw_discs, figure_png, new_figure, save_figure, tidy
 from forestgen.community.population import Floats, Population, Status, plant_mass
 from forestgen.community.trajectory import Slope, Trajectory, fit_log_normal
 
@@ -335,9 +334,7 @@ class WeatherPicture:
         _draw_report(self._axes[row], report)
 
     def content(self) -> bytes:
-        stream = io.BytesIO()
-        save_figure(self._figure, stream)
-        return stream.getvalue()
+        return figure_png(self._figure)
 
 
 def _draw_report(axes: Sequence[Axes], report: WeatherReport) -> None:

@@ -5,10 +5,11 @@ References: Lane 2002, Figure 4.5, left (the map), and Figures 5.3, 5.6 and 5.8 
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.community.model import Site
 from forestgen.community.plan import NO_OBSTACLES, Obstacles
 from forestgen.community.population import Floats, Population, Status, count_by_species
-from forestgen.core.errors import OutputError
+from forestgen.core.errors import writing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,13 +77,18 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: Path | BinaryIO) -> None:
-    """Write a figure as a PNG into a file or a stream, or raise `OutputError`."""
-    try:
-        # Without the name of the library's version the same picture has the same bytes.
-        figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
-    except OSError as error:
-        raise OutputError("the picture cannot be written", where=str(path), got=str(error)) from error
+def figure_png(figure: Figure) -> bytes:
+    """A figure as a PNG."""
+    stream = io.BytesIO()
+    # Without the name of the library's version the same picture has the same bytes.
+    figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
+    return stream.getvalue()
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as a PNG, or raise `OutputError`."""
+    with writing(path, "the picture cannot be written"):
+        path.write_bytes(figure_png(figure))
 
 
 def tidy(axes: Axes, grid: Literal["both", "y"] = "both") -> None:

@@ -123,7 +123,7 @@ class Distances:
 
 
 def measure_distances(
-    points_m: Floats, window: Window, rng: np.random.Generator, *, samples: int = SAMPLES, periodic: bool = False
+    points_m: Floats, window: Window, rng: np.random.Generator, *, samples: int = SAMPLES
 ) -> Distances:
     """Distances behind both Hopkins indices; N must be 2 at least.
 
@@ -132,9 +132,8 @@ def measure_distances(
     points_m : (N, 2) float64, metres, in the window.
     rng : places points in the window, one in each cell of a grid: many times less scatter than free ones.
     samples : least number of them.
-    periodic : opposite edges of the window meet.
     """
-    tree, moved = pattern_tree(points_m, window, periodic)
+    tree, moved = pattern_tree(points_m, window, periodic=False)
     grid = _grid(window, samples)
     cell = np.stack(np.meshgrid(np.arange(grid[0]), np.arange(grid[1])), axis=-1).reshape(-1, 2)
     spread = (cell + rng.random(cell.shape)) * (np.array(window.size_m) / grid)

@@ -112,12 +112,9 @@ def _given_window(window: tuple[float, float, float, float]) -> Window:
         return Window(*(float(one) for one in window))
     except (ValueError, TypeError, OverflowError) as error:
         numbers = window if isinstance(window, list | tuple) else [window]
-        raise RecipeError(
-            "this is no window",
-            parameter="window",
-            expected="x0 x1 y0 y1 in metres, with x0 < x1 and y0 < y1, 1e-6 to 1e9 m wide and high",
-            got=" ".join(f"{one:g}" if isinstance(one, float) else shown(one) for one in numbers),
-        ) from error
+        expected = "x0 x1 y0 y1 in metres, with x0 < x1 and y0 < y1, 1e-6 to 1e9 m wide and high"
+        got = " ".join(f"{one:g}" if isinstance(one, float) else shown(one) for one in numbers)
+        raise RecipeError("this is no window", parameter="window", expected=expected, got=got) from error
 
 
 def _parse(
@@ -247,13 +244,9 @@ def _check_inside(path: Path, points: Floats, rows: NDArray[np.int64], window: W
         return
     first = outside[0]
     more = f", and {len(outside) - 1:,} more" if len(outside) > 1 else ""
-    raise AssetError(
-        "a point lies outside the window",
-        where=f"{path}:{rows[first]}",
-        expected=f"x and y in {window}",
-        got=f"({points[first, 0]:g}, {points[first, 1]:g}){more}",
-        hint="widen the window, or leave these points out: statistics of a window need all its points and no other",
-    )
+    problem, got = "a point lies outside the window", f"({points[first, 0]:g}, {points[first, 1]:g}){more}"
+    hint = "widen the window, or leave these points out: statistics of a window need all its points and no other"
+    raise AssetError(problem, where=f"{path}:{rows[first]}", expected=f"x and y in {window}", got=got, hint=hint)
 
 
 def _count_duplicates(path: Path, points: Floats, rows: NDArray[np.int64], allowed: bool) -> int:
@@ -370,13 +363,9 @@ def measure_file(
     points_m, window_m, radii = table.points_m, table.window, _radii(radii_m, table)
     pairs = patterns.count_pairs(points_m, most_m := float(radii.max()))
     if pairs > _MOST_PAIRS:
-        raise ResourceError(
-            "too many pairs of points lie within the greatest radius",
-            parameter="radii",
-            expected=f"at most {_MOST_PAIRS:,}",
-            got=f"{pairs:,} within {most_m:g} m",
-            hint="lower the greatest radius",
-        )
+        problem, expected = "too many pairs of points lie within the greatest radius", f"at most {_MOST_PAIRS:,}"
+        got = f"{pairs:,} within {most_m:g} m"
+        raise ResourceError(problem, parameter="radii", expected=expected, got=got, hint="lower the greatest radius")
     distances = patterns.measure_distances(points_m, window_m, child_rng(0, "stats"))
     return PointStatistics(
         n=len(points_m),
@@ -414,12 +403,9 @@ def _radius(text: str, most: float) -> float:
     radius = _number(text)
     if radius is not None and 0 <= radius <= most:
         return radius
-    raise RecipeError(
-        "this radius is too large for the window" if (radius or 0) > most else "this is no radius",
-        parameter="radii",
-        expected=f"metres, 0 to {most:g}: beyond, nothing can correct for the window's edges",
-        got=text.strip(),
-    )
+    problem = "this radius is too large for the window" if (radius or 0) > most else "this is no radius"
+    expected = f"metres, 0 to {most:g}: beyond, nothing can correct for the window's edges"
+    raise RecipeError(problem, parameter="radii", expected=expected, got=text.strip())
 
 
 def _finite(value: float) -> float | None:

@@ -121,13 +121,9 @@ def _check_values(plan: CommunityPlan, population: Population, path: Path) -> No
         check_snapshot(population, plan.site, plan.ecologies)
         plan.model.check_snapshot(plan.parameters, plan.site, plan.ecologies, population)
     except ImpossibleValueError as error:
-        raise AssetError(
-            f"{error.where} of step {population.step} cannot be of a simulation",
-            where=str(path),
-            expected=error.expected,
-            got=error.got,
-            hint="the history as forestgen wrote it, or simulate it again",
-        ) from error
+        problem = f"{error.where} of step {population.step} cannot be of a simulation"
+        hint = "the history as forestgen wrote it, or simulate it again"
+        raise AssetError(problem, where=str(path), expected=error.expected, got=error.got, hint=hint) from error
 
 
 def note_of_other_code(path: Path) -> str | None:
@@ -194,7 +190,7 @@ def _until(about: Mapping[str, Any], model: type[CommunityParameters], step: int
 def differences(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> Iterator[Difference]:
     """The keys that differ, as deep as both sides have them: mappings, and lists of one length, are looked into."""
     for key in {**now, **before}:
-        yield from _differing(prefix + key, before.get(key), now.get(key))
+        yield from _differing(f"{prefix}{key}", before.get(key), now.get(key))
 
 
 def _differing(key: str, before: Any, now: Any) -> Iterator[Difference]:

@@ -21,7 +21,7 @@ from forestgen.architecture.modules import Modules
 from forestgen.community.model import simulate
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population, Status
-from forestgen.core.array_serialization import UnreadableError, pack, unpack
+from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.progress import Progress
 from forestgen.recipe.assets import scenes_dir
@@ -48,9 +48,10 @@ def final_population(plan: CommunityPlan, progress: Progress) -> Population:
     """The community at the recipe's last step, from the cache if it was simulated before."""
     store = community_store()
     key = None if store is None else community_key(plan)
-    kept = None if store is None or key is None else load_community(store, key)
-    if kept is not None:
-        return kept
+    if store is not None and key is not None:
+        kept: Population | None = read_packed(store, key, (Population, Modules))
+        if kept is not None:
+            return kept
     began = time.monotonic()
     last: Population | None = None
     for population in snapshots(plan, progress):
@@ -81,21 +82,6 @@ def community_key(plan: CommunityPlan) -> str | None:
 def simulation_code() -> str:
     """Hash, hexadecimal, of the code and tables that a simulated community depends on."""
     return code_hash(_SOURCES, _COMPUTE_WITH, (scenes_dir() / "modules", scenes_dir() / "climate"))
-
-
-def load_community(store: DiskCache, key: str) -> Population | None:
-    """The community from disk, None if it is not there or unreadable, which removes it."""
-    data = store.read(key)
-    if data is None:
-        return None
-    try:
-        found = unpack(data, (Population, Modules))
-    except UnreadableError:
-        found = None
-    if isinstance(found, Population):
-        return found
-    store.drop(key)
-    return None
 
 
 def keep_community(store: DiskCache, key: str, population: Population) -> bool:

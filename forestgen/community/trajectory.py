@@ -251,15 +251,14 @@ class Slope:
     last: int  # and of the last
 
 
-def self_thinning_slope(density: Floats, mean_mass: Floats, *, window: tuple[int, int] | None = None) -> Slope | None:
+def self_thinning_slope(density: Floats, mean_mass: Floats) -> Slope | None:
     """Slope of log mean mass on log density, (T,) each along a trajectory in time: -3/2 on the self-thinning line.
 
-    `window` is the first and last index of the points to fit, by default those of `thinning_window`. None without a
-    decline, or where fewer than 5 points lie in the window.
+    Fitted to the points of `thinning_window`. None without a decline, or where fewer than 5 points lie in the window.
 
     Reference: Yoda et al. 1963, J. Biol. Osaka City Univ. 14. Lane 2002, Figures 2.1 and 4.4.
     """
-    return _log_slope(density, mean_mass, window or thinning_window(density, mean_mass))
+    return _log_slope(density, mean_mass, thinning_window(density, mean_mass))
 
 
 def reineke_slope(density: Floats, mean_diameter: Floats, *, window: tuple[int, int] | None = None) -> Slope | None:

@@ -18,7 +18,9 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, ParamSpec, Self, TypeVar
 
 MOST_SHOWN = 50
@@ -150,6 +152,15 @@ class OutputError(ForestgenError):
     """A result cannot be written."""
 
     code, exit_code = "output", 4
+
+
+@contextmanager
+def writing(path: Path, problem: str, hint: str | None = None) -> Iterator[None]:
+    """In this block, an `OSError` becomes an `OutputError` that names the path."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(problem, where=str(path), got=str(error), hint=hint) from error
 
 
 class RenderError(ForestgenError):

@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-from forestgen.core.array_serialization import UnreadableError, pack, unpack
+from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import BoundedCache, DiskCache, cache_root, code_hash
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng, child_seed
@@ -34,7 +34,6 @@ MOST_BYTES = 4_000_000_000  # on disk
 LIBRARY_BYTES = 12_000_000_000  # where images share a library: a thousand plants and more
 _SOURCES = ("architecture", "core", "geometry", "lsystem", "plants", "recipe")  # layers whose code shapes a plant
 _COMPUTE_WITH = ("numpy", "numba", "scipy", "pymeshlab")
-_CLASSES = (Exemplar, OrganMesh, Mesh, Part)
 _shared: BoundedCache[Exemplar] = BoundedCache(SHARED_BYTES, lambda exemplar: exemplar.nbytes)
 
 
@@ -88,18 +87,8 @@ def exemplar_store(most_bytes: int = MOST_BYTES) -> DiskCache | None:
 
 def load_exemplar(store: DiskCache, request: ExemplarRequest) -> Exemplar | None:
     """The exemplar from disk, None if it is not there or unreadable, which removes it."""
-    key = request.key()
-    data = store.read(key)
-    if data is None:
-        return None
-    try:
-        found = unpack(data, _CLASSES)
-    except UnreadableError:
-        found = None
-    if isinstance(found, Exemplar):
-        return found
-    store.drop(key)
-    return None
+    found: Exemplar | None = read_packed(store, request.key(), (Exemplar, OrganMesh, Mesh, Part))
+    return found
 
 
 def forget_shared() -> None:

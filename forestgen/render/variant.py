@@ -174,7 +174,7 @@ def require(variant: str) -> None:
         raise ResourceError(
             f"rays were to be traced on CUDA, and there is {error}",
             expected="an NVIDIA driver and device",
-            hint=f"unset {TRACING_ENVIRONMENT} to trace on the processor; `forestgen doctor` shows what is found",
+            hint=f"use `device='llvm'` or {TRACING_ENVIRONMENT}=llvm, the processor; `forestgen doctor` shows more",
         ) from error
 
 

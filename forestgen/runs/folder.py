@@ -43,7 +43,8 @@ def check_ours(storage: StorageBackend) -> None:
     names = storage.names("")
     if isinstance(storage, LocalStorage) and storage.root.is_file():
         raise OutputError("the output is a file", where=storage.name, expected="a folder", hint="choose another name")
-    if names and names != [HIDDEN] and not _is_batch(storage):
+    begun = HIDDEN in names and set(names) <= {HIDDEN, RUN}  # a run that ended before it said what it makes
+    if names and not begun and not _is_batch(storage):
         raise OutputError(
             "the folder is not empty and holds no forestgen data set",
             where=storage.name,

@@ -12,7 +12,7 @@ import errno
 import hashlib
 import reprlib
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +21,7 @@ from tempfile import TemporaryDirectory
 from threading import Lock
 from typing import Any
 
+from forestgen.community.resume import differences
 from forestgen.core.errors import ForestgenError, OutputError, RecipeError
 from forestgen.core.threads import cores
 from forestgen.dataset.check.files import UnreadableError
@@ -126,21 +127,12 @@ def _changes(storage: StorageBackend, loaded: LoadedRecipe) -> str:
     for content in (before, now):
         content.pop("images", None)
         content.pop("first_image", None)
-    found = list(_differences(before, now))
+    found = sorted(differences(before, now), key=lambda one: one.key)
     more = f"; {len(found) - _MOST_CHANGES} more" if len(found) > _MOST_CHANGES else ""
-    return "; ".join(found[:_MOST_CHANGES]) + more
-
-
-def _differences(before: Any, now: Any, where: str = "") -> Iterator[str]:
-    """Keys whose values differ, with both."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in sorted({*before, *now}, key=str):
-            yield from _differences(before.get(key), now.get(key), f"{where}.{key}" if where else str(key))
-    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
-        for number, (old, new) in enumerate(zip(before, now, strict=True)):
-            yield from _differences(old, new, f"{where}.{number}")
-    elif before != now:
-        yield f"{where:.60} was {reprlib.repr(before)}, is now {reprlib.repr(now)}"
+    named = (
+        f"{one.key:.60} was {reprlib.repr(one.before)}, is now {reprlib.repr(one.now)}" for one in found[:_MOST_CHANGES]
+    )
+    return "; ".join(named) + more
 
 
 def damaged_images(

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import DatasetError, ForestgenError
+from forestgen.core.errors import DatasetError, ForestgenError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.dataset.card import CARD_NAME
 from forestgen.dataset.check import Finding
@@ -26,6 +26,7 @@ from forestgen.dataset.settings import DRAW
 from forestgen.recipe.dataset import split_of
 from forestgen.recipe.load import load_recipe
 from forestgen.recipe.map_files import recipe_hash
+from forestgen.recipe.sources import parse_yaml
 from forestgen.runs.contract import RUN_DEPENDENT, JobRecord
 from forestgen.runs.description import DATASET_NAME, file_groups
 from forestgen.runs.record_index import FileSum, RecordIndex
@@ -262,13 +263,13 @@ def recipe_findings(data_set: OpenDataSet) -> Iterator[Finding]:
 
 
 def plain_yaml(text: str, name: str) -> dict[str, Any]:
-    """A recipe's content without the loader's checks; `UnreadableError` if it is no mapping."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
+    """A recipe's content, within the limits of `parse_yaml` but without the loader's checks of keys.
 
+    Raises `UnreadableError` if it is no mapping.
+    """
     try:
-        content = YAML(typ="safe").load(text)
-    except (YAMLError, ValueError, RecursionError) as error:
+        content, _ = parse_yaml(text, name, lines=False)
+    except RecipeError as error:
         got = " ".join(str(error).split())[:200]
         raise UnreadableError(Finding(name, "the file cannot be read", got=got)) from error
     if not isinstance(content, dict):

@@ -338,6 +338,9 @@ def test_doctor_finds_this_machine_ready() -> None:
     for part in ("Python", "cores", "GB free", "scalar_rgb", "llvm_ad_rgb", "libLLVM", "GPU", "ready to render"):
         assert part in answer.out
     assert not answer.err
+    assert re.search(
+        r"GPU +(no CUDA driver; not needed|a CUDA driver, but no device; not needed|.*; used if)", answer.out
+    )
 
 
 @pytest.mark.parametrize(

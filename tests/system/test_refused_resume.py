@@ -73,7 +73,7 @@ def test_what_the_recipe_says_otherwise_is_named(finished: tuple[Path, Path]) ->
     path, target = finished
     with pytest.raises(RecipeError) as refused:
         serial(path, target, 4, make, "seed=9", "cameras.0.size_px=[16, 24]", "images=9", resume=True)
-    assert "(cameras.0.size_px.0 was 32, is now 16; seed was 5, is now 9)" in str(refused.value)
+    assert "(cameras.0.size_px was [32, 24], is now [16, 24]; seed was 5, is now 9)" in str(refused.value)
     (target / "recipe.yaml").unlink()
     with pytest.raises(RecipeError) as refused:
         serial(path, target, 4, make, "seed=9", resume=True)

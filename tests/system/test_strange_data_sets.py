@@ -6,6 +6,7 @@ import json
 import shutil
 import struct
 import sys
+import time
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from command_line import run, tree
+from hostile import TEXTS as RECIPES
 from pack_sets import batch
 
 import forestgen as fg
@@ -259,3 +261,13 @@ def test_a_packs_readme_tells_of_what_it_holds(made: Path, tmp_path: Path) -> No
         fg.Dataset(made).pack(out, "webdataset", channels=channels, progress=False)
         text = (out / "README.md").read_text().partition("## The data set")[0]
         assert {name for name, word in words.items() if f"- {word}" in text} == set(channels) - {"preview"}
+
+
+@pytest.mark.parametrize("of_a_frame", [False, True])
+def test_a_recipe_of_many_aliases_is_named_and_not_followed(of_a_frame: bool, root: Path) -> None:
+    path = next(root.glob("**/*/recipe.yaml")) if of_a_frame else root / "recipe.yaml"
+    path.write_text(RECIPES["a billion laughs"], encoding="utf-8")
+    start = time.perf_counter()
+    findings = fg.verify(root, hashes=False, progress=False).findings
+    assert any("too many values by aliases" in finding.got for finding in findings)
+    assert time.perf_counter() - start < 10

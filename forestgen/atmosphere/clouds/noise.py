@@ -18,8 +18,6 @@ Parameters: see below.
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -41,17 +39,11 @@ _BYTES_PER_CELL = 60
 class NoiseKeys(Clouds):
     """Keys of `clouds: {type: noise}`."""
 
-    cover: Annotated[Fraction, Field(description="Of noise: fraction of the sky's area under cloud, 0 to 1.")] = 0.35
-    base_m: Annotated[Positive, Field(le=20000, description="Of noise: height of the base above ground, metres.")] = (
-        900.0
-    )
-    thickness_m: Annotated[Positive, Field(le=20000, description="Of noise: height of the layer, metres.")] = 350.0
-    extinction_per_m: Annotated[
-        Positive, Field(le=1, description="Of noise: extinction inside a cloud, per metre.")
-    ] = 0.05
-    extent_m: Annotated[Positive, Field(le=20000, description="Of noise: side of the square of clouds, metres.")] = (
-        8000.0
-    )
+    cover: Fraction = Field(0.35, description="Of noise: fraction of the sky's area under cloud, 0 to 1.")
+    base_m: Positive = Field(900.0, le=20000, description="Of noise: height of the base above ground, metres.")
+    thickness_m: Positive = Field(350.0, le=20000, description="Of noise: height of the layer, metres.")
+    extinction_per_m: Positive = Field(0.05, le=1, description="Of noise: extinction inside a cloud, per metre.")
+    extent_m: Positive = Field(8000.0, le=20000, description="Of noise: side of the square of clouds, metres.")
 
     @property
     def known_cover(self) -> float:

@@ -14,20 +14,11 @@ Parameters: see below.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any, Self
+from typing import Any, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from forestgen.atmosphere.clouds.source import (
-    CloudRequest,
-    CloudSource,
-    PlacedKeys,
-    check_depth,
-    clouds_of_air,
-    naming_the_file,
-    on_the_ground,
-    simulated_bytes,
-)
+from forestgen.atmosphere.clouds import source
 from forestgen.atmosphere.grid import CloudGrid, Weather
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.assets import inside
@@ -39,13 +30,12 @@ from forestgen.recipe.sky import NamedFile
 _WIDEST_M, _HIGHEST_M = 1e6, 1e5  # of a file's box
 
 
-class SavedKeys(PlacedKeys):
+class SavedKeys(source.PlacedKeys):
     """Keys of `clouds: {type: file}`."""
 
-    file: Annotated[
-        NamedFile | None,
-        Field(description="Of type file: a saved state of the air (.nc), or a volume of extinction per metre (.vol)."),
-    ] = None
+    file: NamedFile | None = Field(
+        None, description="Of type file: a saved state of the air (.nc), or a volume of extinction per metre (.vol)."
+    )
 
     @field_validator("file", mode="before")
     @classmethod
@@ -57,17 +47,13 @@ class SavedKeys(PlacedKeys):
         if self.file is None:
             raise violation("file: sky.nc", problem="no file is named", got="type: file", at=("type",))
         if not self.file.file.lower().endswith((".nc", ".vol")):
-            raise violation(
-                "a state of the air, NAME.nc, or a volume of extinction, NAME.vol",
-                problem="this file holds no sky",
-                got=self.file.file,
-                hint="forestgen weather RECIPE -o sky.nc writes one",
-                at=("file",),
-            )
+            expected = "a state of the air, NAME.nc, or a volume of extinction, NAME.vol"
+            hint = "forestgen weather RECIPE -o sky.nc writes one"
+            raise violation(expected, problem="this file holds no sky", got=self.file.file, hint=hint, at=("file",))
         return self
 
 
-class SavedClouds(CloudSource[SavedKeys]):
+class SavedClouds(source.CloudSource[SavedKeys]):
     """A saved state of the air, or a field of extinction."""
 
     Parameters = SavedKeys
@@ -82,16 +68,16 @@ class SavedClouds(CloudSource[SavedKeys]):
         if size is None:
             return 0  # what is wrong with the file is reported where it is read
         cells, extent_m = size
-        return simulated_bytes(keys, cells, extent_m or 0.0)
+        return source.simulated_bytes(keys, cells, extent_m or 0.0)
 
-    def grid(self, request: CloudRequest) -> CloudGrid | None:
+    def grid(self, request: source.CloudRequest) -> CloudGrid | None:
         from forestgen.atmosphere.weather_files import read_droplet_radius_um, read_sky
 
         drawn, keys = request.drawn, self.keys_of(request.drawn)
         assert keys.file is not None
         where = drawn.where("sky", "clouds", "file")
         path = known_file(drawn.folder, keys.file.file, keys.file.sha256, where)
-        with naming_the_file(path, where):
+        with source.naming_the_file(path, where):
             found = read_sky(path)
             radius_um = keys.droplet_radius_um
             if radius_um is None and isinstance(found, Weather):
@@ -100,8 +86,8 @@ class SavedClouds(CloudSource[SavedKeys]):
         if isinstance(found, CloudGrid):
             _check_keys_of_volumes(drawn, keys)
             _check_box_of_volume(drawn, found)
-            check_depth(drawn, found, "check the file's unit: extinction per metre")
-            return on_the_ground(request, _centred(found, centre))
+            source.check_depth(drawn, found, "check the file's unit: extinction per metre")
+            return source.on_the_ground(request, _centred(found, centre))
         if radius_um is None:
             raise RecipeError(
                 "the file does not say how large its droplets are",
@@ -110,7 +96,7 @@ class SavedClouds(CloudSource[SavedKeys]):
                 got="none",
                 hint="set it, or save the weather again with forestgen weather",
             )
-        return clouds_of_air(request, keys, found, radius_um, centre)
+        return source.clouds_of_air(request, keys, found, radius_um, centre)
 
 
 def _check_keys_of_volumes(drawn: DrawnRecipe, clouds: SavedKeys) -> None:
@@ -118,13 +104,9 @@ def _check_keys_of_volumes(drawn: DrawnRecipe, clouds: SavedKeys) -> None:
     refused = (("droplet_radius_um", clouds.droplet_radius_um is not None), ("repeat", bool(clouds.repeat)))
     for key, given in refused:
         if given:
-            raise RecipeError(
-                f"a file of extinction has no {key}",
-                where=drawn.where("sky", "clouds", key),
-                expected="the file and offset_m alone",
-                got=f"{getattr(clouds, key)}",
-                hint=f"leave out {key}, or save the state of the air, .nc, instead",
-            )
+            problem, expected = f"a file of extinction has no {key}", "the file and offset_m alone"
+            got, hint = f"{getattr(clouds, key)}", f"leave out {key}, or save the state of the air, .nc, instead"
+            raise RecipeError(problem, where=drawn.where("sky", "clouds", key), expected=expected, got=got, hint=hint)
 
 
 def _check_box_of_volume(drawn: DrawnRecipe, grid: CloudGrid) -> None:

@@ -33,20 +33,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Annotated, ClassVar, Self, TypeVar
+from typing import ClassVar, Self, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, Field, model_validator
 
-from forestgen.atmosphere.clouds.source import (
-    CloudRequest,
-    CloudSource,
-    PlacedKeys,
-    WeatherReport,
-    clouds_of_air,
-    naming_the_file,
-    simulated_bytes,
-)
+from forestgen.atmosphere.clouds import source
 from forestgen.atmosphere.clouds.weather_keys import EmissionSection, Phase, SoundingSection, WeatherKeys
 from forestgen.atmosphere.conditions import Conditions, Domain, Emission, Layers, wind_towards
 from forestgen.atmosphere.fluid.parameters import UnstableError
@@ -68,7 +60,7 @@ _ANY = TypeVar("_ANY")
 _Keys = tuple[str | int, ...]
 
 
-class SimulatedKeys(WeatherKeys, PlacedKeys):
+class SimulatedKeys(WeatherKeys, source.PlacedKeys):
     """Keys of the simulated types."""
 
     instead: ClassVar = {
@@ -76,31 +68,25 @@ class SimulatedKeys(WeatherKeys, PlacedKeys):
         **{key: f"set domain.{key}" for key in ("cell_m", "cell_height_m")},
     }
 
-    time_s: Annotated[
-        NonNegative | None,
-        Field(
-            le=1e6,
-            description="When the picture is taken, seconds after the simulation begins. Default: the type's; of type "
-            "community the end of the day's simulated hours.",
-        ),
-    ] = None
-    seed: Annotated[
-        Whole | None,
-        Field(
-            ge=0,
-            lt=2**63,
-            description="Of the simulation. Default: the recipe's, so that all images have one sky, simulated once.",
-        ),
-    ] = None
-    story: Annotated[
-        tuple[Phase, ...] | None,
-        Field(
-            min_length=1,
-            max_length=50,
-            description="Phases of weather one after another, instead of one type; the type above is then left out "
-            "or that of the first.",
-        ),
-    ] = None
+    time_s: NonNegative | None = Field(
+        None,
+        le=1e6,
+        description="When the picture is taken, seconds after the simulation begins. Default: the type's; of type "
+        "community the end of the day's simulated hours.",
+    )
+    seed: Whole | None = Field(
+        None,
+        ge=0,
+        lt=2**63,
+        description="Of the simulation. Default: the recipe's, so that all images have one sky, simulated once.",
+    )
+    story: tuple[Phase, ...] | None = Field(
+        None,
+        min_length=1,
+        max_length=50,
+        description="Phases of weather one after another, instead of one type; the type above is then left out "
+        "or that of the first.",
+    )
 
     @model_validator(mode="after")
     def _story_in_order(self) -> Self:
@@ -125,7 +111,7 @@ class SimulatedKeys(WeatherKeys, PlacedKeys):
 
 
 @dataclass(frozen=True, eq=False)
-class SimulatedClouds(CloudSource[SimulatedKeys]):
+class SimulatedClouds(source.CloudSource[SimulatedKeys]):
     """Weather of a type, by values of the keys that a recipe leaves out."""
 
     Parameters = SimulatedKeys
@@ -149,13 +135,13 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
     def estimate_bytes(self, drawn: DrawnRecipe, model: object, parameters: object) -> int:
         keys = self.keys_of(drawn)
         domains = [phase.conditions.domain for phase in self.scenario(drawn).phases]
-        return max(simulated_bytes(keys, math.prod(one.cells), one.extent_m) for one in domains)
+        return max(source.simulated_bytes(keys, math.prod(one.cells), one.extent_m) for one in domains)
 
-    def grid(self, request: CloudRequest) -> CloudGrid | None:
+    def grid(self, request: source.CloudRequest) -> CloudGrid | None:
         keys, air = self.keys_of(request.drawn), self.air(request.drawn, request.progress)
-        return clouds_of_air(request, keys, air.weather, air.droplet_radius_um, keys.centre_m(request))
+        return source.clouds_of_air(request, keys, air.weather, air.droplet_radius_um, keys.centre_m(request))
 
-    def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
+    def air(self, drawn: DrawnRecipe, progress: Progress) -> source.WeatherReport:
         """The air at the recipe's time, kept or simulated. `RecipeError`: as `scenario`, or the simulation fails."""
         keys, scenario, time_s = self.keys_of(drawn), self.scenario(drawn), self.time_of(drawn)
         seed = drawn.recipe.seed if keys.seed is None else keys.seed
@@ -169,7 +155,7 @@ class SimulatedClouds(CloudSource[SimulatedKeys]):
             where = drawn.where("sky", "clouds")
             problem = "the weather cannot be simulated"
             raise RecipeError(problem, where=where, expected=expected, got=str(cause), hint=hint) from cause
-        return WeatherReport(weather, scenario.at(time_s).kind, self.droplet_radius_um_at(drawn, time_s))
+        return source.WeatherReport(weather, scenario.at(time_s).kind, self.droplet_radius_um_at(drawn, time_s))
 
     def time_of(self, drawn: DrawnRecipe) -> float:
         """When the picture is taken, seconds after the simulation begins."""
@@ -260,7 +246,7 @@ def _layers(drawn: DrawnRecipe, conditions: Conditions, section: SoundingSection
 
     place = drawn.where(*where, "sounding")
     path = known_file(drawn.folder, section.file, section.sha256, place)
-    with naming_the_file(path, place):
+    with source.naming_the_file(path, place):
         return read_sounding(path, ground_pressure_pa=100.0 * (section.ground_pressure_hpa or 1013.25))
 
 

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 from pydantic import Field
@@ -89,23 +89,20 @@ def cloud_statistics(weather: Weather, *, droplet_radius_um: float = 10.0) -> Cl
 class AirKeys(Clouds):
     """Keys of sources whose clouds are those of a state of the air."""
 
-    droplet_radius_um: Annotated[
-        Positive | None,
-        Field(le=100, description="Effective radius of the cloud's droplets, micrometres. Default: the type's."),
-    ] = None
-    repeat: Annotated[
-        Flag | None,
-        Field(description="Whether the clouds go on beyond the box, over and over, to the horizon. Default: they do."),
-    ] = None
+    droplet_radius_um: Positive | None = Field(
+        None, le=100, description="Effective radius of the cloud's droplets, micrometres. Default: the type's."
+    )
+    repeat: Flag | None = Field(
+        None, description="Whether the clouds go on beyond the box, over and over, to the horizon. Default: they do."
+    )
 
 
 class PlacedKeys(AirKeys):
     """The same, where the clouds can be moved."""
 
-    offset_m: Annotated[
-        tuple[Number, Number] | None,
-        Field(description="Where the middle of the clouds lies from the site's, metres east and north. Default 0, 0."),
-    ] = None
+    offset_m: tuple[Number, Number] | None = Field(
+        None, description="Where the middle of the clouds lies from the site's, metres east and north. Default 0, 0."
+    )
 
     def centre_m(self, request: CloudRequest) -> tuple[float, float]:
         """World x and y of the clouds' middle."""
@@ -236,13 +233,9 @@ def on_the_ground(request: CloudRequest, grid: CloudGrid) -> CloudGrid:
     site = request.drawn.recipe.site.size_m
     size = [high - low for low, high in zip(grid.low_m, grid.high_m, strict=True)][:2]
     if any(own < wanted for own, wanted in zip(size, site, strict=True)):
-        raise RecipeError(
-            "the site is larger than its clouds",
-            where=request.drawn.where("sky", "clouds"),
-            expected=f"a field of at least {site[0]:g} x {site[1]:g} m",
-            got=f"{size[0]:g} x {size[1]:g} m",
-            hint="make the site smaller, or simulate a larger domain",
-        )
+        problem, expected = "the site is larger than its clouds", f"a field of at least {site[0]:g} x {site[1]:g} m"
+        got, hint = f"{size[0]:g} x {size[1]:g} m", "make the site smaller, or simulate a larger domain"
+        raise RecipeError(problem, where=request.drawn.where("sky", "clouds"), expected=expected, got=got, hint=hint)
     low, high = ((*one[:2], one[2] + request.ground_m) for one in (grid.low_m, grid.high_m))
     return replace(grid, low_m=low, high_m=high)
 

@@ -42,7 +42,6 @@ class AikmanWatkinsonParameters(Section):
 class AikmanWatkinson:
     Parameters = AikmanWatkinsonParameters
     needs_heights = False
-    bytes_per_circle = 48
 
     def answer(
         self, parameters: AikmanWatkinsonParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool

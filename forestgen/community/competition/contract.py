@@ -53,7 +53,6 @@ class CompetitionModel(Protocol[P]):
 
     Parameters: type[P]
     needs_heights: bool  # whether its answer depends on `Circles.height_m`
-    bytes_per_circle: int  # peak memory of `answer`, its result counted, a circle; in large ordinary stands
 
     def answer(self, parameters: P, circles: Circles, size_m: tuple[float, float], *, periodic: bool) -> Floats:
         """(N,) c of every circle's ?E(c), in [0, 1]: 1 is a plant without rivals, 0 one that gets nothing.

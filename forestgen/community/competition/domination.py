@@ -137,7 +137,6 @@ def dominated(
 class Domination:
     Parameters = DominationParameters
     needs_heights = False
-    bytes_per_circle = 68  # tests measure it
 
     def answer(
         self, parameters: DominationParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool

@@ -189,7 +189,6 @@ def _walk(g, rank, d, zone):  # type: ignore[no-untyped-def]
 class FirbankWatkinson:
     Parameters = FirbankWatkinsonParameters
     needs_heights = True
-    bytes_per_circle = 92
 
     def answer(
         self, parameters: FirbankWatkinsonParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool

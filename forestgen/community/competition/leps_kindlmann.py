@@ -90,7 +90,6 @@ def _factors(first, end, g, height, tolerance, out):  # type: ignore[no-untyped-
 class LepsKindlmann:
     Parameters = LepsKindlmannParameters
     needs_heights = True
-    bytes_per_circle = 64
 
     def answer(
         self, parameters: LepsKindlmannParameters, circles: Circles, size_m: tuple[float, float], *, periodic: bool

@@ -27,27 +27,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from forestgen.community.fitting.likelihood import (
-    KernelShapes,
-    founder_shapes,
-    kernel_shapes,
-    likeliest,
-    likelihood_shape,
-    roughness_penalty,
-    score,
-)
-from forestgen.community.fitting.stand import (
-    Envelope,
-    MeasuredStand,
-    NewStand,
-    Nursery,
-    Summaries,
-    envelopes,
-    fitting_cells,
-    nearest_m,
-    summaries_for,
-    trend,
-)
+from forestgen.community.fitting import likelihood
+from forestgen.community.fitting import stand as measured
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError
@@ -112,9 +93,9 @@ class Matcher:
 
     def __init__(
         self,
-        nursery: Nursery,
-        shapes: KernelShapes,
-        summaries: Summaries,
+        nursery: measured.Nursery,
+        shapes: likelihood.KernelShapes,
+        summaries: measured.Summaries,
         number: int,
         seed: int,
         scale: Floats | None = None,
@@ -122,10 +103,10 @@ class Matcher:
         self.nursery, self.shapes, self.summaries = nursery, shapes, summaries
         self.all_stands, self.number, self.seed, self.knee = number, number, seed, 1.0
         self.scale = scale  # (A,) of the first look, for all: wide scatter is no merit
-        self.penalty = roughness_penalty(shapes)
+        self.penalty = likelihood.roughness_penalty(shapes)
         stand = nursery.stand
         self.target = summaries.of(stand.position_m, stand.species)
-        self.grid = likelihood_shape(stand, shapes)
+        self.grid = likelihood.likelihood_shape(stand, shapes)
 
     def begin(self, one: Round) -> None:
         """Set the number of stands and what differences weigh."""
@@ -141,7 +122,7 @@ class Matcher:
         for number in range(self.number):
             new = self.nursery.grow(kernels, self.seed, number)
             counts[number] = self.summaries.of(new.measured_m, new.species)
-            found = score(new.placed_m, new.kind, shapes, shapes.core_m, log_kappa, stand.size_m, self.grid)
+            found = likelihood.score(new.placed_m, new.kind, shapes, shapes.core_m, log_kappa, stand.size_m, self.grid)
             scores[number] = found.gradient.ravel()
         mean = counts.mean(axis=0)
         if self.scale is None:
@@ -200,8 +181,8 @@ def _refined(matcher: Matcher, first: Look, advance: Callable[[int], None]) -> M
 class Founded:
     """A fit with founders."""
 
-    nursery: Nursery
-    shapes: KernelShapes
+    nursery: measured.Nursery
+    shapes: likelihood.KernelShapes
     matched: Matched
 
 
@@ -210,7 +191,7 @@ def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], Non
 
     Differences count as in `plain`, the matcher of one kernel, which came to `of_one`.
     """
-    stand, shapes = plain.nursery.stand, founder_shapes(plain.shapes)
+    stand, shapes = plain.nursery.stand, likelihood.founder_shapes(plain.shapes)
     found: list[tuple[Matcher, Look]] = []
     for plants in _PLANTS_OF_A_FOUNDER:
         founders = max(2, round(stand.n / plants))
@@ -228,10 +209,10 @@ def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], Non
     return Founded(matcher.nursery, shapes, matched) if matched.loss <= _BETTER * of_one.loss else None
 
 
-def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[Floats]:
+def _starts(stand: measured.MeasuredStand, shapes: likelihood.KernelShapes, founders: int) -> list[Floats]:
     """(3, M) log κ: founders keep apart, followers are drawn to them and ignore one another."""
     tree = cKDTree(stand.position_m)
-    near_m = float(np.quantile(nearest_m(tree, tree), _MOST))
+    near_m = float(np.quantile(measured.nearest_m(tree, tree), _MOST))
     starts = []
     for width in _WIDTHS:
         radius_m = width * near_m
@@ -248,15 +229,15 @@ def _starts(stand: MeasuredStand, shapes: KernelShapes, founders: int) -> list[F
 class Fit:
     """Kernels fitted to a stand, and how well new stands resemble it."""
 
-    stand: MeasuredStand
-    nursery: Nursery
-    shapes: KernelShapes
+    stand: measured.MeasuredStand
+    nursery: measured.Nursery
+    shapes: likelihood.KernelShapes
     matched: Matched
     plain: Matched  # with one kernel for each pair of species; the same as `matched` where no founders are
     placed: int  # new stands in all, for the fit
-    checks: tuple[tuple[Envelope, ...], ...]  # of each set of new stands
+    checks: tuple[tuple[measured.Envelope, ...], ...]  # of each set of new stands
     trend: float  # share of new stands that are as uneven
-    example: NewStand
+    example: measured.NewStand
     seed: int
     took_s: float
 
@@ -290,7 +271,7 @@ class Fit:
 
 
 def fit_stand(
-    stand: MeasuredStand,
+    stand: measured.MeasuredStand,
     progress: Progress | None = None,
     *,
     seed: int = 0,
@@ -306,11 +287,11 @@ def fit_stand(
     """
     began, listener = time.perf_counter(), progress or Silent()
     _check_reach(stand, reach_m)
-    shapes = kernel_shapes(stand, reach_m)
-    nursery = Nursery(stand, fitting_cells(stand))
+    shapes = likelihood.kernel_shapes(stand, reach_m)
+    nursery = measured.Nursery(stand, measured.fitting_cells(stand))
     number = stands or int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
-    start = likeliest(stand, shapes, child_rng(seed, "fit", "orders"))
-    matcher = Matcher(nursery, shapes, summaries_for(stand, shapes.reach_m), number, seed)
+    start = likelihood.likeliest(stand, shapes, child_rng(seed, "fit", "orders"))
+    matcher = Matcher(nursery, shapes, measured.summaries_for(stand, shapes.reach_m), number, seed)
     placed = 0
 
     def counted(advance: Callable[[int], None]) -> Callable[[int], None]:
@@ -332,7 +313,7 @@ def fit_stand(
     first, tested = seed + _CHECKS, []
     with listener.stage("check", checks) as advance:
         for check in range(checks):
-            tested.append(tuple(envelopes(nursery, kernels, first + check)))
+            tested.append(tuple(measured.envelopes(nursery, kernels, first + check)))
             advance(1)
     return Fit(
         stand=stand,
@@ -342,7 +323,7 @@ def fit_stand(
         plain=plain,
         placed=placed,
         checks=tuple(tested),
-        trend=trend(stand, nursery, kernels, first),
+        trend=measured.trend(stand, nursery, kernels, first),
         example=nursery.grow(kernels, first, 0),
         seed=seed,
         took_s=time.perf_counter() - began,
@@ -356,12 +337,9 @@ def _wants_founders(matcher: Matcher, plain: Matched) -> bool:
     return bool(poor) and not stand.ordered and len(stand.names) == 1
 
 
-def _check_reach(stand: MeasuredStand, reach_m: float | None) -> None:
+def _check_reach(stand: measured.MeasuredStand, reach_m: float | None) -> None:
     most = min(stand.size_m) / 2
     if reach_m is not None and not stand.spacing_m / 4 <= reach_m <= most:
-        raise RecipeError(
-            "this reach does not suit the stand",
-            parameter="reach_m",
-            expected=f"{stand.spacing_m / 4:.3g} (a quarter of the plants' spacing) to {most:.3g} m (half the window)",
-            got=f"{reach_m:g}",
-        )
+        problem = "this reach does not suit the stand"
+        expected = f"{stand.spacing_m / 4:.3g} (a quarter of the plants' spacing) to {most:.3g} m (half the window)"
+        raise RecipeError(problem, parameter="reach_m", expected=expected, got=f"{reach_m:g}")

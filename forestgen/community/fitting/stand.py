@@ -113,22 +113,14 @@ def measured_stand(table: PointTable, where: str) -> tuple[MeasuredStand, list[s
     labels = np.array(table.species) if table.species is not None else np.full(n, "")
     names, species, numbers = np.unique(labels, return_inverse=True, return_counts=True)
     if len(names) > MOST_SPECIES:
-        raise AssetError(
-            "too many species for a fit",
-            where=where,
-            expected=f"at most {MOST_SPECIES}",
-            got=f"{len(names)}: " + ", ".join(str(one)[:40] for one in names[:8]),
-            hint="give rare species one name together, such as other",
-        )
+        problem, got = "too many species for a fit", f"{len(names)}: " + ", ".join(str(one)[:40] for one in names[:8])
+        hint = "give rare species one name together, such as other"
+        raise AssetError(problem, where=where, expected=f"at most {MOST_SPECIES}", got=got, hint=hint)
     if numbers.min() < FEWEST_OF_A_SPECIES:
         rare = int(numbers.argmin())
-        raise AssetError(
-            "too few plants of a species for a fit",
-            where=where,
-            expected=f"{FEWEST_OF_A_SPECIES} at least",
-            got=f"{numbers[rare]} of {names[rare]}",
-            hint="leave the species out, or give rare species one name together, such as other",
-        )
+        problem, expected = "too few plants of a species for a fit", f"{FEWEST_OF_A_SPECIES} at least"
+        hint = "leave the species out, or give rare species one name together, such as other"
+        raise AssetError(problem, where=where, expected=expected, got=f"{numbers[rare]} of {names[rare]}", hint=hint)
     spacing_m = math.sqrt(table.window.area_m2 / n)
     step_m = rounding_m(table.points_m, spacing_m)
     order = np.arange(n) if table.radius_m is None else np.argsort(-table.radius_m, kind="stable")
@@ -159,12 +151,8 @@ def _check_points(table: PointTable, where: str) -> None:
             "and state that part as the window",
         )
     if max(table.window.size_m) > LARGEST_M:
-        raise AssetError(
-            "the window is too large",
-            where=where,
-            expected=f"sides up to {LARGEST_M:,} m, those of a recipe's site; coordinates in metres",
-            got=str(table.window),
-        )
+        expected = f"sides up to {LARGEST_M:,} m, those of a recipe's site; coordinates in metres"
+        raise AssetError("the window is too large", where=where, expected=expected, got=str(table.window))
     spread = np.linalg.svd(table.points_m - table.points_m.mean(axis=0), compute_uv=False)
     if spread[1] < 1e-3 * spread[0]:
         raise AssetError("the plants stand on one line", where=where, expected="plants spread over an area")

@@ -122,22 +122,20 @@ Sunshine = Annotated[Curve, AfterValidator(_response(0.0, 5.0, "(1 is level grou
 class Conditions(Section):
     """What a species asks of the ground: the share of its density that grows, 0 to 1, by each condition's value."""
 
-    elevation_m: Annotated[
-        Elevation | None,
-        Field(description="Response to height above sea level, metres: site.altitude_m and the ground's height."),
-    ] = None
-    slope_deg: Annotated[Slope | None, Field(description="Response to the ground's slope, degrees; 0 is level.")] = None
-    moisture: Annotated[
-        Share | None,
-        Field(description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."),
-    ] = None
-    wind: Annotated[
-        Share | None, Field(description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest.")
-    ] = None
-    sun: Annotated[
-        Sunshine | None,
-        Field(description="Response to the year's direct sun: 0 none, 1 level open ground, above 1 sunny slopes."),
-    ] = None
+    elevation_m: Elevation | None = Field(
+        default=None, description="Response to height above sea level, metres: site.altitude_m and the ground's height."
+    )
+    slope_deg: Slope | None = Field(default=None, description="Response to the ground's slope, degrees; 0 is level.")
+    moisture: Share | None = Field(
+        default=None, description="Response to topographic wetness: 0 dry crest, 0.5 level ground, 1 valley floor."
+    )
+    wind: Share | None = Field(
+        default=None, description="Response to exposure to wind: 0 sheltered hollow, 0.5 level ground, 1 crest."
+    )
+    sun: Sunshine | None = Field(
+        default=None,
+        description="Response to the year's direct sun: 0 none, 1 level open ground, above 1 sunny slopes.",
+    )
 
     def responses(self) -> Iterator[tuple[str, Function]]:
         """Name and curve of every condition that counts."""

@@ -108,6 +108,8 @@ from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import Conditions
 from forestgen.community.model import Site
 from forestgen.community.placement import clustering
+from forestgen.community.placement import kernels as placement_kernels
+from forestgen.community.placement import model as placement
 from forestgen.community.placement.densities import (
     COUNTING_CELLS,
     MOST_ALONG,
@@ -119,27 +121,6 @@ from forestgen.community.placement.densities import (
     species_density,
 )
 from forestgen.community.placement.field import DensityField, place
-from forestgen.community.placement.kernels import (
-    NAMED,
-    NEUTRAL,
-    HopkinsTarget,
-    Kernels,
-    KernelSection,
-    KernelTable,
-    kernel_matrix,
-    refuse_long_work,
-    species_named,
-)
-from forestgen.community.placement.model import (
-    Densities,
-    PlacementModel,
-    PlantingTargets,
-    asked_densities,
-    deformed,
-    placement_of,
-    uniform_samples,
-    wanted_plants,
-)
 from forestgen.community.population import Floats, Population
 from forestgen.community.static_model import State, first_state
 from forestgen.core.randomness import child_rng
@@ -164,8 +145,8 @@ class DeformationKernelParameters(PlacementParameters):
 
     memory_hint: ClassVar[str] = f"{PlacementParameters.memory_hint}, or fewer community.cells"
 
-    kernels: Kernels = Field(
-        KernelSection(**NAMED["inhibition"]),
+    kernels: placement_kernels.Kernels = Field(
+        placement_kernels.KernelSection(**placement_kernels.NAMED["inhibition"]),
         description="One kernel for all plants; or kernels by the species that acts, or by that and the species that "
         "is affected, where a pair left out is neutral; or {hopkins: H}, how clustered the plants are to be",
     )
@@ -180,16 +161,16 @@ class DeformationKernelParameters(PlacementParameters):
     @property
     def hopkins(self) -> float | None:
         """The Hopkins index that the plants are to have; None: the recipe gives the kernels."""
-        return self.kernels.hopkins if isinstance(self.kernels, HopkinsTarget) else None
+        return self.kernels.hopkins if isinstance(self.kernels, placement_kernels.HopkinsTarget) else None
 
-    def matrix(self, names: Sequence[str]) -> Sequence[Sequence[KernelTable]]:
+    def matrix(self, names: Sequence[str]) -> Sequence[Sequence[placement_kernels.KernelTable]]:
         """Kernels [i][j] that the recipe gives: the effect of a plant of species j on the field of species i."""
-        assert not isinstance(self.kernels, HopkinsTarget)
-        return kernel_matrix(self.kernels, names)
+        assert not isinstance(self.kernels, placement_kernels.HopkinsTarget)
+        return placement_kernels.kernel_matrix(self.kernels, names)
 
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
-        yield from ((("kernels", *keys), name) for keys, name in species_named(self.kernels))
+        yield from ((("kernels", *keys), name) for keys, name in placement_kernels.species_named(self.kernels))
 
 
 @dataclass(frozen=True)
@@ -214,7 +195,7 @@ def _layout(parameters: DeformationKernelParameters, site: Site, species: Ecolog
     stands = [parameters.plants[species[i].name] for i in present]
     level = all(stand.conditions == _NO_CONDITIONS for stand in stands)
     bare = level and all(stand.map is None for stand in stands)
-    shared = bare and isinstance(parameters.kernels, KernelSection | HopkinsTarget)
+    shared = bare and isinstance(parameters.kernels, placement_kernels.KernelSection | placement_kernels.HopkinsTarget)
     field_of = np.full(len(species), -1, dtype=np.intp)
     field_of[present] = 0 if shared else np.arange(len(present))
     chosen = tuple(present[:1] if shared else present)
@@ -250,28 +231,28 @@ def _acting(
             yield from ((float(table.reach_m(median_m)), median_m, table.in_radii) for table in acting)
 
 
-class DeformationKernel(PlacementModel[DeformationKernelParameters]):
+class DeformationKernel(placement.PlacementModel[DeformationKernelParameters]):
     Parameters = DeformationKernelParameters
     state_keys = ("clustering",)
 
     def init(self, parameters: DeformationKernelParameters, site: Site, species: Ecologies, seed: int) -> State:
         """The plants at their places."""
         rng = child_rng(seed, "community", 0)
-        wanted = wanted_plants(parameters, site, species, rng)
-        uniform = uniform_samples(wanted, species, rng)
+        wanted = placement.wanted_plants(parameters, site, species, rng)
+        uniform = placement.uniform_samples(wanted, species, rng)
         layout = _layout(parameters, site, species)
         densities = layout.densities(parameters, site, species, grid_shape(site, layout.cells))
         found = _found(parameters, site, species, layout, densities, wanted, uniform)
         if parameters.hopkins is None:
             kernels = parameters.matrix([species[i].name for i in layout.species])
         else:
-            kernels = [[found.kernel if found else NEUTRAL] * len(densities)] * len(densities)
+            kernels = [[found.kernel if found else placement_kernels.NEUTRAL] * len(densities)] * len(densities)
         barred = {i for i, one in enumerate(layout.field_of) if one >= 0 and not densities[one].any()}
         fields = [DensityField(one, site.size_m, periodic=parameters.periodic) for one in densities]
         del densities
         position_m = place(fields, layout.field_of[wanted.sp], wanted.r_m, kernels, uniform).position_m
         why = {one.name: _BARRED if i in barred else _NO_PLACE for i, one in enumerate(species)}
-        placed = placement_of(parameters, site, species, wanted, position_m, why)
+        placed = placement.placement_of(parameters, site, species, wanted, position_m, why)
         notes, state = [*placed.notes, *_notes(site, layout), *_idle(parameters, site, species)], {}
         if parameters.hopkins is not None:
             points_m = placed.position_m
@@ -289,14 +270,14 @@ class DeformationKernel(PlacementModel[DeformationKernelParameters]):
 
     def densities(
         self, parameters: DeformationKernelParameters, site: Site, species: Ecologies, placed: Population
-    ) -> Densities:
+    ) -> placement.Densities:
         """What the recipe asks for, and the fields that are left when the plants `placed` have deformed them."""
         if parameters.hopkins is not None:
-            return asked_densities(parameters, site, species)
+            return placement.asked_densities(parameters, site, species)
         cells = min(max(_layout(parameters, site, species).cells, COUNTING_CELLS), 2048)
-        asked = asked_densities(parameters, site, species, grid_shape(site, cells))
+        asked = placement.asked_densities(parameters, site, species, grid_shape(site, cells))
         kernels = parameters.matrix([one.name for one in species])
-        return deformed(asked, site, parameters.periodic, species, placed, kernels)
+        return placement.deformed(asked, site, parameters.periodic, species, placed, kernels)
 
 
 def _check_work(
@@ -313,7 +294,9 @@ def _check_work(
         f"{sum(count for count, _ in acting.values()):,} plants on a grid of {cells:,} cells",
         "fewer plants, or a smaller community.cells",
     )
-    refuse_long_work(parameters.kernels, site, acting, dict.fromkeys(fields, cells), _MOST_CHANGES, words)
+    placement_kernels.refuse_long_work(
+        parameters.kernels, site, acting, dict.fromkeys(fields, cells), _MOST_CHANGES, words
+    )
 
 
 def _found(
@@ -322,7 +305,7 @@ def _found(
     species: Ecologies,
     layout: _Layout,
     densities: Sequence[Floats],
-    wanted: PlantingTargets,
+    wanted: placement.PlantingTargets,
     uniform: Floats,
 ) -> clustering.Found | None:
     """The kernel that gives the recipe's Hopkins index; None: it names none, or there are too few plants."""

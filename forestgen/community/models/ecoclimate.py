@@ -32,7 +32,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,19 +41,14 @@ from forestgen.community.branch_modules.capabilities import ModuleCapabilities
 from forestgen.community.branch_modules.state import refuse_more_seeds
 from forestgen.community.capabilities import SoilWaterMaps
 from forestgen.community.disturbance import Planting
+from forestgen.community.ecoclimate import months
 from forestgen.community.ecoclimate.air import grid_of
-from forestgen.community.ecoclimate.months import (
-    Ecoclimate,
-    initial_ecoclimate,
-    shown_section,
-    shown_weather,
-    step_ecoclimate,
-)
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
+from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_number
 from forestgen.community.soil_water import Ground, Water, WaterBudget
@@ -73,56 +67,34 @@ _MAPS = ("soil_water_mm", "surface_water_mm", "soil_mean_mm", "warmth_mean_k", "
 class EcoclimateModel(ModuleCapabilities):
     Parameters = EcoclimateParameters
 
-    def init(self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int) -> Ecoclimate:
+    def init(self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int) -> months.Ecoclimate:
         """The forest of the start, on soil that is as wet as its climate leaves it."""
-        return initial_ecoclimate(FOREST.init(parameters, site, species, seed))
+        return months.initial_ecoclimate(FOREST.init(parameters, site, species, seed))
 
-    def step(self, state: Ecoclimate) -> Ecoclimate:
+    def step(self, state: months.Ecoclimate) -> months.Ecoclimate:
         """Whole months of climate and soil, then a step of the forest."""
-        return step_ecoclimate(state)
+        return months.step_ecoclimate(state)
 
-    def population(self, state: Ecoclimate) -> Population:
-        books, forest = state.books, FOREST.population(state.forest)
-        water = {**vars(books), "stored_mm": state.stored_mm}
-        maps = (
-            state.water.soil_mm,
-            state.water.surface_mm,
-            state.soil_mean_mm,
-            state.warmth_mean_k,
-            state.vapour_mm_per_day,
-            state.wetness,
-        )
-        return replace(
-            forest,
-            state={**forest.state, "water": water, "temperature_mean_c": state.temperature_mean_c},
-            maps=dict(zip(_MAPS, maps, strict=True)),
-        )
+    def population(self, state: months.Ecoclimate) -> Population:
+        forest, soil, surface = FOREST.population(state.forest), state.water.soil_mm, state.water.surface_mm
+        maps = soil, surface, state.soil_mean_mm, state.warmth_mean_k, state.vapour_mm_per_day, state.wetness
+        water = {**vars(state.books), "stored_mm": state.stored_mm}
+        about = {**forest.state, "water": water, "temperature_mean_c": state.temperature_mean_c}
+        return replace(forest, state=about, maps=dict(zip(_MAPS, maps, strict=True)))
 
     def resume(
         self, parameters: EcoclimateParameters, site: Site, species: Ecologies, seed: int, population: Population
-    ) -> Ecoclimate:
+    ) -> months.Ecoclimate:
         """The state of a snapshot; it needs the snapshot's modules and maps."""
         forest = FOREST.resume(parameters, site, species, seed, population)
         if any(name not in population.maps for name in _MAPS):
-            raise RecipeError(
-                "a snapshot without its maps of water cannot go on",
-                where="community.model",
-                expected=f"the maps {', '.join(_MAPS)}",
-                got=", ".join(population.maps) or "none",
-                hint="simulate again from the start",
-            )
+            problem, expected = "a snapshot without its maps of water cannot go on", f"the maps {', '.join(_MAPS)}"
+            got, hint = ", ".join(population.maps) or "none", "simulate again from the start"
+            raise RecipeError(problem, where="community.model", expected=expected, got=got, hint=hint)
         soil, surface, mean, warmth, vapour, wetness = (population.maps[name] for name in _MAPS)
-        state = population.state
-        return Ecoclimate(
-            forest,
-            Water(soil, surface),
-            mean,
-            state["temperature_mean_c"],
-            warmth,
-            vapour,
-            wetness,
-            _water_budget(state["water"]),
-        )
+        temperature_c, water = population.state["temperature_mean_c"], population.state["water"]
+        books = WaterBudget(**{name: float(water[name]) for name in WaterBudget.__dataclass_fields__})
+        return months.Ecoclimate(forest, Water(soil, surface), mean, temperature_c, warmth, vapour, wetness, books)
 
     def check_snapshot(
         self, parameters: EcoclimateParameters, site: Site, species: Ecologies, population: Population
@@ -137,11 +109,11 @@ class EcoclimateModel(ModuleCapabilities):
         for name in WaterBudget.__dataclass_fields__:
             check_number(water, name, -_MOST_WATER_MM, _MOST_WATER_MM, within="water")
 
-    def remove(self, state: Ecoclimate, plant_id: NDArray[np.uint32]) -> Ecoclimate:
+    def remove(self, state: months.Ecoclimate, plant_id: NDArray[np.uint32]) -> months.Ecoclimate:
         """The forest without these plants."""
         return replace(state, forest=FOREST.remove(state.forest, plant_id))
 
-    def plant(self, state: Ecoclimate, planting: Planting) -> Ecoclimate:
+    def plant(self, state: months.Ecoclimate, planting: Planting) -> months.Ecoclimate:
         """The forest with new plants, seeds all."""
         return replace(state, forest=FOREST.plant(state.forest, planting))
 
@@ -166,20 +138,14 @@ class EcoclimateModel(ModuleCapabilities):
 
     def air_grid(self, drawn: DrawnRecipe, parameters: EcoclimateParameters) -> AirGrid:
         """`OwnAir`: the cells of the air that a picture shows."""
-        return grid_of(shown_section(drawn, parameters), Ground(drawn.recipe.site.size_m, (1, 1)))
+        return grid_of(months.shown_section(drawn, parameters), Ground(drawn.recipe.site.size_m, (1, 1)))
 
-    def air(
-        self,
-        drawn: DrawnRecipe,
-        parameters: EcoclimateParameters,
-        site: Site,
-        species: Ecologies,
-        population: Population,
-        progress: Progress,
-    ) -> Weather:
+    def air(self, plan: CommunityPlan, population: Population, progress: Progress) -> Weather:
         """`OwnAir`: a day of the month after the snapshot, which needs its modules and maps."""
-        state = self.resume(parameters, site, species, drawn.image_seed, population)
-        return shown_weather(drawn, shown_section(drawn, parameters), state, progress)
+        drawn, parameters = plan.drawn, plan.parameters
+        assert isinstance(parameters, EcoclimateParameters)
+        state = self.resume(parameters, plan.site, plan.ecologies, drawn.image_seed, population)
+        return months.shown_weather(drawn, months.shown_section(drawn, parameters), state, progress)
 
     def soil_water(self, parameters: EcoclimateParameters, population: Population) -> SoilWaterMaps:
         """`SoilWater`: the maps of a snapshot."""
@@ -198,10 +164,6 @@ def _seeds_of_step(parameters: EcoclimateParameters, seedings: Sequence[GlobalSe
         math.ceil(parameters.step_yr / one.every_yr) * one.seeds_per_ha * (len(one.species) or kinds)
         for one in seedings
     )
-
-
-def _water_budget(water: Mapping[str, Any]) -> WaterBudget:
-    return WaterBudget(**{name: float(water[name]) for name in WaterBudget.__dataclass_fields__})
 
 
 MODEL = EcoclimateModel()

@@ -54,13 +54,7 @@ from pydantic import Field
 
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
-from forestgen.community.placement.densities import (
-    COUNTING_CELLS,
-    PlacementParameters,
-    grid_shape,
-    plant_counts,
-    species_density,
-)
+from forestgen.community.placement import densities
 from forestgen.community.placement.model import PlacementModel
 from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
@@ -70,10 +64,10 @@ _PIXELS_PER_PLANT = 8
 _FEWEST, _MOST = 128, 4096  # pixels along the longer side that are chosen by themselves
 
 
-class HalftoneParameters(PlacementParameters):
+class HalftoneParameters(densities.PlacementParameters):
     """What a recipe says about the model besides its species."""
 
-    memory_hint: ClassVar[str] = f"{PlacementParameters.memory_hint}, or fewer community.pixels"
+    memory_hint: ClassVar[str] = f"{densities.PlacementParameters.memory_hint}, or fewer community.pixels"
 
     pixels: Whole | None = Field(
         None, ge=16, le=16384, description="pixels along the site's longer side; null: eight a plant or more"
@@ -145,13 +139,15 @@ class Halftone(PlacementModel[HalftoneParameters]):
     def grid(self, parameters: HalftoneParameters, site: Site, name: str, n: int) -> tuple[int, int]:
         """Rows and columns of pixels for n plants of a species."""
         if parameters.pixels is not None:
-            return grid_shape(site, parameters.pixels)
-        density = species_density(parameters, site, name, grid_shape(site, COUNTING_CELLS))
+            return densities.grid_shape(site, parameters.pixels)
+        density = densities.species_density(
+            parameters, site, name, densities.grid_shape(site, densities.COUNTING_CELLS)
+        )
         mean = float(density.mean())
         peak = float(density.max()) / mean if mean > 0 else 1.0
         longer, shorter = max(site.size_m), min(site.size_m)
         pixels = math.ceil(math.sqrt(min(1e9, _PIXELS_PER_PLANT * n * peak) * longer / shorter))
-        return grid_shape(site, min(_MOST, max(_FEWEST, pixels)))
+        return densities.grid_shape(site, min(_MOST, max(_FEWEST, pixels)))
 
     def place_species(
         self, parameters: HalftoneParameters, site: Site, density: Floats, n: int, rng: np.random.Generator
@@ -168,7 +164,7 @@ class Halftone(PlacementModel[HalftoneParameters]):
     def estimate_bytes(self, parameters: HalftoneParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants and the largest raster at once."""
         raster = 0
-        for one, n in zip(species, plant_counts(parameters, site, species), strict=True):
+        for one, n in zip(species, densities.plant_counts(parameters, site, species), strict=True):
             rows, cols = self.grid(parameters, site, one.name, int(n)) if n else (1, 1)
             raster = max(raster, 8 * 6 * rows * cols)
         return super().estimate_bytes(parameters, site, species) + raster

@@ -50,14 +50,8 @@ from pydantic import Field
 
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
+from forestgen.community.placement import model as placement
 from forestgen.community.placement.labelling import assign, label, lattice_shape
-from forestgen.community.placement.model import (
-    GriddedModel,
-    GriddedParameters,
-    PlantingTargets,
-    density_at,
-    read_densities,
-)
 from forestgen.community.population import Floats
 from forestgen.core.compiled import compiled
 from forestgen.recipe.fields import Fraction, NonNegative
@@ -66,7 +60,7 @@ _SWEEPS = 12  # of moving: the first trees that move find the others still on th
 _VERTICES_PER_TREE, _VERTICES = 256, 4_000_000  # at most, the latter or four a tree
 
 
-class HeightFieldParameters(GriddedParameters):
+class HeightFieldParameters(placement.GriddedParameters):
     """What a recipe says about the model besides its species."""
 
     jitter: Fraction = Field(0.8, description="part of its cell of the grid in which a tree may stand")
@@ -128,13 +122,13 @@ def _grid(
     while True:
         rows, cols = lattice_shape(vertices, size_m)
         shape = min(rows, rows_most), min(cols, cols_most)
-        good = np.flatnonzero(density_at(allowed, _vertices(shape, size_m), size_m))
+        good = np.flatnonzero(placement.density_at(allowed, _vertices(shape, size_m), size_m))
         if len(good) >= n or shape == (rows_most, cols_most) or vertices >= limit:
             return shape, good
         vertices = math.ceil(vertices * min(4.0, max(1.02, n / max(len(good), 1))))
 
 
-class HeightField(GriddedModel[HeightFieldParameters]):
+class HeightField(placement.GriddedModel[HeightFieldParameters]):
     Parameters = HeightFieldParameters
     missing_reason = "the ground that suits them has no vertex left at this distance between trees"
 
@@ -143,19 +137,19 @@ class HeightField(GriddedModel[HeightFieldParameters]):
         parameters: HeightFieldParameters,
         site: Site,
         species: Ecologies,
-        wanted: PlantingTargets,
+        wanted: placement.PlantingTargets,
         rng: np.random.Generator,
     ) -> tuple[Floats, str]:
         """The trees of all species on one grid."""
         counts = np.bincount(wanted.sp, minlength=len(species))
-        fields = read_densities(parameters, site, species)
+        fields = placement.read_densities(parameters, site, species)
         able = np.array([n if np.any(field) else 0 for n, field in zip(counts, fields, strict=True)], dtype=np.int64)
         if not able.any():
             return np.full((len(wanted.sp), 2), np.nan), self.missing_reason
         mine = wanted.sp[able[wanted.sp] > 0]
         allowed = np.any([field > 0 for n, field in zip(able, fields, strict=True) if n], axis=0)
         at = _places(parameters, site, allowed, len(mine), rng)
-        weight = np.array([density_at(field, at, site.size_m) for field in fields])
+        weight = np.array([placement.density_at(field, at, site.size_m) for field in fields])
         # Of fewer places than trees, the largest trees have theirs.
         labels = label(weight, np.bincount(mine[: len(at)], minlength=len(species)), rng)
         return assign(wanted, at, labels, rng), self.missing_reason

@@ -74,15 +74,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from forestgen.community.arrivals import (
-    CirclePlants,
-    new_ids,
-    of_species,
-    refuse_overflow,
-    seedlings,
-    seedlings_per_step,
-    upper_number,
-)
+from forestgen.community import arrivals
 from forestgen.community.disturbance import Planting, planted
 from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.kernel_interactions import (
@@ -96,17 +88,8 @@ from forestgen.community.kernel_interactions import (
     seed_rain,
 )
 from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.placement import kernels as placement_kernels
 from forestgen.community.placement.density_map import DensityMap
-from forestgen.community.placement.kernels import (
-    NAMED,
-    HopkinsTarget,
-    Kernels,
-    KernelSection,
-    each_kernel,
-    kernel_matrix,
-    refuse_long_work,
-    species_named,
-)
 from forestgen.community.population import Floats, Population
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng
@@ -124,8 +107,8 @@ class KernelGrowthParameters(CommunityParameters):
     """What a recipe says about the model besides its species."""
 
     initial_plants_per_ha: NonNegative = Field(0.0, description="seedlings on the site from the beginning, per hectare")
-    kernels: Kernels = Field(
-        KernelSection(**NAMED["inhibition"]),
+    kernels: placement_kernels.Kernels = Field(
+        placement_kernels.KernelSection(**placement_kernels.NAMED["inhibition"]),
         description="the kernel of all plants; or kernels by the species that acts; or by it and the one affected",
     )
     most_inviting: Number = Field(
@@ -143,11 +126,11 @@ class KernelGrowthParameters(CommunityParameters):
     @field_validator("kernels")
     @classmethod
     def _kernels_that_can_grow(cls, kernels: object) -> object:
-        if isinstance(kernels, HopkinsTarget):
+        if isinstance(kernels, placement_kernels.HopkinsTarget):
             raise violation(
                 "kernels", problem="a community that grows has no clustering to be given", hint="see deformation_kernel"
             )
-        for keys, kernel in each_kernel(kernels):
+        for keys, kernel in placement_kernels.each_kernel(kernels):
             if kernel.balanced:
                 raise violation(
                     "a kernel that is not balanced",
@@ -158,8 +141,8 @@ class KernelGrowthParameters(CommunityParameters):
 
     def matrix(self, species: Ecologies) -> Interactions:
         """What the plants of each species do to each other's."""
-        assert not isinstance(self.kernels, HopkinsTarget)
-        return Interactions.of(kernel_matrix(self.kernels, [one.name for one in species]))
+        assert not isinstance(self.kernels, placement_kernels.HopkinsTarget)
+        return Interactions.of(placement_kernels.kernel_matrix(self.kernels, [one.name for one in species]))
 
     def ground_of(self, site: Site, species: Ecologies) -> Ground:
         """Where the seeds of each species fall and come up."""
@@ -168,11 +151,11 @@ class KernelGrowthParameters(CommunityParameters):
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
         yield from ((("ground", name), name) for name in self.ground)
-        yield from ((("kernels", *keys), name) for keys, name in species_named(self.kernels))
+        yield from ((("kernels", *keys), name) for keys, name in placement_kernels.species_named(self.kernels))
 
 
 @dataclass(frozen=True)
-class Plants(CirclePlants):
+class Plants(arrivals.CirclePlants):
     """One row a plant."""
 
     quality: Floats  # (N,) q, 0 to 1
@@ -199,22 +182,22 @@ class State:
 def survivors(state: State, u: Floats) -> Plants:
     """Life: the plants that live on, with their new radius; `u` is random(1) of each plant."""
     plants, species, parameters = state.plants, state.species, state.parameters
-    largest = of_species(species, "max_radius_m")[plants.sp]
-    free = np.where(plants.r_m >= largest, of_species(species, "old_age_survival")[plants.sp], 1.0)
-    shade = of_species(species, "shade_tolerance")[plants.sp]
+    largest = arrivals.of_species(species, "max_radius_m")[plants.sp]
+    free = np.where(plants.r_m >= largest, arrivals.of_species(species, "old_age_survival")[plants.sp], 1.0)
+    shade = arrivals.of_species(species, "shade_tolerance")[plants.sp]
     alive = u < plants.quality * free + (1 - plants.quality) * shade
-    speed = of_species(species, "growth_m_per_yr")[plants.sp] * plants.quality**parameters.growth_exponent
+    speed = arrivals.of_species(species, "growth_m_per_yr")[plants.sp] * plants.quality**parameters.growth_exponent
     return replace(plants, r_m=np.minimum(plants.r_m + speed * parameters.step_yr, largest)).where(alive)
 
 
 def _new(x_m: Floats, r_m: Floats, sp: NDArray[np.uint16], first_id: int, born: int) -> Plants:
     n = len(sp)
-    return Plants(x_m, r_m, sp, new_ids(first_id, n), np.full(n, born, dtype=np.int32), np.ones(n))
+    return Plants(x_m, r_m, sp, arrivals.new_ids(first_id, n), np.full(n, born, dtype=np.int32), np.ones(n))
 
 
 def _arrived(state: State, per_species: NDArray[np.int64], among: Plants, rng: np.random.Generator) -> Plants:
     """Rain and establishment: of so many seeds of each species, those that come up among the plants."""
-    refuse_overflow(state.next_id, float(per_species.sum()))
+    arrivals.refuse_overflow(state.next_id, float(per_species.sum()))
     rivals = state.rivals(among)
     places = [
         seed_rain(state.ground, index, int(n), rivals, state.kernels, state.parameters.most_inviting, rng)
@@ -222,7 +205,7 @@ def _arrived(state: State, per_species: NDArray[np.int64], among: Plants, rng: n
     ]
     sp = np.repeat(np.arange(len(per_species), dtype=np.uint16), per_species)
     x_m = np.concatenate([np.zeros((0, 2)), *places])
-    r_m = seedlings(sp, state.site, state.species, rng)[1]
+    r_m = arrivals.seedlings(sp, state.site, state.species, rng)[1]
     comes_up = rng.random(len(sp)) < establishment(x_m, sp, rivals, state.kernels)
     return _new(x_m[comes_up], r_m[comes_up], sp[comes_up], state.next_id, state.step)
 
@@ -240,8 +223,8 @@ class KernelGrowth:
         """Life, seed rain, establishment, competition."""
         rng = child_rng(state.seed, "community", state.step + 1)
         old = survivors(state, rng.random(len(state.plants)))
-        mean = seedlings_per_step(state.species, state.site, state.parameters.step_yr) * state.ground.mean
-        refuse_overflow(state.next_id, float(mean.sum()))
+        mean = arrivals.seedlings_per_step(state.species, state.site, state.parameters.step_yr) * state.ground.mean
+        arrivals.refuse_overflow(state.next_id, float(mean.sum()))
         after = replace(state, step=state.step + 1)
         new = _arrived(after, rng.poisson(mean), old, rng)
         return _competing(after, old.and_then(new))
@@ -273,7 +256,7 @@ class KernelGrowth:
 
     def plant(self, state: State, planting: Planting) -> State:
         """The community with new plants."""
-        refuse_overflow(state.next_id, len(planting))
+        arrivals.refuse_overflow(state.next_id, len(planting))
         new = _new(planting.position_m, planting.radius_m, planting.species, state.next_id, state.step)
         return _competing(state, state.plants.and_then(new))
 
@@ -281,7 +264,7 @@ class KernelGrowth:
         """Upper bound: who is there from the beginning or planted, and the rain of a step times the steps of a life."""
         ground = parameters.ground_of(site, species)
         total = float(_cohort(parameters, site, ground).sum() + planted(parameters.disturbances))
-        seeds = seedlings_per_step(species, site, parameters.step_yr) * ground.mean
+        seeds = arrivals.seedlings_per_step(species, site, parameters.step_yr) * ground.mean
         for one, rain in zip(species, seeds, strict=True):
             total += min(float(rain), 1e30) * min(_longest_life(parameters, one), parameters.steps)
         return total
@@ -291,14 +274,14 @@ class KernelGrowth:
             return None
         if parameters.steps == 0:
             return "no plant can grow: community.steps is 0, and the community begins on bare ground"
-        if not np.any(of_species(species, "seedlings_per_ha_per_yr")):
+        if not np.any(arrivals.of_species(species, "seedlings_per_ha_per_yr")):
             return "no plant can grow: ecology.seedlings_per_ha_per_yr is 0 for every species"
         barred = "community.ground and community.keep_out bar the whole site to every species with seeds"
         return f"no plant can grow: {barred}"
 
     def estimate_bytes(self, parameters: KernelGrowthParameters, site: Site, species: Ecologies) -> int:
         """Bytes for the bound of the mean number of plants and six standard deviations of a Poisson number more."""
-        plants = upper_number(self.expected_plants(parameters, site, species))
+        plants = arrivals.upper_number(self.expected_plants(parameters, site, species))
         _check_work(parameters, site, species)
         cells = math.prod(parameters.ground_of(site, species).shape) * (len(species) + 1)
         kernels = len(species) ** 2 * _BYTES_PER_KERNEL
@@ -315,7 +298,9 @@ def _check_work(parameters: KernelGrowthParameters, site: Site, species: Ecologi
             f"initial_plants_per_ha is {parameters.initial_plants_per_ha:g}",
             "or fewer initial_plants_per_ha",
         )
-        refuse_long_work(parameters.kernels, site, acting, dict.fromkeys(acting, plants), _MOST_PAIRS, words)
+        placement_kernels.refuse_long_work(
+            parameters.kernels, site, acting, dict.fromkeys(acting, plants), _MOST_PAIRS, words
+        )
 
 
 def _bare(parameters: KernelGrowthParameters, site: Site, species: Ecologies, seed: int) -> State:

@@ -85,12 +85,9 @@ def _rows(table: str) -> list[PlacedPlant]:
     """The plants of a table, or a mistake that names the row."""
     lines = [line for line in table.splitlines() if line.strip()]
     if len(lines) < 2:
-        raise violation(
-            "a line of names (species, x_m, y_m, height_m) and a line for each plant",
-            problem="not a table of plants",
-            got=repr(table[:60]),
-            hint="paste the file's text below `table: |`",
-        )
+        expected = "a line of names (species, x_m, y_m, height_m) and a line for each plant"
+        problem = "not a table of plants"
+        raise violation(expected, problem=problem, got=repr(table[:60]), hint="paste the file's text below `table: |`")
     names = [name.strip() for name in next(csv.reader(lines[:1]))]
     unknown = set(names) - {*_NUMBERS, "species"}
     missing = {"species", "x_m", "y_m"} - set(names)
@@ -165,12 +162,8 @@ def _size(plant: PlacedPlant, species: SpeciesEcology, where: str) -> tuple[floa
     if plant.height_m is None:
         radius = largest if plant.radius_m is None else plant.radius_m
         if radius > largest:
-            raise RecipeError(
-                f"no {species.name} is so large",
-                where=where,
-                expected=f"a radius_m of at most ecology.max_radius_m = {largest:g} m",
-                got=f"{radius:g} m",
-            )
+            expected = f"a radius_m of at most ecology.max_radius_m = {largest:g} m"
+            raise RecipeError(f"no {species.name} is so large", where=where, expected=expected, got=f"{radius:g} m")
         return radius, scale * radius**exponent
     tallest = scale * largest**exponent
     if exponent == 0.0:

@@ -46,16 +46,9 @@ from scipy.spatial import cKDTree
 
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
+from forestgen.community.placement import model as placement
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.labelling import assign, choose, label
-from forestgen.community.placement.model import (
-    GriddedModel,
-    GriddedParameters,
-    PlantingTargets,
-    density_at,
-    read_densities,
-    stays_apart,
-)
 from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Positive
@@ -69,7 +62,7 @@ _SINGLE = 2.0**-22  # of the longer side: two points that are rounded to single 
 _DARTS = 4  # thrown at once for each point
 
 
-class PoissonDiscParameters(GriddedParameters):
+class PoissonDiscParameters(placement.GriddedParameters):
     """What a recipe says about the model besides its species."""
 
     distance_m: Positive | None = Field(
@@ -91,11 +84,11 @@ def _joined(points: Floats, size_m: tuple[float, float], distance_m: float, rng:
     """The pattern on a torus: points that are too near across an edge thinned, gaps filled."""
     box = np.array(size_m)
     points = rng.permutation(points % box)
-    points = points[stays_apart(points, distance_m, size_m, periodic=True)]
+    points = points[placement.stays_apart(points, distance_m, size_m, periodic=True)]
     while True:
         darts = rng.random((1000 + _DARTS * len(points), 2)) * box
         free = darts[cKDTree(points, boxsize=box).query(darts)[0] >= distance_m]
-        free = free[stays_apart(free, distance_m, size_m, periodic=True)]
+        free = free[placement.stays_apart(free, distance_m, size_m, periodic=True)]
         points = np.concatenate([points, free])
         if len(free) <= 0.01 * len(points):
             return points
@@ -126,7 +119,7 @@ def _refuse_large_patterns(parameters: PoissonDiscParameters, site: Site, needed
         )
 
 
-class PoissonDisc(GriddedModel[PoissonDiscParameters]):
+class PoissonDisc(placement.GriddedModel[PoissonDiscParameters]):
     Parameters = PoissonDiscParameters
 
     def positions(
@@ -134,12 +127,12 @@ class PoissonDisc(GriddedModel[PoissonDiscParameters]):
         parameters: PoissonDiscParameters,
         site: Site,
         species: Ecologies,
-        wanted: PlantingTargets,
+        wanted: placement.PlantingTargets,
         rng: np.random.Generator,
     ) -> tuple[Floats, str]:
         """The plants of all species at points of one pattern."""
         counts = plant_counts(parameters, site, species)
-        fields = read_densities(parameters, site, species)
+        fields = placement.read_densities(parameters, site, species)
         expected, needed = _needed(fields, counts, grid_shape(site, parameters.cells))
         position_m, distance = np.full((len(wanted.sp), 2), np.nan), 0.0
         if needed:
@@ -147,11 +140,11 @@ class PoissonDisc(GriddedModel[PoissonDiscParameters]):
             able = np.array([n if np.any(f) else 0 for n, f in zip(counts, fields, strict=True)], dtype=np.int64)
             n = int(able.sum())
             points, distance = _enough(parameters, site, expected, needed, n, rng)
-            chosen = points[choose(density_at(expected, points, site.size_m), n, rng)]
+            chosen = points[choose(placement.density_at(expected, points, site.size_m), n, rng)]
             # Of fewer places than plants, the largest plants have theirs.
             able = np.bincount(wanted.sp[able[wanted.sp] > 0][: len(chosen)], minlength=len(species))
             weight = [
-                density_at(field, chosen, site.size_m) * (k / max(float(field.mean()), 1e-300))
+                placement.density_at(field, chosen, site.size_m) * (k / max(float(field.mean()), 1e-300))
                 for field, k in zip(fields, counts, strict=True)
             ]
             position_m = assign(wanted, chosen, label(np.array(weight), able, rng), rng)
@@ -187,7 +180,7 @@ def _enough(
     least = _fitting(site, min(MOST_POINTS, max(needed, _POINTS_PER_PLANT * n)), parameters.periodic)
     for _ in range(_ROUNDS):
         points = pattern(site.size_m, distance, parameters.periodic, rng)
-        good = int(np.count_nonzero(density_at(expected, points, site.size_m)))
+        good = int(np.count_nonzero(placement.density_at(expected, points, site.size_m)))
         if (len(points) >= needed and good >= n) or distance <= least:
             break
         distance = max(least, distance * 0.99 * math.sqrt(min(1.0, len(points) / needed, max(good, 1) / n)))

@@ -72,13 +72,9 @@ def parents_per_m2(n: int, plants_per_cluster: float, field: Floats, area_m2: fl
 def _refuse_wide_clusters(parameters: ThomasParameters, site: Site) -> None:
     widest = max(site.size_m)
     if parameters.sigma_m is not None and parameters.sigma_m > widest:
-        raise RecipeError(
-            "clusters are wider than the site",
-            where="community.sigma_m",
-            expected=f"at most {widest:g} m, the site's longer side",
-            got=f"{parameters.sigma_m:g} m",
-            hint="clusters so wide cannot be seen: the model uniform has none",
-        )
+        problem, expected = "clusters are wider than the site", f"at most {widest:g} m, the site's longer side"
+        got, hint = f"{parameters.sigma_m:g} m", "clusters so wide cannot be seen: the model uniform has none"
+        raise RecipeError(problem, where="community.sigma_m", expected=expected, got=got, hint=hint)
 
 
 def _domain(field: Floats, size_m: tuple[float, float], reach_m: float, periodic: bool) -> tuple[Floats, Floats]:

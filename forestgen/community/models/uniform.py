@@ -29,22 +29,16 @@ import numpy as np
 
 from forestgen.community.ecology import Ecologies
 from forestgen.community.model import Site
+from forestgen.community.placement import model as placement
 from forestgen.community.placement.field import DensityField
-from forestgen.community.placement.model import (
-    GriddedModel,
-    GriddedParameters,
-    PlantingTargets,
-    read_densities,
-    uniform_samples,
-)
 from forestgen.community.population import Floats
 
 
-class UniformParameters(GriddedParameters):
+class UniformParameters(placement.GriddedParameters):
     """What a recipe says about the model besides its species."""
 
 
-class Uniform(GriddedModel[UniformParameters]):
+class Uniform(placement.GriddedModel[UniformParameters]):
     Parameters = UniformParameters
 
     def positions(
@@ -52,13 +46,13 @@ class Uniform(GriddedModel[UniformParameters]):
         parameters: UniformParameters,
         site: Site,
         species: Ecologies,
-        wanted: PlantingTargets,
+        wanted: placement.PlantingTargets,
         rng: np.random.Generator,
     ) -> tuple[Floats, str]:
         """Each species' places from its own stream of random numbers."""
         position_m = np.full((len(wanted.sp), 2), np.nan)
-        uniform = uniform_samples(wanted, species, rng)
-        for index, density in enumerate(read_densities(parameters, site, species)):
+        uniform = placement.uniform_samples(wanted, species, rng)
+        for index, density in enumerate(placement.read_densities(parameters, site, species)):
             mine = wanted.sp == index
             field = DensityField(density, site.size_m, periodic=parameters.periodic)
             if mine.any() and field.total > 0:

@@ -287,13 +287,9 @@ def check_maps(parameters: BaseModel, size_m: tuple[float, float], where: Callab
     """
     for keys, one in maps_in(parameters):
         if one.is_zero and keys[-1] not in ("keep_out", "soil"):
-            raise RecipeError(
-                "the map is 0 everywhere",
-                where=where(*keys),
-                expected="a value above 0, where plants may stand",
-                got=one.file or "rows of 0",
-                hint="invert: false" if one.invert else None,
-            )
+            problem, expected = "the map is 0 everywhere", "a value above 0, where plants may stand"
+            hint = "invert: false" if one.invert else None
+            raise RecipeError(problem, where=where(*keys), expected=expected, got=one.file or "rows of 0", hint=hint)
         exact = one.fit == "exact" or (one.fit is None and one.file is not None)
         if exact and not _square(one.shape, size_m):
             raise RecipeError(

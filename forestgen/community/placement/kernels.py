@@ -89,12 +89,9 @@ class KernelSection(Section):
     def _has_values_that_a_field_can_take(self) -> Self:
         values = table(self).values
         if values.min() < 0:
-            raise _wrong_curve(
-                "values of 0 and more",
-                problem="a kernel multiplies probabilities, which are never negative",
-                got=f"{values.min():g}",
-                hint="0 bars plants, 1 leaves the field as it is",
-            )
+            problem = "a kernel multiplies probabilities, which are never negative"
+            hint = "0 bars plants, 1 leaves the field as it is"
+            raise _wrong_curve("values of 0 and more", problem=problem, got=f"{values.min():g}", hint=hint)
         if values.max() > GREATEST:
             expected, got = f"values from 0 to {GREATEST:g}", f"{values.max():g}"
             raise _wrong_curve(expected, problem="this kernel is too strong", got=got)
@@ -176,12 +173,8 @@ def _read(value: Any, _: Any) -> Any:
     for key, inside in value.items():
         near = difflib.get_close_matches(str(key), (*_KERNEL_KEYS, "hopkins"), n=1, cutoff=0.7)
         if near and not isinstance(inside, str | Mapping):
-            raise violation(
-                f"{', '.join(_KERNEL_KEYS)}, hopkins, or a species",
-                problem=f"unknown key {str(key)!r}",
-                hint=f"did you mean {near[0]!r}?",
-                at=(key,),
-            )
+            expected = f"{', '.join(_KERNEL_KEYS)}, hopkins, or a species"
+            raise violation(expected, problem=f"unknown key {str(key)!r}", hint=f"did you mean {near[0]!r}?", at=(key,))
     return _matrix.validate_python(value)
 
 

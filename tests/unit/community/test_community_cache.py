@@ -14,6 +14,7 @@ from PIL import Image
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
+from forestgen.architecture.modules import Modules
 from forestgen.community import simulation
 from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.model import Site
@@ -21,7 +22,7 @@ from forestgen.community.placement.density_map import MapSection
 from forestgen.community.population import Population
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.community.simulation import _content, as_kept, community_key, final_population
-from forestgen.core.array_serialization import pack
+from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import ENVIRONMENT
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent
@@ -113,7 +114,7 @@ def test_an_empty_community_and_a_states_lists_come_back(cache: Path, tmp_path: 
     empty = final_population(planned(tmp_path, SUCCESSION, "community.steps=0").community, Silent())
     told = replace(empty, state={"notes": ["one", "two"], "next_id": 7, "deep": {"a": [1, [2.5, None]], "b": (1,)}})
     assert simulation.keep_community(store, "x", told)
-    found = simulation.load_community(store, "x")
+    found = read_packed(store, "x", (Population, Modules))
     assert found is not None
     assert pack(found) == pack(told)
     assert found.state == told.state

@@ -63,7 +63,7 @@ def population(folder: Path) -> Population:
 def own_weather(of: Plan, population: Population) -> Weather:
     air = capability(of.community.model, OwnAir)
     assert air is not None
-    return air.air(of.drawn, of.community.parameters, of.community.site, of.community.ecologies, population, Silent())
+    return air.air(of.community, population, Silent())
 
 
 def giving(population: Population, mm_per_day: float) -> Population:

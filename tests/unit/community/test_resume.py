@@ -119,6 +119,7 @@ def test_differences_are_told_key_by_key() -> None:
     now = {"a": {"b": 2, "c": [1, 3], "same": 0}, "list": [{"x": 1, "y": 5}]}
     told = {one.key: (one.before, one.now) for one in differences(before, now)}
     assert told == {"a.b": (1, 2), "a.c": ([1, 2], [1, 3]), "list.0.y": (2, 5), "gone": ({"k": None, "v": 3}, None)}
+    assert [one.key for one in differences({"a": {1: 2}}, {"a": {1: 3}})] == ["a.1"]  # YAML knows numbers as keys
     assert shown(told["gone"][0]) == "{v: 3}"
     assert shown(None) == "(none)"
 

@@ -90,8 +90,6 @@ def test_the_slope_of_a_line_between_growth_and_old_age(slope):
     assert found.error == pytest.approx(0, abs=1e-6)
     assert density[found.first] <= 1 / 3 < density[found.first - 1]
     assert density[found.last] == pytest.approx(0.05)
-    whole = self_thinning_slope(density, mass, window=(0, len(density) - 1))
-    assert whole.value != pytest.approx(slope, abs=0.1)
 
 
 @given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3))

@@ -28,6 +28,6 @@ def test_cuda_without_a_device_is_refused_with_the_way_out(monkeypatch):
         raise RuntimeError("no CUDA driver")
 
     monkeypatch.setattr(variant, "cuda_devices", none)
-    with pytest.raises(ResourceError, match=r"no CUDA driver(?s:.)*unset FORESTGEN_TRACING"):
+    with pytest.raises(ResourceError, match=r"no CUDA driver(?s:.)*FORESTGEN_TRACING=llvm"):
         require(CUDA)
     require(LLVM)
