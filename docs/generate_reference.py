@@ -164,7 +164,11 @@ def _first_paragraph(function: Any) -> str:
 def _signature(name: str, function: Any) -> str:
     """A block of text; a parameter a line if it is long."""
     found = inspect.signature(function)
-    parameters = list(_with_stars([one for one in found.parameters.values() if one.name != "self"]))
+    owner = name.rpartition(".")[0] or None  # a method's class, which its first parameter may be annotated with
+    given = [
+        one for one in found.parameters.values() if one.name != "self" and owner not in str(one.annotation).split(" | ")
+    ]
+    parameters = list(_with_stars(given))
     answer = f" -> {found.return_annotation}" if found.return_annotation is not inspect.Signature.empty else ""
     short = f"({', '.join(parameters)}){answer}"
     if len(name + short) > _WIDTH:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 import operator
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -53,6 +53,10 @@ class Run:
 
     @cached_property
     def dataset(self) -> Dataset:
+        """Its frames. `RecipeError` where it lies in an object store: a copy on this machine can be read."""
+        from forestgen.runs.verify import refuse_address
+
+        refuse_address(Path(self.target))
         return Dataset(self.target)
 
     def __repr__(self) -> str:
@@ -60,7 +64,63 @@ class Run:
         return f"<Run {one.target}: {one.already + one.made} of {one.images} images, {one.frames} frames>"
 
 
-class Dataset(Sequence[Frame]):
+def verify(
+    folder: PathLike | Dataset,
+    *,
+    rerender: int = 0,
+    seed: int = 0,
+    workers: int | None = None,
+    hashes: bool = True,
+    progress: bool | Progress | None = None,
+) -> VerificationReport:
+    """Check files, index, splits and labels of a data set, which may be damaged.
+
+    `ok` of the report says whether all is right, `findings` what is not.
+
+    Parameters
+    ----------
+    rerender : render so many images again and compare all bytes.
+    seed : draws these.
+    workers : processes and threads that check; by default one a core.
+    hashes : read all files and compare their checksums.
+
+    Raises
+    ------
+    RecipeError : the folder holds no data set.
+    """
+    from forestgen.runs.verify import verify as check
+
+    root, display = _folder_of(folder), display_of(progress)
+    with display.running():
+        return check(root, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
+
+
+def write_report(folder: PathLike | Dataset, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
+    """Write the page of a data set, finished or not; the path of it.
+
+    Parameters
+    ----------
+    out : by default report.html in the data set's folder, which is renewed.
+    overwrite : replace another file if it exists.
+    """
+    from forestgen.dataset.files import check_writable
+    from forestgen.dataset.report import page
+
+    root = _folder_of(folder)
+    own = root / page.REPORT_NAME
+    target = own if out is None else path_of(out, "out", output=True)
+    is_own = target.name == own.name and os.path.realpath(target.parent) == os.path.realpath(own.parent)
+    if os.path.lexists(target):
+        check_writable([target], overwrite=overwrite or is_own)
+    page.write_report(root, target)
+    return target
+
+
+def _folder_of(folder: PathLike | Dataset) -> Path:
+    return folder.folder if isinstance(folder, Dataset) else path_of(folder, "folder")
+
+
+class Dataset:
     """A finished data set: a sequence of its frames, whose files are read when they are asked for.
 
     Parameters
@@ -73,6 +133,8 @@ class Dataset(Sequence[Frame]):
     RecipeError : there is no such folder, or it holds no data set, or one that is not finished.
     DatasetError : the data set is damaged.
     """
+
+    verify, report = verify, write_report  # of its folder, whole
 
     def __init__(self, folder: PathLike, split: str | None = None) -> None:
         self.folder = path_of(folder, "folder")
@@ -119,6 +181,9 @@ class Dataset(Sequence[Frame]):
     def __len__(self) -> int:
         return int(self._rows.num_rows)
 
+    def __iter__(self) -> Iterator[Frame]:
+        return (self[number] for number in range(len(self)))
+
     @overload
     def __getitem__(self, index: int | str) -> Frame: ...
 
@@ -144,36 +209,6 @@ class Dataset(Sequence[Frame]):
             raise RecipeError("the data set has no such frame", parameter="name", got=shown(name))
         return self[self._numbers[name]]
 
-    def verify(
-        self,
-        *,
-        rerender: int = 0,
-        seed: int = 0,
-        workers: int | None = None,
-        hashes: bool = True,
-        progress: bool | Progress | None = None,
-    ) -> VerificationReport:
-        """Check files, index, splits and labels. `ok` of the report says whether all is right, `findings` what is not.
-
-        Parameters
-        ----------
-        rerender : render so many images again and compare all bytes.
-        seed : draws these.
-        workers : processes and threads that check; by default one a core.
-        hashes : read all files and compare their checksums.
-        """
-        return verify(self.folder, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=progress)
-
-    def report(self, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
-        """Write the data set's page, by default report.html in its folder, which is renewed; the path of it.
-
-        Parameters
-        ----------
-        out : another file.
-        overwrite : replace that file if it exists.
-        """
-        return write_report(self.folder, out, overwrite=overwrite)
-
     def pack(
         self,
         out: PathLike,
@@ -194,7 +229,7 @@ class Dataset(Sequence[Frame]):
         format : webdataset (tar files), huggingface (Parquet), or a pack of another package.
         shard_size : bytes, or a text such as 500MB; no file is larger.
         channels : what goes in; by default preview, semantic, instance, and depth and annotations if there are any.
-        splits : by default all.
+        splits : by default all whose frames are here.
         seed : of the frames' random order.
         by_name : in the order of their names instead.
         """
@@ -202,11 +237,15 @@ class Dataset(Sequence[Frame]):
 
         target = path_of(out, "out", output=True)
         names = None if channels is None else texts_of(channels, "channels")
+        wanted = texts_of(splits, "splits") or ([] if self._split is None else [self._split])
+        if self._split is not None and wanted != [self._split]:
+            problem, got = "these frames are in another split", ", ".join(wanted)
+            raise RecipeError(problem, parameter="splits", expected=self._split, got=got)
         display = display_of(progress)
         with display.running():
             return pack(
                 self.folder, target, text_of(format, "format"), shard_size=shard_size, channels=names,
-                splits=texts_of(splits, "splits"), seed=None if by_name else seed, overwrite=overwrite,
+                splits=wanted, seed=None if by_name else seed, overwrite=overwrite,
                 progress=display,
             )  # fmt: skip
 
@@ -264,39 +303,6 @@ class Dataset(Sequence[Frame]):
         return f"<Dataset {self.folder}: {len(self)} frames, {', '.join(self.splits)}>"
 
 
-def verify(
-    folder: PathLike,
-    *,
-    rerender: int = 0,
-    seed: int = 0,
-    workers: int | None = None,
-    hashes: bool = True,
-    progress: bool | Progress | None = None,
-) -> VerificationReport:
-    """Check a data set that may be damaged; see `Dataset.verify`. Raises `RecipeError` if the folder holds none."""
-    from forestgen.runs.verify import verify as check
-
-    root = path_of(folder, "folder")
-    display = display_of(progress)
-    with display.running():
-        return check(root, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=display)
-
-
-def write_report(folder: PathLike, out: PathLike | None = None, *, overwrite: bool = False) -> Path:
-    """Write the page of a data set, finished or not; the path of it. See `Dataset.report`."""
-    from forestgen.dataset.files import check_writable
-    from forestgen.dataset.report import page
-
-    root = path_of(folder, "folder")
-    own = root / page.REPORT_NAME
-    target = own if out is None else path_of(out, "out", output=True)
-    is_own = target.name == own.name and os.path.realpath(target.parent) == os.path.realpath(own.parent)
-    if os.path.lexists(target):
-        check_writable([target], overwrite=overwrite or is_own)
-    page.write_report(root, target)
-    return target
-
-
 @dataclass(frozen=True)
 class Merged:
     """What `merge` made."""
@@ -316,6 +322,7 @@ def merge(
     out: PathLike,
     *,
     link: bool = False,
+    overwrite: bool = False,
     progress: bool | Progress | None = None,
 ) -> Merged:
     """Make one data set of several; pieces of one recipe become what one run would have made, to the last byte.
@@ -323,8 +330,9 @@ def merge(
     Parameters
     ----------
     sources : folders of finished data sets, or one.
-    out : a new or empty folder.
+    out : its folder.
     link : hard links instead of copies.
+    overwrite : replace a previous data set.
 
     Raises
     ------
@@ -335,11 +343,11 @@ def merge(
     pieces, target = paths_of(sources, "sources"), path_of(out, "out", output=True)
     display = display_of(progress)
     with display.running():
-        done = merge_pieces(pieces, target, link=link, progress=display)
+        done = merge_pieces(pieces, target, link=link, overwrite=overwrite, progress=display)
     return Merged(target, done.frames, done.bytes, done.notes)
 
 
-def torch_frames(frames: Sequence[Frame], channels: Sequence[str], transform: Transform | None) -> Any:
+def torch_frames(frames: Dataset, channels: Sequence[str], transform: Transform | None) -> Any:
     """See `Dataset.as_torch`. The class is made here, as PyTorch may be missing or slow to load."""
     for name in channels:
         if name not in _ARRAYS:

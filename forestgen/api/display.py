@@ -5,6 +5,7 @@ All of it goes to standard error, or to the notebook's cell; results never do.
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -14,7 +15,7 @@ from typing import Any, cast
 
 from forestgen.core.arguments import shown
 from forestgen.core.errors import RecipeError
-from forestgen.core.figures import three_digits
+from forestgen.core.figures import seconds, three_digits
 from forestgen.core.progress import Progress
 from forestgen.runs.summary import Display, ProgressTracker, SilentDisplay
 
@@ -120,18 +121,24 @@ class Bars(SilentDisplay):
 
 
 class Lines(SilentDisplay):
-    """A line a minute on standard error: how far the run is, and the stage in work."""
+    """A line a minute on standard error: how far the run is, and the stage in work.
+
+    The minutes go on from one block of `running` to the next: those of an iteration over frames are short.
+    """
 
     def __init__(self, every_s: float = _LINE_EVERY_S) -> None:
         self._every_s = every_s
+        self._next_s = math.inf  # monotonic time of the next line
         self._stages: list[_Stage] = []  # in work, the innermost last
 
     @contextmanager
     def running(self) -> Iterator[Lines]:
         stop = threading.Event()
+        self._next_s = min(self._next_s, time.monotonic() + self._every_s)
 
         def write() -> None:
-            while not stop.wait(self._every_s):
+            while not stop.wait(max(self._next_s - time.monotonic(), 0.0)):
+                self._next_s = time.monotonic() + self._every_s
                 if text := self.line():
                     self._tell(text)
 
@@ -165,7 +172,7 @@ class Lines(SilentDisplay):
 
 
 class NotebookDisplay(Lines):
-    """One line under the cell that changes."""
+    """One line under the cell that changes, the same in all blocks of `running`."""
 
     def __init__(self) -> None:
         super().__init__(_NOTEBOOK_EVERY_S)
@@ -189,7 +196,6 @@ class NotebookDisplay(Lines):
             yield self
         if self._handle is not None:
             self._tell(self.line() or "done")
-            self._handle = None
 
 
 class _Stage:
@@ -217,26 +223,14 @@ def pace(tracker: ProgressTracker) -> str:
     """How fast a run is, and what went wrong."""
     parts = []
     if tracker.images_per_hour is not None and tracker.seconds_left is not None:
-        parts += [f"{three_digits(tracker.images_per_hour)} an hour", f"{span(tracker.seconds_left)} left"]
+        parts += [f"{three_digits(tracker.images_per_hour)} an hour", f"{seconds(round(tracker.seconds_left))} left"]
     else:
-        parts.append(f"{span(time.monotonic() - tracker.started_s)} so far")
+        parts.append(f"{seconds(round(time.monotonic() - tracker.started_s))} so far")
     if tracker.failed:
         parts.append(f"{tracker.failed:,} failed")
     if tracker.retried:
         parts.append(f"{tracker.retried:,} attempt{'' if tracker.retried == 1 else 's'} again")
     return ", ".join(parts)
-
-
-def span(seconds: float) -> str:
-    """A long duration for people: 40 s, 12 min, 3 h 40 min, 2 d 5 h."""
-    if seconds < 60:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    if minutes < 60:
-        return f"{minutes} min"
-    if minutes < 24 * 60:
-        return f"{minutes // 60} h {minutes % 60:02d} min"
-    return f"{minutes // 1440} d {minutes % 1440 // 60} h"
 
 
 def _in_notebook() -> bool:

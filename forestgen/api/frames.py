@@ -39,6 +39,10 @@ class MadeFrame(Frame):
     def recipe(self) -> str:
         return dump_yaml(self._drawn)
 
+    @property
+    def recipe_folder(self) -> Path:
+        return self._drawn.folder
+
     @cached_property
     def parts(self) -> Parts:
         return frame_parts(self._frame.labelled)

@@ -30,6 +30,7 @@ from forestgen.plants.parameters import with_detail
 from forestgen.plants.plan import PlantPlan, plan_plants
 from forestgen.recipe.assets import SUFFIXES, find_asset
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
+from forestgen.recipe.schema import NO_PLANTS
 from forestgen.recipe.species import TALLEST_M, Species
 from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph
 from forestgen.scene.spec import Camera, Material
@@ -250,7 +251,7 @@ class Plant:
         samples: int = 32,
         distance_m: float | None = None,
         look_at_m: float | None = None,
-        progress: bool | Progress | None = False,
+        progress: bool | Progress | None = None,
     ) -> NDArray[np.uint8]:
         """(H, W, 3) sRGB picture under a fixed sun and sky.
 
@@ -274,7 +275,7 @@ class Plant:
         return [Plant(self._plan, one, self.seed) for one in posed]
 
     def _repr_png_(self) -> bytes:
-        return png(self.picture((360, 480), samples=_REPR_SAMPLES))
+        return png(self.picture((360, 480), samples=_REPR_SAMPLES, progress=False))
 
     def __repr__(self) -> str:
         one = self.measures
@@ -342,7 +343,7 @@ def drawn_of(species: str, seed: int) -> DrawnRecipe:
     source = f"./{path.name}" if is_file else species  # a file of the user's own may lie anywhere
     if not is_file:
         find_asset("species", species, parameter="species")
-    alone = {"species": {name_of(species): {"from": source}}, "community": {"model": "none"}}
+    alone = {"species": {name_of(species): {"from": source}}, "community": NO_PLANTS}
     folder = path.parent if is_file else Path()
     return load_recipe_data({"forestgen": 1, "seed": seed, **alone}, "forestgen plant", folder).draw(0)
 

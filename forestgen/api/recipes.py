@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from forestgen.api.display import display_of
@@ -17,6 +16,8 @@ from forestgen.core.arguments import PathLike, listed, path_of, paths_of, plain_
 from forestgen.core.errors import RecipeError
 from forestgen.core.figures import count, show_bytes
 from forestgen.core.progress import Progress, Timings
+from forestgen.dataset.frame import Frame
+from forestgen.recipe.load import RecipeSource, read_source
 from forestgen.recipe.sources import dotted
 from forestgen.scene.load_checked import load_checked
 
@@ -29,7 +30,7 @@ _MOST_STEPS = 10**9
 
 
 def load(
-    source: PathLike | Mapping[str, Any],
+    source: PathLike | Mapping[str, Any] | Frame,
     set: Overrides = (),  # noqa: A002 - the name of the option on the command line
     *,
     allow_folders: PathLike | Sequence[PathLike] = (),
@@ -39,7 +40,7 @@ def load(
     Parameters
     ----------
     source : path of a YAML file, or a mapping with the same keys, or the YAML itself, a text of several lines; paths in
-        a mapping or a text are relative to the working folder.
+        a mapping or a text are relative to the working folder. Or a frame, whose recipe makes it again.
     set : values that replace those of the recipe: ``{"sky.turbidity": 5, "cameras.0.size_px": [640, 480]}``, or texts
         ``["sky.turbidity=5"]`` whose values are YAML; None: nothing.
     allow_folders : folders besides the recipe's own that this recipe, and all later ones of this process, may read
@@ -53,7 +54,7 @@ def load(
         from forestgen.recipe.assets import allow_folders as allow
 
         allow(folders)
-    return Recipe(source, _texts(set))
+    return Recipe(source, set)
 
 
 def _texts(overrides: Overrides) -> list[str]:
@@ -140,16 +141,23 @@ class Validation:
 
 
 class Recipe(Rendering):
-    """A recipe that has passed the checks of its text. Objects do not change; `set` returns another one."""
+    """A recipe that has passed the checks of its text. Objects do not change; `set` returns another one.
 
-    def __init__(self, source: PathLike | Mapping[str, Any], overrides: Sequence[str] = ()) -> None:
-        self._source, self._overrides = source, tuple(overrides)
-        given: Path | str | Mapping[str, Any]
-        if isinstance(source, Mapping) or (isinstance(source, str) and "\n" in source):
-            given = source
-        else:
-            given = path_of(source, "source")
-        self._loaded = load_checked(given, overrides)
+    `source` and `set` are those of `load`. The source is read once: later changes of a file or a mapping do not count.
+    """
+
+    def __init__(
+        self,
+        source: PathLike | Mapping[str, Any] | Frame | RecipeSource,
+        set: Overrides = (),  # noqa: A002 - the name of the option on the command line
+    ) -> None:
+        if isinstance(source, Frame):
+            source = read_source(source.recipe, folder=source.recipe_folder)
+        elif not isinstance(source, RecipeSource):
+            is_content = isinstance(source, Mapping) or (isinstance(source, str) and "\n" in source)
+            source = read_source(source if is_content else path_of(source, "source"))  # type: ignore[arg-type]
+        self._source, self._overrides = source, tuple(_texts(set))
+        self._loaded = load_checked(self._source, self._overrides)
 
     @property
     def name(self) -> str:

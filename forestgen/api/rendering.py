@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from forestgen.api.datasets import Run
 from forestgen.api.display import display_of
@@ -15,10 +17,11 @@ from forestgen.core.progress import Progress, Timings
 from forestgen.recipe.dataset import NUMBERS_END
 
 if TYPE_CHECKING:
-    from forestgen.atmosphere.clouds.source import WeatherReport
+    from forestgen.atmosphere.clouds.source import CloudStatistics, WeatherReport
+    from forestgen.atmosphere.grid import Weather
     from forestgen.dataset.frame import Frame
     from forestgen.instruments.calibration import Calibration
-    from forestgen.instruments.instrument import Instrument, Reading, ReadingT
+    from forestgen.instruments.instrument import Reading
     from forestgen.instruments.light_meter import LightReadings
     from forestgen.recipe.load import LoadedRecipe
     from forestgen.runs.start import DryRun
@@ -188,7 +191,7 @@ class Rendering:
         overwrite: bool = False,
         progress: bool | Progress | None = None,
     ) -> LightReadings:
-        """Measure light at points of the first image's scene.
+        """Measure light at points of the first image's scene: `measure` with a light meter.
 
         Parameters
         ----------
@@ -203,7 +206,8 @@ class Rendering:
         from forestgen.instruments.light_meter import INSTRUMENT
 
         keys = {"at": at, "normals": normals, "samples": samples, "absolute_z": absolute_z, "spectrum": spectrum}
-        return _measured(self._loaded, INSTRUMENT, keys, out, overwrite, progress)
+        read = self.measure(INSTRUMENT.name, keys, out=out, overwrite=overwrite, progress=progress)
+        return cast("LightReadings", read)
 
     def measure(
         self,
@@ -224,12 +228,25 @@ class Rendering:
         out : a file, in one of the formats of the instrument; most write .json.
         overwrite : replace an existing file.
         """
+        from forestgen.dataset.files import FileSet, check_writable
+        from forestgen.instruments.instrument import Instrument, read_keys
+        from forestgen.pipeline import measure
         from forestgen.recipe.registries import INSTRUMENTS
 
         values = keys if isinstance(keys, Mapping) else _values(texts_of(keys or (), "keys"))
         INSTRUMENTS.check(instrument, parameter="instrument")
         chosen: Instrument[Any, Reading] = INSTRUMENTS.load(instrument)
-        return _measured(self._loaded, chosen, values, out, overwrite, progress)
+        target = None if out is None else path_of(out, "out", output=True)
+        section, display = read_keys(chosen, values), display_of(progress)
+        if target is not None:
+            _check_ending(target, chosen.endings)
+            check_writable([target], overwrite=overwrite)
+        with display.running():
+            reading = measure(self._loaded, chosen, section, display, Timings())
+        if target is not None:
+            with FileSet(overwrite=overwrite) as files:
+                files.write(target, reading.content(target.suffix.lower(), self._loaded))
+        return reading
 
     def weather(
         self,
@@ -239,17 +256,21 @@ class Rendering:
         picture: PathLike | None = None,
         overwrite: bool = False,
         progress: bool | Progress | None = None,
-    ) -> list[WeatherReport]:
+    ) -> list[ImageWeather]:
         """Simulate the weather alone, of each of `count` images.
 
         Parameters
         ----------
         out : files for the last image's: .nc, the state of the air; .vol or .vdb, its extinction.
         picture : a PNG, a row an image.
+
+        Returns
+        -------
+        The weather of each image, of the last one with the state of its air.
         """
         from forestgen.atmosphere.clouds.source import cloud_source_of
-        from forestgen.community.plot_series import plot_weather
-        from forestgen.dataset.files import check_writable
+        from forestgen.community.plot_series import WeatherPicture
+        from forestgen.dataset.files import FileSet, check_writable
 
         files = paths_of(out, "out", output=True)
         for one in files:
@@ -259,16 +280,20 @@ class Rendering:
             raise RecipeError("no such kind of picture", parameter="picture", expected=".png", got=str(image))
         check_writable([*files, *([] if image is None else [image])], overwrite=overwrite)
         number = self._loaded.images if count is None else whole_of(count, "count", 1, 10**8)
-        display = display_of(progress)
-        with display.running():
-            images = map(self._loaded.draw, range(number))
-            reports = [cloud_source_of(drawn).air(drawn, display) for drawn in images]
-        if image is not None:
-            image.parent.mkdir(parents=True, exist_ok=True)
-            plot_weather(reports, image)
-        for one in files:
-            _save_weather(one, reports[-1])
-        return reports
+        display, found = display_of(progress), list[ImageWeather]()
+        drawing = None if image is None else WeatherPicture(number)
+        with display.running(), FileSet(overwrite=overwrite) as written:
+            for index, drawn in enumerate(map(self._loaded.draw, range(number))):
+                last = cloud_source_of(drawn).air(drawn, display)
+                weather = last.weather if index == number - 1 else None  # the air of many images would fill the memory
+                found.append(ImageWeather(last.kind, last.droplet_radius_um, last.statistics, weather))
+                if drawing is not None:
+                    drawing.draw(index, last)
+            for one in files:
+                written.write(one, _weather_file(one, last))
+            if image is not None and drawing is not None:
+                written.write(image, drawing.content())
+        return found
 
     def calibrate(
         self,
@@ -281,7 +306,7 @@ class Rendering:
         absolute_z: bool = False,
         overwrite: bool = False,
         progress: bool | Progress | None = None,
-    ) -> tuple[Calibration, Path]:
+    ) -> Calibrated:
         """Render a ColorChecker and a grey card in the scene and compare them with colour science.
 
         Parameters
@@ -294,7 +319,7 @@ class Rendering:
 
         Returns
         -------
-        What was measured, whose `holds` tells whether the bounds hold; and the folder.
+        `calibration`, what was measured, whose `holds` tells whether the bounds hold; and `folder`.
         """
         from forestgen.dataset.folder import OutputFolder
         from forestgen.dataset.manifest import build_manifest, write_manifest
@@ -320,7 +345,24 @@ class Rendering:
                 extra={"calibration_holds": found.holds},
             )
             write_manifest(staging, manifest)
-        return found, folder
+        return Calibrated(found, folder)
+
+
+@dataclass(frozen=True)
+class ImageWeather:
+    """The simulated weather of an image."""
+
+    kind: str  # type of the conditions at that time
+    droplet_radius_um: float
+    statistics: CloudStatistics
+    weather: Weather | None  # the state of the air, of the last image alone
+
+
+class Calibrated(NamedTuple):
+    """What `Recipe.calibrate` measured, and where it wrote it."""
+
+    calibration: Calibration  # `holds` tells whether the bounds hold
+    folder: Path
 
 
 @contextmanager
@@ -355,44 +397,22 @@ def _values(texts: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def _measured(
-    loaded: LoadedRecipe,
-    instrument: Instrument[Any, ReadingT],
-    keys: Mapping[str, Any],
-    out: PathLike | None,
-    overwrite: bool,
-    progress: bool | Progress | None,
-) -> ReadingT:
-    """Measure, and write a file of it."""
-    from forestgen.dataset.files import FileSet, check_writable
-    from forestgen.instruments.instrument import read_keys
-    from forestgen.pipeline import measure
-
-    target = None if out is None else path_of(out, "out", output=True)
-    section, display = read_keys(instrument, keys), display_of(progress)
-    if target is not None:
-        _check_ending(target, instrument.endings)
-        check_writable([target], overwrite=overwrite)
-    with display.running():
-        reading = measure(loaded, instrument, section, display, Timings())
-    if target is not None:
-        with FileSet(overwrite=overwrite) as files:
-            files.write(target, reading.content(target.suffix.lower(), loaded))
-    return reading
-
-
-def _save_weather(path: Path, report: WeatherReport) -> None:
+def _weather_file(path: Path, report: WeatherReport) -> bytes:
+    """The content of a file of the air, .nc, or of its extinction."""
     from forestgen.atmosphere.extinction import cloud_grid_of
     from forestgen.atmosphere.weather_files import write_clouds, write_weather
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if path.suffix.lower() == ".nc":
-        write_weather(path, report.weather, droplet_radius_um=report.droplet_radius_um)
-        return
-    grid = cloud_grid_of(report.weather, centre_m=None, droplet_radius_um=report.droplet_radius_um)
-    if grid is None:
-        raise OutputError("there are no clouds to write", where=str(path), hint="save the air as .nc")
-    write_clouds(path, grid)
+    weather, droplet_radius_um = report.weather, report.droplet_radius_um
+    with TemporaryDirectory(prefix="forestgen-weather-") as folder:
+        file = Path(folder) / f"air{path.suffix}"  # NetCDF's library writes to no stream
+        if path.suffix.lower() == ".nc":
+            write_weather(file, weather, droplet_radius_um=droplet_radius_um)
+        else:
+            grid = cloud_grid_of(weather, centre_m=None, droplet_radius_um=droplet_radius_um)
+            if grid is None:
+                raise OutputError("there are no clouds to write", where=str(path), hint="save the air as .nc")
+            write_clouds(file, grid)
+        return file.read_bytes()
 
 
 def _check_ending(path: Path, endings: Sequence[str]) -> None:

@@ -13,7 +13,7 @@ from forestgen.cli.communities import fit_kernel, lsystem, simulate, stats
 from forestgen.cli.console import errors_for_people, names_of
 from forestgen.cli.datasets import doctor, merge, models, pack, report, schema, validate, verify
 from forestgen.cli.instruments import calibrate, light, measure, weather
-from forestgen.cli.parsing import NumbersCommand, add_completion, complete_names, options_suggested, show_plainly
+from forestgen.cli.parsing import NumbersCommand, add_completion, options_suggested, show_plainly
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
 from forestgen.core import __version__
@@ -25,7 +25,6 @@ class _Commands(typer.core.TyperGroup):
     def __init__(self, **arguments: Any) -> None:
         super().__init__(**arguments)
         show_plainly(self)
-        complete_names(self)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         with options_suggested():

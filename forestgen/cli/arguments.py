@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, Any, get_type_hints
 
 import typer
 
+from forestgen.cli.parsing import completion_of
 from forestgen.core.progress import Progress
 
 SHARED = """
@@ -49,7 +50,9 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     taken = list(found.values())
     left = (line for line in own.values() if line not in taken)
     for name, hint in hints.items():
-        command.__annotations__[name] = Annotated[hint, _parameter(*(found[name] or next(left)))]
+        usage, about = found[name] or next(left)
+        completion = completion_of(command.__name__, name)
+        command.__annotations__[name] = Annotated[hint, _parameter(usage, about, completion)]
     command.__doc__ = _LINE.sub("", text).strip()
     return command
 
@@ -68,12 +71,12 @@ def _named(name: str, lines: Mapping[str, tuple[str, str]]) -> tuple[str, str] |
     return lines.get(name) or lines.get(name.removesuffix("s")) or lines.get(name.removesuffix("_"))
 
 
-def _parameter(usage: str, about: str) -> Any:
+def _parameter(usage: str, about: str, completion: Callable[[str], list[str]]) -> Any:
     """Typer's option or argument of a line."""
-    settings: dict[str, Any] = {}
+    settings: dict[str, Any] = {"autocompletion": completion}
     if end := _END.search(about):
         about, low, default = about[: end.start()], end[1] or end[3], end[4]
-        settings = {"show_default": default} if default else {"min": int(low), "max": end[2] and int(end[2])}
+        settings |= {"show_default": default} if default else {"min": int(low), "max": end[2] and int(end[2])}
     if not usage.startswith("-"):
         return typer.Argument(metavar=usage, help=about, **settings)
     words = usage.split()
@@ -84,3 +87,8 @@ def _parameter(usage: str, about: str) -> Any:
 def progress_of(quiet: bool) -> bool | Progress | None:
     """The API's argument `progress`."""
     return False if quiet else None
+
+
+def listed_names(values: Iterable[str] | None) -> list[str]:
+    """The names of an option that may be repeated, and takes several at a time: ``A,B``."""
+    return [name for value in values or () for one in value.split(",") if (name := one.strip())]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import typer
 
-from forestgen.cli.arguments import progress_of
+from forestgen.cli.arguments import listed_names, progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import count
 
@@ -61,6 +61,7 @@ def merge(
     sources: list[Path],
     out: Path,
     link: bool = False,
+    overwrite: bool = False,
     quiet: bool = False,
 ) -> None:
     """Make one data set of several.
@@ -75,7 +76,8 @@ def merge(
     """
     import forestgen
 
-    merged, say = forestgen.merge(sources, out, link=link, progress=progress_of(quiet)), Printer(quiet)
+    merged = forestgen.merge(sources, out, link=link, overwrite=overwrite, progress=progress_of(quiet))
+    say = Printer(quiet)
     for note in merged.notes:
         say(f"note: {note}")
     pieces, size = count(len(sources), "data set"), f"{merged.bytes / 1e6:,.1f} MB"
@@ -87,7 +89,7 @@ def pack(
     format_: str,
     out: Path,
     shard_size: str = "500MB",
-    channels: str | None = None,
+    channels: list[str] | None = None,
     splits: list[str] | None = None,
     seed: int = 0,
     by_name: bool = False,
@@ -105,8 +107,8 @@ def pack(
     --shard-size SIZE  No file is larger: 500MB, 1.5GB, 256MiB.
     --channels A,B,...  Of preview, semantic, instance, depth, overlay, raw, annotations, plants, exr, and of arrays out
         of frame.exr: depth_m, normal, albedo, motion, radiance. By default preview, semantic, instance, and depth and
-        annotations if the data set has them.
-    --split NAME  Pack this split alone; may be repeated.
+        annotations if the data set has them. May be repeated.
+    --split A,B,...  Pack these splits alone; may be repeated.
     --by-name  Frames in the order of their names, not shuffled.
     """
     from forestgen import Dataset
@@ -115,8 +117,8 @@ def pack(
         out,
         format_,
         shard_size=shard_size,
-        channels=None if channels is None else [one.strip() for one in channels.split(",") if one.strip()],
-        splits=splits or (),
+        channels=listed_names(channels) or None,
+        splits=listed_names(splits),
         seed=seed,
         by_name=by_name,
         overwrite=overwrite,

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from forestgen.cli.arguments import progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds, table_lines
 
 if TYPE_CHECKING:
-    from forestgen.atmosphere.clouds.source import WeatherReport
+    from forestgen.api.rendering import ImageWeather
 
 
 def measure(
@@ -31,13 +31,23 @@ def measure(
         be repeated.
     --out -o FILE  A .json file, or another that its page names.
     """
+    _measure(recipe, set_, instrument, keys or (), out, overwrite, quiet)
+
+
+def _measure(
+    recipe: Path,
+    overrides: list[str] | None,
+    instrument: str,
+    keys: Sequence[str] | Mapping[str, Any],
+    out: Path | None,
+    overwrite: bool,
+    quiet: bool,
+) -> None:
     from forestgen import load
 
     started, say = time.perf_counter(), Printer(quiet)
-    reading = load(recipe, set=set_).measure(
-        instrument, keys or (), out=out, overwrite=overwrite, progress=progress_of(quiet)
-    )
-    say(str(reading))
+    loaded = load(recipe, set=overrides)
+    say(str(loaded.measure(instrument, keys, out=out, overwrite=overwrite, progress=progress_of(quiet))))
     say(f"measured in {seconds(time.perf_counter() - started)}")
     if out is not None:
         say(f"files: {out}")
@@ -67,26 +77,14 @@ def light(
     --out -o FILE  A .csv or .json file.
     --samples N  Light paths of each light at each wavelength. [512 to 100000000]
     """
-    from forestgen import load
     from forestgen.core.errors import RecipeError
+    from forestgen.instruments.light_meter import INSTRUMENT
 
     if not at:
         raise RecipeError("no point was given", where="--at", expected="--at X Y Z, metres", hint="--at 30 40 1.5")
-    started, say = time.perf_counter(), Printer(quiet)
-    readings = load(recipe, set=set_).light(
-        [one.split(",") for one in at],
-        normals=normals or ["up"],
-        samples=samples,
-        absolute_z=absolute_z,
-        out=out,
-        spectrum=spectrum,
-        overwrite=overwrite,
-        progress=progress_of(quiet),
-    )
-    say(str(readings))
-    say(f"measured in {seconds(time.perf_counter() - started)}")
-    if out is not None:
-        say(f"files: {out}")
+    points = [one.split(",") for one in at]
+    keys = {"samples": samples, "absolute_z": absolute_z, "spectrum": spectrum, "normals": normals or ["up"]}
+    _measure(recipe, set_, INSTRUMENT.name, {"at": points, **keys}, out, overwrite, quiet)
 
 
 def calibrate(
@@ -173,7 +171,7 @@ def weather(
         say(f"file: {one}")
 
 
-def _print_weather(reports: Sequence[WeatherReport], say: Printer) -> None:
+def _print_weather(reports: Sequence[ImageWeather], say: Printer) -> None:
     names = ("image", "type", "time", "cover", "base", "top", "depth", "cloud", "rain", "fallen", "up")
     units = ("", "", "s", "%", "m", "m", "", "g/m²", "g/m²", "mm", "m/s")
     rows = [names, units]

@@ -188,10 +188,23 @@ def _model_names() -> list[str]:
 #: Command and parameter -> the names that may stand there; a path may stand there too.
 _NAMES: dict[tuple[str, str], Callable[[], list[str]]] = {
     ("plant", "species"): lambda: _assets("species"),
-    ("fit-kernel", "species"): lambda: _assets("species"),
+    ("fit_kernel", "species"): lambda: _assets("species"),
     ("lsystem", "file"): lambda: _assets("lsystems"),
     ("models", "name"): _model_names,
 }
+
+
+def completion_of(command: str, parameter: str) -> Callable[[str], list[str]]:
+    """What a shell may complete: names that come with forestgen.
+
+    Typer would name files that are there already, and the shell would offer nothing else: files are left to the shell.
+    """
+
+    def complete(incomplete: str) -> list[str]:
+        names = _NAMES.get((command, parameter))
+        return [] if names is None else [name for name in names() if name.startswith(incomplete)]
+
+    return complete
 
 
 def print_script(
@@ -207,24 +220,3 @@ def add_completion(app: typer.Typer) -> None:
     app.command("completion", epilog="Example: forestgen completion bash > ~/.forestgen-completion.bash")(print_script)
     if _VARIABLE in os.environ:
         completion.completion_init()  # type: ignore[attr-defined]
-
-
-def complete_names(group: Any) -> None:
-    """Let the commands of a group complete names that come with forestgen, and leave files to the shell."""
-    if _VARIABLE in os.environ:
-        for command in group.commands.values():
-            for parameter in command.params:
-                _complete(parameter, _NAMES.get((command.name, parameter.name)))
-
-
-def _complete(parameter: Any, names: Callable[[], list[str]] | None) -> None:
-    of_typer = parameter.shell_complete
-
-    def complete(context: Any, incomplete: str) -> list[Any]:
-        if names is not None:
-            item = typer.core.CompletionItem  # type: ignore[attr-defined]
-            return [item(name) for name in names() if name.startswith(incomplete)]
-        # Where typer leaves a file to the shell, it names what is there already, which would be all that is offered.
-        return [one for one in of_typer(context, incomplete) if one.type == "plain"]
-
-    parameter.shell_complete = complete

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.clouds.source import WeatherReport
 from forestgen.atmosphere.extinction import droplet_extinction, rain_extinction
 from forestgen.community.model import Site
-from forestgen.community.plots import colours_of, darker, draw_discs, new_figure, save_figure, tidy
+from forestgen.community.plots import colours_of, darker, draw_discs, figure_png, new_figure, save_figure, tidy
 from forestgen.community.population import Floats, Population, Status, plant_mass
 from forestgen.community.trajectory import Slope, Trajectory, fit_log_normal
 
@@ -322,13 +322,19 @@ def _draw_crowns(axes: Axes, last: Population, colours: Mapping[str, str]) -> No
     draw_discs(axes, last.position_m[alive, :2], last.radius_m[alive], **outline)
 
 
-def plot_weather(reports: Sequence[WeatherReport], path: Path) -> None:
-    """A row for each state: from the side, cut through the middle, and from below; as a PNG."""
-    figure = new_figure(2 * _WIDE_IN, 4.2 * len(reports))
-    axes = figure.subplots(len(reports), 3, squeeze=False, width_ratios=(1.4, 1.4, 1.0))
-    for row, report in zip(axes, reports, strict=True):
-        _draw_report(row, report)
-    save_figure(figure, path)
+class WeatherPicture:
+    """A PNG, a row for each state: from the side, cut through the middle, and from below."""
+
+    def __init__(self, rows: int) -> None:
+        self._figure = new_figure(2 * _WIDE_IN, 4.2 * rows)
+        self._axes = self._figure.subplots(rows, 3, squeeze=False, width_ratios=(1.4, 1.4, 1.0))
+
+    def draw(self, row: int, report: WeatherReport) -> None:
+        """Draw a row; the state itself is not kept."""
+        _draw_report(self._axes[row], report)
+
+    def content(self) -> bytes:
+        return figure_png(self._figure)
 
 
 def _draw_report(axes: Sequence[Axes], report: WeatherReport) -> None:

@@ -5,6 +5,7 @@ References: Lane 2002, Figure 4.5, left (the map), and Figures 5.3, 5.6 and 5.8 
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -76,11 +77,18 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
+def figure_png(figure: Figure) -> bytes:
+    """A figure as a PNG."""
+    stream = io.BytesIO()
+    # Without the name of the library's version the same picture has the same bytes.
+    figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
+    return stream.getvalue()
+
+
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as a PNG, or raise `OutputError`."""
     with writing(path, "the picture cannot be written"):
-        # Without the name of the library's version the same picture has the same bytes.
-        figure.savefig(path, format="png", dpi=_DPI, metadata={"Software": None})
+        path.write_bytes(figure_png(figure))
 
 
 def tidy(axes: Axes, grid: Literal["both", "y"] = "both") -> None:

@@ -79,7 +79,7 @@ class ForestgenError(Exception):
 
     @property
     def place(self) -> str | None:
-        """The same as `where`: file, line and key."""
+        """Where it is: file, line and key, or the parameter of a call."""
         return self.where
 
     @property

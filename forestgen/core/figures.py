@@ -26,8 +26,14 @@ def show_bytes(count: float) -> str:
 
 
 def seconds(value: float) -> str:
-    """A duration for people."""
-    return f"{value:.1f} s" if value < 60 else f"{int(value) // 60} min {int(value) % 60:02d} s"
+    """A duration for people: 0.41 s, 12 s, 3 min 05 s, 7 h 12 min, 2 d 05 h."""
+    if value < 10:
+        return f"{value:.2g} s"
+    whole = round(value)
+    for unit, of_unit, part, of_part in (("d", 86400, "h", 3600), ("h", 3600, "min", 60), ("min", 60, "s", 1)):
+        if whole >= of_unit:
+            return f"{whole // of_unit:,} {unit} {whole % of_unit // of_part:02d} {part}"
+    return f"{whole} s"
 
 
 def count(number: int, one: str, many: str | None = None) -> str:

@@ -80,7 +80,12 @@ class Frame(ABC):
     @property
     @abstractmethod
     def recipe(self) -> str:
-        """The drawn recipe as YAML: rendered again it gives this image."""
+        """The drawn recipe as YAML: rendered again it gives this image. `forestgen.load` reads the frame itself."""
+
+    @property
+    @abstractmethod
+    def recipe_folder(self) -> Path:
+        """What the paths of maps and other files in `recipe` are relative to."""
 
     @property
     @abstractmethod
@@ -282,6 +287,11 @@ class StoredFrame(Frame):
     def recipe(self) -> str:
         with reading(self._folder / "recipe.yaml") as path:
             return path.read().decode()
+
+    @property
+    def recipe_folder(self) -> Path:
+        with self._reading("recipe.yaml") as path:
+            return path.located().parent
 
     def _write(self, folder: Path, beside: Path) -> None:
         maps, recipe = SafePath(self._folder.root, f"{self.info['split']}/{MAPS}"), self.recipe

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -118,7 +119,7 @@ def write_map(root: Path, one: Mapping[str, Any], folder: Path) -> str:
     sha256 = one["sha256"]
     source = inside(folder, one["file"], sha256=sha256)
     ending = source.suffix.lower().removeprefix(".")
-    name = f"{sha256[:16]}.{ending if ending in _WEATHER else kind_of(source)}"
+    name = f"{sha256[:16]}.{ending if ending in _WEATHER else _kind_of(source, ending)}"
     target = root / MAPS / name
     if not target.exists():
         content = source.read_bytes()
@@ -127,6 +128,14 @@ def write_map(root: Path, one: Mapping[str, Any], folder: Path) -> str:
         make_folder(target.parent)
         write_bytes(target, content)
     return name
+
+
+def _kind_of(source: Path, ending: str) -> str:
+    """A picture's kind by its content, whatever its name; of files of other packages' parts the ending."""
+    try:
+        return kind_of(source)
+    except AssetError:
+        return ending if re.fullmatch("[a-z]{2,4}", ending) else "dat"
 
 
 def frame_row(

@@ -193,7 +193,7 @@ class Camera(PartSection):
         description="Several images of one entry, of those that `forestgen models --kind rig` lists; its page has its "
         "keys. None: one.",
     )
-    bands: Annotated[SensorFile | None, shorthand("name")] = Field(
+    bands: Annotated[SensorFile | None, *shorthand("name")] = Field(
         None,
         description="Sensor whose bands are the image's channels: a name, or a path from the recipe's folder. None: "
         "colour.",

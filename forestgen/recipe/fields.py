@@ -182,9 +182,9 @@ def _as_violation(error: RecipeError, at: str = "") -> PydanticCustomError:
     return violation(error.expected or "", problem=error.problem, got=error.got, hint=error.hint, at=at or ())
 
 
-def spelled_out(value: Any, key: str) -> Any:
+def spelled_out(value: Any, key: str, of: type = str) -> Any:
     """A shorthand such as ``terrain: flat`` as the mapping that it stands for."""
-    return {key: value} if isinstance(value, str) else value
+    return {key: value} if isinstance(value, of) else value
 
 
 def extent_m(site: Any) -> tuple[float, float]:
@@ -195,9 +195,12 @@ def extent_m(site: Any) -> tuple[float, float]:
     return (float(pair[0]), float(pair[1])) if good else (100.0, 100.0)
 
 
-def shorthand(key: str) -> BeforeValidator:
-    """Validator of a field whose section may be written as the text of its `key` alone."""
-    return BeforeValidator(partial(spelled_out, key=key))
+def shorthand(key: str, of: type = str) -> tuple[BeforeValidator, FieldInfo]:
+    """For ``Annotated[Section, *shorthand(...)]``: the section may be written as the value of its `key` alone.
+
+    `of` is the value's type. `forestgen.recipe.json_schema` reads what the JSON Schema says of it.
+    """
+    return BeforeValidator(partial(spelled_out, key=key, of=of)), Field(json_schema_extra={"shorthand": key})
 
 
 def _no_text_for_whole_number(value: Any) -> Any:

@@ -26,13 +26,6 @@ _SCALARS = {"number", "integer", "boolean", "string"}
 _SCALAR: Json = {"type": ["number", "string", "boolean", "null"]}
 _OF_SAMPLING = {"Sampling", "Correlation"}  # decide how the rest is drawn
 _OF_SPECIES = ("Ecology", "PowerLaw", "Allometry", "Plant", "PlantType", "Material")
-_SHORTHANDS = (
-    ("Site", "terrain", "Terrain", "kind"),
-    ("Site", "wet_soil", "WetSoil", "shown"),
-    ("SkySection", "clouds", "Clouds", "type"),
-    ("Camera", "bands", "SensorFile", "name"),
-    ("Material", "spectrum", "SpectrumFile", "name"),
-)  # section, its key, that key's section, and the key of it that may stand alone
 
 
 def recipe_json_schema(
@@ -139,12 +132,20 @@ def _renamed(node: Any, prefix: str) -> Any:
 
 
 def _admit_shorthands(schema: Json) -> None:
+    """A section may be written as the value of one of its keys, see `fields.shorthand`, or left empty."""
     definitions = schema["$defs"]
-    for owner, key, section, field in _SHORTHANDS:
-        kinds = definitions[section]["properties"][field]["anyOf"]
-        outer, inner = _outer_inner(definitions[owner]["properties"][key])
-        arms = inner.get("anyOf", [{"$ref": f"#/$defs/{section}"}])
-        definitions[owner]["properties"][key] = {**outer, "anyOf": [*arms, *kinds]}
+
+    def spelled_short(node: Json) -> Json:
+        if not isinstance(node.get("shorthand"), str):
+            return node
+        outer, inner = _outer_inner(node)
+        key = inner.pop("shorthand")
+        arms = inner.get("anyOf", [inner])
+        section = next(arm["$ref"] for arm in arms if "$ref" in arm).removeprefix("#/$defs/")
+        return {**outer, "anyOf": [*arms, *definitions[section]["properties"][key]["anyOf"]]}
+
+    for name, section in definitions.items():
+        definitions[name] = _changed(section, spelled_short)
     del definitions["Camera"]["required"]
     for name in ("site", "plants", "sky", "cameras", "render", "labels"):
         outer, inner = _outer_inner(schema["properties"][name])

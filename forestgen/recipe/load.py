@@ -27,7 +27,7 @@ from forestgen.recipe.distributions import Distribution, Scalar
 from forestgen.recipe.draws import Draws, find_written, make_draws, mentions, put, splits_of, whole_number
 from forestgen.recipe.map_files import embed_maps, recipe_hash
 from forestgen.recipe.messages import Explainer, distribution_of, show
-from forestgen.recipe.schema import SCHEMA_VERSION, Recipe
+from forestgen.recipe.schema import NO_PLANTS, SCHEMA_VERSION, Recipe
 from forestgen.recipe.sources import Keys, Place, SourceMap, copied, mapping_of, read_yaml, yaml_text
 from forestgen.recipe.species import Species
 
@@ -279,22 +279,40 @@ class Loading:
         return self.sound
 
 
-def read_recipe(source: Source, overrides: Sequence[str] = (), name: str = "recipe", folder: Path = Path()) -> Loading:
-    """Read a recipe as `load_recipe` does, and keep its errors; those of a text that is no YAML mapping are raised.
+@dataclass(frozen=True)
+class RecipeSource:
+    """What an author wrote, as it was when it was read."""
 
-    Parameters
-    ----------
-    source : a file, or the content of one, as a mapping or a text of several lines.
-    name, folder : of a mapping: what errors call it, and what its paths are relative to.
-    """
+    path: Path  # of the file; of a mapping or a text a name in the folder that its paths are relative to
+    data: dict[str, Any]
+    places: Mapping[Keys, Place]
+
+
+def read_source(source: Source, name: str = "recipe", folder: Path = Path()) -> RecipeSource:
+    """Read a recipe's file; see `read_recipe`. Raises the errors of a text that is no YAML mapping."""
     if isinstance(source, Mapping):
-        path, data, sources = folder / name, plain_copy(source, name), SourceMap({(): Place(name)})
-    elif isinstance(source, str) and "\n" in source:
-        path, (data, sources) = Path(name), mapping_of(source, "recipe text")
+        return RecipeSource(folder / name, plain_copy(source, name), {(): Place(name)})
+    if isinstance(source, str) and "\n" in source:
+        path, (data, sources) = folder / name, mapping_of(source, "recipe text")
     else:
         path = Path(source)
         _suggest_shipped(path)
         data, sources = read_yaml(path)
+    return RecipeSource(path, data, sources.places)
+
+
+def read_recipe(
+    source: Source | RecipeSource, overrides: Sequence[str] = (), name: str = "recipe", folder: Path = Path()
+) -> Loading:
+    """Read a recipe as `load_recipe` does, and keep its errors; those of a text that is no YAML mapping are raised.
+
+    Parameters
+    ----------
+    source : a file, or the content of one, as a mapping or a text of several lines; or what `read_source` made of it.
+    name, folder : of a mapping or a text: what errors call it, and what its paths are relative to.
+    """
+    read = source if isinstance(source, RecipeSource) else read_source(source, name, folder)
+    path, data, sources = read.path, copied(read.data), SourceMap(dict(read.places))
     errors = ErrorList(sources.place(()).origin)
     normalize(data)
     for override in overrides:
@@ -360,7 +378,7 @@ def _replace_sections(data: dict[str, Any], wrong: Iterable[Keys]) -> frozenset[
             else:
                 data[section] = {_STAND_IN: plant}
         elif section == "community":
-            data[section] = {"model": "none"}
+            data[section] = dict(NO_PLANTS)
         elif section == "forestgen":
             data[section] = SCHEMA_VERSION
         else:

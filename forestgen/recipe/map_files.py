@@ -2,6 +2,9 @@
 
 ``map: meadow.png`` becomes ``map: {file: meadow.png, sha256: ...}`` when a recipe is loaded. With a sha256 in the
 recipe, as in one that is stored with an image, no other file is taken.
+
+Some shipped keys take a file's name alone; a mapping ``{file: wind.csv}`` is a file wherever it stands, but in species.
+So parts of other packages have files of their own: a key of the type `RecipeFile`.
 """
 
 from __future__ import annotations
@@ -11,11 +14,14 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from forestgen.core.errors import AssetError
 from forestgen.recipe.assets import inside
 from forestgen.recipe.distributions import is_distribution
+from forestgen.recipe.fields import Section, Text
 from forestgen.recipe.sources import Keys, SourceMap
 
 _NAMES_BELOW: dict[Keys, frozenset[str]] = {  # section -> keys anywhere below it whose text is a file's name
@@ -24,6 +30,8 @@ _NAMES_BELOW: dict[Keys, frozenset[str]] = {  # section -> keys anywhere below i
     ("sky", "clouds"): frozenset({"map", "sounding"}),
 }
 _SINGLE: tuple[Keys, ...] = (("community", "soil"), ("sky", "clouds", "file"))
+_WITHOUT_FILES = ("species", "sampling", "dataset")  # sections; a species' own paths are relative to its file
+_PLAIN_FILE = frozenset({"file", "sha256"})  # keys of a mapping that can be nothing else
 MOST_BYTES = 2_000_000_000
 _SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy", ".csv", ".nc", ".vol")
 _Slot = tuple[Keys, Any, str | int]  # key path, parent and key of a value that may be a file
@@ -72,6 +80,19 @@ def known_file(
         hint = "bring the file back; or remove sha256, and the file is taken as it is now"
         raise AssetError(problem, where=where, expected=expected, got=f"{path}: {found[path][:16]}...", hint=hint)
     return path
+
+
+class RecipeFile(Section):
+    """A file that a part reads: a key of this type is written ``{file: wind.csv}``, relative to the recipe's folder."""
+
+    file: Text = Field(min_length=1, description="Path of the file, relative to the recipe's folder.")
+    sha256: Annotated[Text, Field(pattern="^[0-9a-f]{64}$")] | None = Field(
+        None, description="SHA-256 of the file; no file of other content is taken."
+    )
+
+    def path(self, folder: Path) -> Path:
+        """Where the file is, of a recipe in `folder`; see `known_file`."""
+        return known_file(folder, self.file, self.sha256)
 
 
 def _near(path: Path, named: str) -> str:
@@ -140,30 +161,21 @@ def is_map_file(value: object) -> bool:
 
 def _all_slots(data: dict[str, Any]) -> Iterator[_Slot]:
     """Key path, parent and key of every value that may be a file."""
-    for section, names in _NAMES_BELOW.items():
-        yield from _slots(_at(data, section), section, names)
-    for keys in _SINGLE:
-        parent = _at(data, keys[:-1])
-        if isinstance(parent, dict) and keys[-1] in parent:
-            yield keys, parent, keys[-1]
-
-
-def _at(data: Any, keys: Keys) -> Any:
-    for key in keys:
-        data = data.get(key) if isinstance(data, dict) else None
-    return data
+    for section, value in data.items():
+        if section not in _WITHOUT_FILES:
+            yield from _slots(value, (section,), frozenset())
 
 
 def _slots(value: Any, keys: Keys, names: frozenset[str]) -> Iterator[_Slot]:
-    """Key path, parent and key of every value below a section whose key is one of these."""
-    if isinstance(value, dict):
-        for key, item in value.items():
-            if key in names:
-                yield (*keys, key), value, key
-            yield from _slots(item, (*keys, key), names)  # into a slot too: a species may be named so
-    elif isinstance(value, list):
-        for index, item in enumerate(value):
-            yield from _slots(item, (*keys, index), names)
+    """Those at and below a key path; `names`: keys whose text is a file's name there."""
+    names = _NAMES_BELOW.get(keys, names)
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        inner = (*keys, key)
+        is_plain = isinstance(item, dict) and "file" in item and item.keys() <= _PLAIN_FILE
+        if is_plain or key in names or inner in _SINGLE:
+            yield inner, value, key
+        yield from _slots(item, inner, names)  # into a slot too: a species may be named so
 
 
 def recipe_hash(data: Mapping[str, Any]) -> str:

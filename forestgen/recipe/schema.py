@@ -88,7 +88,7 @@ class Site(Section):
     """The piece of land: x from 0 to size_m[0] (east), y from 0 to size_m[1] (north)."""
 
     size_m: tuple[Extent, Extent] = Field((100.0, 100.0), description="Extent east (x) and north (y), metres.")
-    terrain: Annotated[SerializeAsAny[Terrain], shorthand("kind")] = Field(
+    terrain: Annotated[SerializeAsAny[Terrain], *shorthand("kind")] = Field(
         default_factory=lambda: Terrain.model_validate({}), description="Shape of the ground, or just its kind."
     )
     ground: Annotated[Text, *part_name(GROUND_COVERS)] = Field("litter", description="What covers it.")
@@ -119,16 +119,11 @@ class Site(Section):
     buildings: tuple[SerializeAsAny[Building], ...] = Field(
         (), max_length=1000, description="What people have built there; for community models that know of buildings."
     )
-    wet_soil: WetSoil | None = Field(
+    wet_soil: Annotated[WetSoil | None, *shorthand("shown", of=bool)] = Field(
         None,
         description="How litter, dry soil, rock and sand darken where the community model has water in its soil; "
         "false: they do not. Default: they do.",
     )
-
-    @field_validator("wet_soil", mode="before")
-    @classmethod
-    def _shown_alone(cls, value: Any) -> Any:
-        return {"shown": value} if isinstance(value, bool) else value
 
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -154,6 +149,10 @@ class Community(OpenSection):
     """The plants of the stand: a community model, and keys that the model checks itself."""
 
     model: Text = Field(min_length=1, max_length=100, description="Id of the community model.")
+
+
+#: A section of no plants, where a recipe's community does not matter.
+NO_PLANTS: Mapping[str, Any] = {"model": "uniform", "plants": {}}
 
 
 Channel = Annotated[Text, *part_name(LABEL_CHANNELS)]

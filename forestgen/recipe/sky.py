@@ -182,6 +182,6 @@ class SkySection(PartSection):
         description="Haze between camera and scene: how far one sees, metres; 3000 is murky, 20000 usual, 100000 very "
         "clear. None: no haze. Below 1000 it is fog: see clouds.",
     )
-    clouds: Annotated[SerializeAsAny[Clouds], shorthand("type")] = Field(
+    clouds: Annotated[SerializeAsAny[Clouds], *shorthand("type")] = Field(
         default_factory=lambda: Clouds.model_validate({}), description="The cloud field, or just its type."
     )

@@ -142,7 +142,7 @@ class SpectrumFile(Section):
 class Material(Section):
     """What an organ's surface does with light: by a spectrum, or by a colour, linear Rec. 709."""
 
-    spectrum: Annotated[SpectrumFile | None, shorthand("name")] = Field(
+    spectrum: Annotated[SpectrumFile | None, *shorthand("name")] = Field(
         default=None,
         description="Table of reflectance and transmittance by wavelength, of which the colours follow: leaves/birch, "
         "bark/oak, ... or a path from the recipe's folder. In place of reflectance and transmittance.",

@@ -15,7 +15,7 @@ from statistics import fmean, stdev
 
 from forestgen.core.errors import OutputError, ResourceError
 from forestgen.core.figures import count as counted
-from forestgen.core.figures import show_bytes, three_digits
+from forestgen.core.figures import seconds, show_bytes, three_digits
 from forestgen.core.processes import free_bytes
 from forestgen.core.progress import Progress
 from forestgen.core.threads import cores
@@ -288,21 +288,21 @@ def _rows(expected: Estimate) -> Iterator[tuple[str, str]]:
     about = "" if not counts.drawn else f" (drawn: the mean of {counts.drawn} images)"
     yield (
         "images",
-        f"{counts.images:,}; {counted(round(counts.frames), 'frame')}, {_large(counts.pixels)} pixels, "
-        f"{_large(counts.paths)} light paths{about}",
+        f"{counts.images:,}; {counted(round(counts.frames), 'frame')}, {three_digits(counts.pixels)} pixels, "
+        f"{three_digits(counts.paths)} light paths{about}",
     )
     probes = expected.probed.probes
     if probes:
         plants, exemplars, triangles = (
             fmean([float(getattr(one, name)) for one in probes]) for name in ("plants", "exemplars", "triangles")
         )
-        yield "in each", f"{plants:,.0f} plants, {exemplars:,.0f} models of {_large(triangles)} triangles"
+        yield "in each", f"{plants:,.0f} plants, {exemplars:,.0f} models of {three_digits(triangles)} triangles"
     yield "workers", f"{expected.workers}, of {counted(expected.threads, 'thread')} each"
     total, each, pace = expected.seconds, expected.image_s, expected.images_per_hour
     if total is None or each is None or pace is None:
         yield "time", "not measured"
     else:
-        yield "time", f"{_between(total, _span)}; {_between(each, _span)} an image and worker"
+        yield "time", f"{_between(total, seconds)}; {_between(each, seconds)} an image and worker"
         yield "images an hour", three_digits(pace)
         shares = list(expected.stages.items())[:_MOST_STAGES]
         yield "time goes to", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)
@@ -329,18 +329,3 @@ def _between(value: Range, show: Callable[[float], str]) -> str:
     if value.low <= 0:
         return f"at most {show(value.high)}"
     return f"{show(value.mean)} ({show(value.low)} to {show(value.high)})"
-
-
-def _span(seconds: float) -> str:
-    """Such as 3.5 h."""
-    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * size:
-            return f"{three_digits(seconds / size)} {unit}"
-    return f"{three_digits(seconds)} s"
-
-
-def _large(count: float) -> str:
-    for unit, size in (("billion", 1e9), ("million", 1e6)):
-        if count >= size:
-            return f"{three_digits(count / size)} {unit}"
-    return f"{count:,.0f}"

@@ -32,6 +32,7 @@ from forestgen.runs.finish import Finished, write_data_set
 from forestgen.runs.folder import settle_batch
 from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import JOBS, record_bytes, record_path, records_of
+from forestgen.runs.replace import foreign_files, named
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify import open_data_set, refuse_address
 
@@ -52,11 +53,18 @@ class Piece:
         return settings_of(self.description)
 
 
-def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress: Progress | None = None) -> Finished:
+def merge(
+    sources: Sequence[Path],
+    target: Path,
+    *,
+    link: bool = False,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Finished:
     """Merge finished data sets into a new one, which appears whole or not at all.
 
     `sources`: folders of data sets; their order does not matter to the result.
-    `target`: absent, or an empty folder.
+    `target`: absent, an empty folder, or with `overwrite` a data set without files of others, which is replaced.
     `link`: make hard links instead of copies, which are not read: files are shared with the sources. Copies are
     compared with the images' records on their way.
 
@@ -64,7 +72,7 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
     Raises `DatasetError`: a piece is damaged, or two pieces have different images of one number.
     Raises `OutputError`: the target cannot be written.
     """
-    _check_target(target, sources)
+    _check_target(target, sources, overwrite=overwrite)
     pieces = [_piece(root) for root in sources]
     _check_settings(pieces)
     parts = _parts(pieces)
@@ -73,7 +81,7 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
     groups = [group for piece in pieces for group in piece.description["files"].values()]
     needed = 0 if link else sum(int(group["bytes"]) for group in groups)
     total = sum(int(piece.description["images"]) for piece in pieces)
-    with OutputFolder(target, required_bytes=needed) as folder:
+    with OutputFolder(target, overwrite=overwrite, required_bytes=needed, is_ours=_is_data_set) as folder:
         storage = LocalStorage(folder, str(target))
         with RecordIndex() as record_index:
             with (progress or Silent()).stage("images", total) as advance:
@@ -91,16 +99,25 @@ def merge(sources: Sequence[Path], target: Path, *, link: bool = False, progress
     return done
 
 
-def _check_target(target: Path, sources: Sequence[Path]) -> None:
+def _is_data_set(folder: Path) -> bool:
+    return (folder / HIDDEN).is_dir() or (folder / DATASET_NAME).exists() or is_run_folder(folder)
+
+
+def _check_target(target: Path, sources: Sequence[Path], *, overwrite: bool) -> None:
     if not sources:
         raise RecipeError("no data set is named", expected="at least one to merge")
     refuse_address(target)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         problem = "the output is a file"
-        if target.is_dir():  # in the words of `OutputFolder`, which can replace some of it
-            is_ours = (target / HIDDEN).is_dir() or (target / DATASET_NAME).exists() or is_run_folder(target)
-            problem = OURS if is_ours else NO_OUTPUT
-        raise OutputError(problem, where=str(target), expected="a new or empty folder")
+        if target.is_dir():  # in the words of `OutputFolder`
+            problem = OURS if _is_data_set(target) else NO_OUTPUT
+        if problem != OURS or not overwrite:
+            hint = "choose another folder, or `overwrite=True` to replace it" if problem == OURS else None
+            raise OutputError(problem, where=str(target), expected="a new or empty folder", hint=hint)
+        with LocalStorage(target).lock(lambda _: None):  # `OutputError` while a run writes there
+            if strange := foreign_files(target):
+                problem, got = "files that forestgen has not written lie in the data set", named(strange)
+                raise OutputError(problem, where=str(target), got=got, hint="move them away, or choose another folder")
     inside = [source for source in sources if target.resolve().is_relative_to(source.resolve())]
     if inside:
         raise OutputError("the output lies in a data set that is merged", where=str(target), got=str(inside[0]))

@@ -12,18 +12,18 @@ from pydantic import ValidationError
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import ResourceError
 from forestgen.recipe.draws import find_written
-from forestgen.recipe.load import LoadedRecipe, Loading, Source, read_recipe
+from forestgen.recipe.load import LoadedRecipe, Loading, RecipeSource, Source, read_recipe
 from forestgen.recipe.messages import Explainer
 
 
-def load_checked(source: Source, overrides: Sequence[str] = ()) -> LoadedRecipe:
+def load_checked(source: Source | RecipeSource, overrides: Sequence[str] = ()) -> LoadedRecipe:
     """Read a recipe as `load_recipe` does; its errors hold those of the community model and of plants' generators.
 
     Of a recipe that `load_recipe` takes, the name of the community model is checked, and the rest left to `check_plan`,
     which raises all of the latter.
 
     `source`: a file, or the content of one, as a mapping or a text of several lines; paths in that are relative to the
-    working folder.
+    working folder. Or what `read_source` made of one.
     """
     loading = read_recipe(source, overrides)
     section = loading.community if isinstance(loading.community, Mapping) else {}

@@ -98,7 +98,7 @@ def _pack(given: dict[str, Any]) -> Any:
     return fg.Dataset(given.pop("folder")).pack(
         given.pop("out"),
         given.pop("format"),
-        channels=channels.split(",") if channels else None,
+        channels=[name for one in channels for name in one.split(",")] if channels else None,
         splits=given.pop("splits") or (),
         progress=False,
         **given,
@@ -119,7 +119,9 @@ _CALLS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "weather": _weather,
     "pack": _pack,
     "plant": _plant,
-    "merge": lambda given: fg.merge(given["sources"], given["out"], link=given["link"], progress=False),
+    "merge": lambda given: fg.merge(
+        given["sources"], given["out"], link=given["link"], overwrite=given["overwrite"], progress=False
+    ),
     "report": lambda given: fg.Dataset(given["folder"]).report(given["out"]),
     "doctor": lambda given: fg.doctor(),
     "verify": lambda given: fg.verify(

@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import sys
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,9 @@ from command_line import tree
 from PIL import Image
 
 import forestgen as fg
+from forestgen.api.datasets import Run
 from forestgen.runs.contract import HIDDEN
+from forestgen.runs.summary import RunSummary
 from support.tiers import slow_but
 
 IMAGES = 3
@@ -137,12 +139,14 @@ def test_a_data_set_is_a_sequence_of_its_frames(data_set: fg.Dataset) -> None:
     assert data_set.frame(names[4]).name == names[4]
     with pytest.raises(fg.RecipeError, match="name: the data set has no such frame"):
         data_set.frame("000009-near")
+    assert names[4] in [frame.name for frame in iter(data_set)]
+    assert not isinstance(data_set, Sequence)  # whose method `index` is another thing than this table
     assert data_set.index.column("frame").to_pylist() == names
     assert data_set.classes[data_set[0].semantic.max()] in ("ground", "fireweed")
     assert data_set.categories == {1: "fireweed"}
 
 
-def test_a_split_is_its_frames_alone(data_set: fg.Dataset) -> None:
+def test_a_split_is_its_frames_alone(data_set: fg.Dataset, tmp_path: Path) -> None:
     assert data_set.splits == ("train", "val")
     parts = {name: data_set.split(name) for name in data_set.splits}
     assert {name: len(part) for name, part in parts.items()} == {"train": 6, "val": 3}
@@ -160,6 +164,16 @@ def test_a_split_is_its_frames_alone(data_set: fg.Dataset) -> None:
             data_set.frame(wrong)  # type: ignore[arg-type]
     with pytest.raises(fg.RecipeError, match="no such frame"):
         parts["val"].frame(parts["train"][0].name)
+    packed = parts["val"].pack(tmp_path / "val", "webdataset", progress=False)
+    assert {name: sum(one.frames for one in shards) for name, shards in packed.splits.items()} == {"val": 3}
+    with pytest.raises(fg.RecipeError, match="splits: these frames are in another split"):
+        parts["val"].pack(tmp_path / "train", "webdataset", splits="train", progress=False)
+
+
+def test_a_run_into_an_object_store_says_that_its_frames_are_elsewhere() -> None:
+    run = Run(RunSummary("s3://bucket/set", 1, 0, 1, (), (), 1, 1, None, 1.0))
+    with pytest.raises(fg.RecipeError, match="s3://bucket/set: this is the address of an object store"):
+        _ = run.dataset
 
 
 def test_what_is_no_finished_data_set_is_refused(data_set: fg.Dataset, tmp_path: Path) -> None:
@@ -217,6 +231,7 @@ def test_a_saved_frame_of_a_painted_recipe_takes_its_maps_along(tmp_path: Path) 
     for name, frames in (("made", recipe.frames(1, progress=False)), ("read", fg.Dataset(tmp_path / "set"))):
         for frame in frames:
             frame.save(tmp_path / name)
+            assert fg.load(frame).hash == fg.load(split / frame.name / "recipe.yaml").hash
             assert tree(tmp_path / name / frame.name) == tree(split / frame.name)
         assert tree(tmp_path / name / "maps") == maps
     shutil.rmtree(path.parent)

@@ -160,6 +160,21 @@ def test_settings_that_differ_are_named(whole, tmp_path):
         merge([first, second], tmp_path / "c")
 
 
+def test_a_previous_set_is_replaced_if_asked(whole, tmp_path):
+    pieces = [piece(whole, tmp_path / "a", 0, 1), piece(whole, tmp_path / "b", 2, 3)]
+    old = piece(whole, tmp_path / "c", 1)
+    (old / "mine.txt").write_text("mine")
+    before = shown(old)
+    with pytest.raises(OutputError, match=r"(?s)has not written.*mine\.txt"):
+        merge(pieces, old, overwrite=True)
+    assert shown(old) == before
+    (old / "mine.txt").unlink()
+    merge(pieces, old, overwrite=True)
+    assert shown(old) == shown(whole)
+    with pytest.raises(OutputError, match="lies in a data set"):
+        merge(pieces, pieces[0], overwrite=True)
+
+
 def test_bad_arguments_are_refused(whole, tmp_path):
     first = piece(whole, tmp_path / "a", 0)
     run("merge", first, first, "--out", tmp_path / "c").refused(2, "named twice")

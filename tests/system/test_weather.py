@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from command_line import run, tiny
 
+import forestgen as fg
+
 FOG = "sky: {clouds: {type: fog, time_s: 600, domain: {extent_m: 400, cell_m: 50, cell_height_m: 20}}}"
 
 
@@ -35,6 +37,22 @@ def test_a_sky_in_numbers_files_and_a_picture(tmp_path: Path) -> None:
     with Image.open(picture) as image:
         assert np.asarray(image.convert("RGB")).std() > 10
     run("weather", recipe, "--out", air).refused(4, "exists", "--overwrite")
+
+
+def test_of_many_images_the_last_air_alone_is_kept(tmp_path: Path) -> None:
+    first, last = fg.load(tiny(tmp_path, ("seed: 3", FOG))).weather(2, progress=False)
+    assert first.weather is None
+    assert last.weather is not None
+    assert first.statistics.time_s == last.statistics.time_s == 600.0
+
+
+def test_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
+    recipe = fg.load(tiny(tmp_path, ("seed: 3", FOG)), set={"sky.clouds.time_s": 0})
+    air, volume, picture = tmp_path / "new" / "sky.nc", tmp_path / "new" / "sky.vdb", tmp_path / "new" / "sky.png"
+    with pytest.raises(fg.OutputError, match="no clouds to write") as refused:
+        recipe.weather(out=[air, volume], picture=picture, progress=False)
+    assert refused.value.place == str(volume)
+    assert not air.parent.exists()
 
 
 def test_its_mistakes_are_told(tmp_path: Path) -> None:

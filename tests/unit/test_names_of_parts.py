@@ -87,6 +87,7 @@ MODEL_REGISTRY = "community/registry.py"
 MODEL_FOLDERS = ("models", "branch_modules", "ecoclimate")  # of the models' own code, in community/
 MODEL_FILES = ("community/multiset_program.py",)
 OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or are one's example
+    "recipe/schema.py": {"uniform"},  # the section of no plants, whatever the model
     "cli/__init__.py": {"multiset_lsystem"},  # an example of a command
     "cli/parsing.py": {"multiset_lsystem"},  # an example of a setting
     "community/fitting/report.py": {"deformation_kernel"},  # the model that is fitted

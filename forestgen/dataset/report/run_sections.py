@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.core.figures import show_bytes
+from forestgen.core.figures import seconds, show_bytes
 from forestgen.dataset.report.charts import (
     Cell,
     Chart,
@@ -82,9 +82,9 @@ def _timing_facts(run: RunLog) -> list[Fact]:
         rate = run.images_per_hour
         facts.append(Fact(f"{rate:,.0f}" if rate >= 100 else f"{rate:.3g}", "images per hour"))
     if run.job_s:
-        facts.append(Fact(duration(float(np.median(run.job_s))), "an image, by the median"))
+        facts.append(Fact(seconds(float(np.median(run.job_s))), "an image, by the median"))
     if run.running_s > 0:
-        facts.append(Fact(duration(run.running_s), "in all" if run.runs < 2 else f"in all, over {run.runs} runs"))
+        facts.append(Fact(seconds(run.running_s), "in all" if run.runs < 2 else f"in all, over {run.runs} runs"))
     if run.workers:
         facts.append(Fact(f"{len(run.workers):,}", "worker processes, over all runs"))
     if any(run.peak_memory_bytes):
@@ -153,15 +153,3 @@ def gaps_text(gaps: list[tuple[int, int]], most: int = 12) -> str:
     """Gaps for people: 3, 17 to 19, ..."""
     named = [str(first) if first == last else f"{first} to {last}" for first, last in gaps[:most]]
     return ", ".join([*named, *(["..."] if len(gaps) > most else [])])
-
-
-def duration(seconds: float) -> str:
-    """A time for people: 0.41 s, 12 s, 3 min 05 s, 7 h 12 min."""
-    if seconds < 10:
-        return f"{seconds:.2g} s"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600:,} h {whole % 3600 // 60:02d} min"

@@ -57,6 +57,22 @@ def test_a_mapping_and_its_recipe_do_not_share_values() -> None:
     assert recipe.hash == before
 
 
+def test_what_is_set_later_is_set_in_what_was_read(tmp_path: Path) -> None:
+    mapping, path = json.loads(json.dumps(STAND)), tmp_path / "stand.yaml"
+    path.write_text(json.dumps(mapping))
+    recipes = fg.load(mapping), fg.load(path)
+    mapping["seed"] = 99
+    path.write_text(json.dumps(mapping))
+    for recipe in recipes:
+        assert (recipe.seed, recipe.set({"images": 7}).seed) == (3, 3)
+        assert recipe.set({"site.size_m": [40, 20]}).set({"site.size_m": [30, 20]}).hash == recipe.hash
+
+
+def test_the_class_takes_what_load_takes() -> None:
+    assert fg.Recipe(STAND, {"seed": 4}).hash == fg.load(STAND, {"seed": 4}).hash
+    assert fg.Recipe(STAND, ["seed=4"]).seed == 4
+
+
 def test_the_yaml_is_the_same_recipe(tmp_path: Path) -> None:
     path = tmp_path / "again.yaml"
     path.write_text(fg.load(STAND).yaml)

@@ -6,6 +6,7 @@ import io
 import sys
 import threading
 import time
+import types
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -161,3 +162,39 @@ def test_the_display_is_that_of_the_place(monkeypatch: pytest.MonkeyPatch) -> No
         shown.say("not heard")
     monkeypatch.setattr(display, "_in_notebook", lambda: True)
     assert type(display_of(None)) is NotebookDisplay
+
+
+def test_short_blocks_of_one_display_make_one_report(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As the frames of an iteration do, each of which has a block."""
+    told: list[str] = []
+    lines = Lines(every_s=0.05)
+    monkeypatch.setattr(lines, "_tell", told.append)
+    lines.show(ProgressTracker(10))
+    until = time.monotonic() + 10.0
+    while len(told) < 2:
+        assert time.monotonic() < until
+        with lines.running():
+            time.sleep(0.01)
+
+
+def test_a_notebook_has_one_line_for_all_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    outputs: list[list[str]] = []
+
+    class Handle:
+        def update(self, text: object) -> None:
+            outputs[-1].append(repr(text))
+
+    def shown(text: object, *, display_id: bool) -> Handle:
+        outputs.append([repr(text)])
+        return Handle()
+
+    pretty = type("Pretty", (), {"__init__": lambda self, data: setattr(self, "data", data)})
+    module = types.ModuleType("IPython.display")
+    vars(module).update(Pretty=pretty, display=shown)
+    monkeypatch.setitem(sys.modules, "IPython", types.ModuleType("IPython"))
+    monkeypatch.setitem(sys.modules, "IPython.display", module)
+    notebook = NotebookDisplay()
+    for _ in range(3):
+        with notebook.running():
+            notebook._tell("at work")
+    assert outputs == [["at work", "done"] * 3]

@@ -165,9 +165,6 @@ def test_an_import_cut_short_is_no_bug(capsys: pytest.CaptureFixture[str]) -> No
 
 def test_words() -> None:
     assert (count(1, "image"), count(1200, "image"), count(0, "step")) == ("1 image", "1,200 images", "0 steps")
-    assert (seconds(0.04), seconds(59.96), seconds(61), seconds(3725)) == (
-        "0.0 s",
-        "60.0 s",
-        "1 min 01 s",
-        "62 min 05 s",
-    )
+    durations = {0.041: "0.041 s", 9.96: "10 s", 40: "40 s", 59.96: "1 min 00 s", 61: "1 min 01 s", 3725: "1 h 02 min"}
+    durations |= {13_200: "3 h 40 min", 86_399.7: "1 d 00 h", 190_800: "2 d 05 h"}
+    assert {value: seconds(value) for value in durations} == durations

@@ -193,3 +193,22 @@ def test_a_shipped_map_is_no_recipe(tmp_path, monkeypatch):
     (tmp_path / "meadow.yaml").touch()
     monkeypatch.setattr(assets, "recipes_dir", lambda: tmp_path)
     assert assets.list_assets("recipes") == ["meadow"]
+
+
+def test_the_file_of_another_packages_part_is_part_of_the_hash_and_goes_along(recipe, tmp_path):
+    """Wherever it stands; here below a key of a community model, and among a list of its sections."""
+    (recipe.parent / "wind.csv").write_text("m,m_per_s\n10,3\n")
+    (recipe.parent / "soil.json").write_text("[1]")
+    given = ["community.storms=[{profile: {file: wind.csv}}]", "community.layers={file: soil.json}"]
+    before = load_recipe(recipe, given)
+    drawn = before.draw(0)
+    profile = drawn.data["community"]["storms"][0]["profile"]
+    assert profile == {"file": "wind.csv", "sha256": sha256(b"m,m_per_s\n10,3\n")}
+    assert map_files.RecipeFile(**profile).path(recipe.parent) == recipe.parent / "wind.csv"
+    stored = write_maps(tmp_path / "run", drawn.data, recipe.parent)
+    assert stored["community"]["layers"]["file"] == f"../maps/{sha256(b'[1]')[:16]}.json"
+    assert (tmp_path / "run" / "maps" / f"{profile['sha256'][:16]}.csv").exists()
+    (recipe.parent / "wind.csv").write_text("m,m_per_s\n10,4\n")
+    assert load_recipe(recipe, given).hash != before.hash
+    with pytest.raises(AssetError, match="not the file that the recipe was made with"):
+        map_files.RecipeFile(**profile).path(recipe.parent)
