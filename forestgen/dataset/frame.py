@@ -290,7 +290,7 @@ class StoredFrame(Frame):
 
     @property
     def recipe_folder(self) -> Path:
-        with self._reading("recipe.yaml") as path:
+        with reading(self._folder / "recipe.yaml") as path:
             return path.located().parent
 
     def _write(self, folder: Path, beside: Path) -> None:

@@ -66,6 +66,7 @@ def assert_same_files(one: Path, other: Path) -> None:
     assert [name for name in first if first[name] != second[name]] == []
 
 
+@pytest.mark.slow
 def test_render_and_batch_make_the_same_bytes(recipe: fg.Recipe, data_set: fg.Dataset, tmp_path: Path) -> None:
     run = recipe.batch(tmp_path / "set", IMAGES, workers=2, progress=False)
     assert (run.summary.made, run.summary.failed, run.summary.missing) == (IMAGES, (), ())

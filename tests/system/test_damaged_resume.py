@@ -166,6 +166,7 @@ def test_files_over_all_images_are_written_again(whole: Path, tmp_path: Path) ->
     assert shown_pieces(root) == shown_pieces(whole)
 
 
+@pytest.mark.slow
 def test_a_damaged_share_of_a_merged_format_is_rendered_again(whole: Path, tmp_path: Path) -> None:
     """Of the same size as before, it would end up in coco.json."""
     root = copied(whole, tmp_path / "set")

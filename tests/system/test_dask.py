@@ -24,6 +24,7 @@ from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
 from forestgen.runs.engines.dask import DaskEngine
 from forestgen.runs.records import versions_hash
 from forestgen.runs.storage import LocalStorage
+from support.cases import few
 
 _BOUND_S = 240.0  # of anything here
 _STRANGE_PYTHON = "import platform\nplatform.python_version = lambda: '3.10.99'\n"
@@ -322,12 +323,15 @@ def test_a_scheduler_that_dies_ends_the_run_soon(cluster: Cluster, tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("address", "expected"),
-    [
-        (None, "needs a scheduler"),
-        ("tcp://127.0.0.1:1", "no Dask scheduler answers"),
-        ("http://127.0.0.1:8786", "no scheduler's address"),
-        ("nowhere.json", "no such scheduler file"),
-    ],
+    few(
+        [
+            (None, "needs a scheduler"),
+            ("tcp://127.0.0.1:1", "no Dask scheduler answers"),
+            ("http://127.0.0.1:8786", "no scheduler's address"),
+            ("nowhere.json", "no such scheduler file"),
+        ],
+        2,
+    ),
 )
 def test_addresses_that_nobody_answers(
     address: str | None, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -143,6 +143,7 @@ def test_a_camera_in_fog_sees_less_by_beers_law():
     assert image[..., 0].mean() == pytest.approx(np.exp(-0.01 * 70.0), rel=0.015)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("inside", [True, False])
 def test_plants_in_fog_are_those_of_one_box(inside):
     """Bricks against one box with one majorant, plants and camera inside: the means agree within their noise."""
@@ -234,6 +235,7 @@ def test_the_rays_of_an_orthographic_camera_decide_which_way_it_goes():
             assert (ExactView(RenderJob(spec, camera, StoppingCriterion(4), 3), Timings())._parts is not None) is parted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effort", [1, pytest.param(12, marks=pytest.mark.slow)])
 def test_the_parted_way_has_the_mean_of_the_whole(effort):
     """Low clouds over a bright ground, so that light goes to and fro: both ways against one box, by the z-test."""

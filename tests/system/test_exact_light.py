@@ -264,6 +264,7 @@ def orchard(material: Material, bark: Material) -> tuple[SceneSpec, np.ndarray]:
     return spec, np.arange(middle, middle + each)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effort", [1, pytest.param(6, marks=pytest.mark.slow)])
 def test_energy_is_conserved_in_a_canopy(effort):
     """Reflected, absorbed and transmitted light add up to what comes in: three measurements of their own.

@@ -34,6 +34,7 @@ from forestgen.render.wavelengths import ColourAtOnce, Pass, quadrature_of
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.projection import rays, world_rays
 from forestgen.scene.spec import Camera, Lens, Sky
+from support.cases import few
 from support.guides import seen_through_haze, trace_guides, trace_seen
 from support.radiometry import lights
 from support.scenes import camera_at, plain_ground, scattered_scene
@@ -102,8 +103,8 @@ def wall(sky: Sky, distance_m: float, towards, reflectance: float, haze_per_m: f
 
 @pytest.mark.parametrize(
     ("sky", "azimuth_deg"),
-    [(Sky(40, 140, 3), 0.0), (Sky(40, 140, 3), 140.0), (Sky(40, 140, 3, kind="overcast"), 0.0)],
-    ids=["away from the sun", "towards the sun", "overcast"],
+    few([(Sky(40, 140, 3), 140.0), (Sky(40, 140, 3), 0.0), (Sky(40, 140, 3, kind="overcast"), 0.0)]),
+    ids=["towards the sun", "away from the sun", "overcast"],
 )
 def test_a_wall_in_haze_is_as_bright_as_in_a_volume(sky, azimuth_deg):
     """At optical depths of 0.2 to 2, black and grey, within 4%."""

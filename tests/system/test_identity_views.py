@@ -208,6 +208,7 @@ def test_real_plants_scaled_and_in_levels_of_detail_equal_their_twins(tmp_path: 
         assert (surface.sun_visible[same] != twin.centre.sun_visible[same]).mean() < 0.01
 
 
+@pytest.mark.slow
 def test_a_tracer_of_other_arithmetic_differs_by_ties_alone():
     """What a GPU may change, shown without one: 3 of 230,400 samples, each proven to lie on an edge."""
     ground = plain_ground(-64, 128, 24, bumps_m=0.5)

@@ -20,6 +20,7 @@ from forestgen.render.variant import LLVM, drjit, mitsuba, using
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import materials_of
+from support.cases import few
 
 
 def spectrum(wavelength_nm, value) -> Spectrum:
@@ -121,7 +122,8 @@ def test_a_leaf_is_its_table_at_every_wavelength(channels, gloss):
         assert_tabled(by_hemisphere(bsdf, 1), material, channels)
 
 
-@pytest.mark.parametrize("season", ["summer", pytest.param("autumn", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("season", ["summer", "autumn"])
 def test_the_leaves_of_all_species_are_their_tables(season):
     """What the shipped species files say of leaves and petals, in colour, in the red edge and in the infrared."""
     rows = [f"species.{name}=" for name in list_assets("species")]
@@ -142,7 +144,7 @@ def test_the_leaves_of_all_species_are_their_tables(season):
                     assert_tabled(integrate(bsdf, SPHERE_DEG, side, 384), material, PASSES[name])
 
 
-@pytest.mark.parametrize("leaf", LEAVES)
+@pytest.mark.parametrize("leaf", few(LEAVES, 4))
 def test_energy_is_conserved_at_every_angle(leaf):
     with using(LLVM) as mi:
         bsdf = mi.load_dict(surface_bsdf(Part.LEAF, LEAVES[leaf]))
@@ -170,7 +172,7 @@ def test_the_gloss_is_the_same_in_all_passes():
     assert shares == {min(LEAF_R)}
 
 
-@pytest.mark.parametrize("roughness", [0.0, 0.2, 0.3, 0.45, 0.6, 0.7, 1.0])
+@pytest.mark.parametrize("roughness", few([0.3, 1.0, 0.0, 0.2, 0.45, 0.6, 0.7], 2))
 def test_the_gloss_lobes_albedo_hardly_depends_on_the_angle(roughness):
     gloss = gloss_of(roughness)
     lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": gloss.alpha, "eta": gloss.index, "k": 0.0}

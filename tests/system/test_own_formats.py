@@ -19,6 +19,7 @@ OWN = RECIPE.replace("formats: []", "formats: [coco, sizes]").replace("train: 2"
 pytestmark = pytest.mark.usefixtures("registries_as_before")
 
 
+@pytest.mark.slow
 def test_a_registered_format_is_used_like_a_shipped_one(tmp_path: Path) -> None:
     """Two worker processes write it, two check it, and the merged files of the whole data set are there."""
     fg.register("dataset_format", "sizes", "own_formats:FORMAT", "sizes of frames")

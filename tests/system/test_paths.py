@@ -32,6 +32,7 @@ from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Lens, Material, SceneSpec, Sky, WetGround
 from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
+from support.cases import few
 from support.scenes import camera_at, plain_ground, scattered_scene, shifted
 
 UP = (0.0, 0.0, 1.0)
@@ -209,6 +210,7 @@ def test_sky_samples_follow_their_density():
     assert light.std() < 0.6 * truth.std()
 
 
+@pytest.mark.slow
 def test_light_samples_of_the_sky_change_the_noise_alone():
     """A glossy stand with barks under cloud edges: the same image whether the sky is looked for or found."""
     spec = leafy_stand(size_px=(48, 30))
@@ -273,7 +275,7 @@ def white_sky(spec: SceneSpec, max_depth: int = 4096) -> PathTracer:
 
 
 @pytest.mark.parametrize("leaf", [GREY, COLOURED], ids=["grey", "coloured"])
-@pytest.mark.parametrize("away_m", [0.0, 1000.0])
+@pytest.mark.parametrize("away_m", few([1000.0, 0.0]))
 def test_white_furnace(leaf, away_m):
     """Nothing takes light away, so all of it comes back: from every part, near and far, and far from the origin."""
     spec = shifted(white_forest(leaf), (away_m, away_m, 0.0))
@@ -337,7 +339,7 @@ CAMERAS = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param("panorama", marks=pytest.mark.slow), *CAMERAS][:-1])
+@pytest.mark.parametrize("name", few(CAMERAS))
 def test_all_cameras_see_what_mitsuba_renders(name):
     spec = replace(leafy_stand(), cameras=(CAMERAS[name],))
     glossy = {key: replace(one, gloss=0.03 if key[1] != "bark" else 0.0) for key, one in spec.materials.items()}
@@ -377,7 +379,7 @@ def test_a_wet_plane_returns_its_share_of_an_even_sky(channels, factor):
         np.testing.assert_allclose((found.by_sky + found.beyond).mean(axis=(0, 1)), wanted, rtol=2e-3)
 
 
-@pytest.mark.parametrize("turn_deg", [0.0, 140.0])
+@pytest.mark.parametrize("turn_deg", few([140.0, 0.0]))
 def test_relief_of_bark_is_lit_as_mitsuba_lights_it(turn_deg):
     """A texture whose heights rise along u and v: it has a side, and is darker away from the sun."""
     furrowed = bark_texture(Bark(pattern="furrowed", tile_m=TILE_M, depth_m=0.004), REFLECTANCE, "post/bark")

@@ -83,6 +83,7 @@ def test_a_fit_leaves_a_recipe_a_picture_and_numbers(quick, tmp_path):
     assert "--overwrite" in again.output
 
 
+@pytest.mark.slow
 def test_founders_are_a_species_of_the_recipe_that_comes_first(quick, tmp_path, monkeypatch):
     monkeypatch.setattr(fitting, "_POOR", 0.0)
     monkeypatch.setattr(fitting, "_BETTER", np.inf)

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from forestgen.api.display import display_of
 from forestgen.cli import app
+from support.cases import few
 
 FULL = Path("/dev/full")
 
@@ -22,7 +23,7 @@ def shell(words: str, redirection: str) -> tuple[int, str, str]:
 
 
 @pytest.mark.skipif(not FULL.is_char_device(), reason="there is no full device")
-@pytest.mark.parametrize("words", ["lsystem koch", "models koch", "models --json", "--help", "--version"])
+@pytest.mark.parametrize("words", few(["lsystem koch", "--help", "models koch", "models --json", "--version"], 2))
 def test_a_full_standard_output_is_told(words: str) -> None:
     code, _, err = shell(words, ">/dev/full")
     assert code == 4
@@ -32,13 +33,16 @@ def test_a_full_standard_output_is_told(words: str) -> None:
 
 @pytest.mark.parametrize(
     ("words", "redirection", "code"),
-    [
-        ("models koch", ">&-", 0),
-        ("models koch", "2>&-", 0),
-        ("models koch", "<&- >&- 2>&-", 0),
-        ("models nothing_of_this_name", "2>&-", 2),
-        ("models nothing_of_this_name", "2>/dev/full", 2),
-    ],
+    few(
+        [
+            ("models koch", "<&- >&- 2>&-", 0),
+            ("models nothing_of_this_name", "2>/dev/full", 2),
+            ("models koch", ">&-", 0),
+            ("models koch", "2>&-", 0),
+            ("models nothing_of_this_name", "2>&-", 2),
+        ],
+        2,
+    ),
 )
 def test_a_closed_stream_changes_no_exit_code(words: str, redirection: str, code: int) -> None:
     if "full" in redirection and not FULL.is_char_device():

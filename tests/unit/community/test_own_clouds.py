@@ -135,6 +135,7 @@ def test_a_forest_has_more_clouds_than_bare_ground(folder: Path, population: Pop
     assert forest.cloud.sum() > 1.1 * bare.cloud.sum() > 0
 
 
+@pytest.mark.slow
 def test_it_is_simulated_once_and_found_again_to_the_bit(
     folder: Path, population: Population, monkeypatch: pytest.MonkeyPatch
 ) -> None:

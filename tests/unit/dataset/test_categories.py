@@ -19,6 +19,7 @@ from forestgen.dataset.formats import coco, panoptic, yolo
 from forestgen.dataset.writer import write_dataset, write_frame
 from forestgen.labels.classes import ClassMap
 from forestgen.recipe.classes import PLANT_PARTS
+from support.cases import few
 
 MASK = np.array([[1, 1, 0, 2], [3, 3, 0, 2]])  # plants 1 and 3 are oaks, 2 is a poplar
 ODD = 'herb "x", {é}: #1 \\ 🌲'
@@ -36,7 +37,7 @@ def settings_of(classes, **more):
     return replace(SETTINGS, **own, **more)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", few(CASES))
 def test_categories_follow_the_classes(case, tmp_path):
     rules, names, (oak, poplar) = CASES[case]
     classes = ClassMap(SPECIES, rules)

@@ -10,6 +10,7 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import DrawnRecipe, dump_yaml, load_recipe
+from support.cases import few
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 GOOD = [
@@ -30,7 +31,7 @@ def drawn(camera: str) -> DrawnRecipe:
     return load_recipe(QUICKSTART, [f"cameras=[{camera}]"]).draw(0)
 
 
-@pytest.mark.parametrize("camera", GOOD)
+@pytest.mark.parametrize("camera", few(reversed(GOOD), 4))
 def test_a_stored_recipe_gives_the_same_cameras_again(camera: str, tmp_path: Path) -> None:
     first = drawn(camera)
     (tmp_path / "again.yaml").write_text(dump_yaml(first), encoding="utf-8")

@@ -57,6 +57,7 @@ def test_so_they_are_at_the_edges_of_blocks_and_of_many_rows(count):
         np.testing.assert_array_equal(found, wanted)
 
 
+@pytest.mark.slow
 def test_empty_clusters_take_the_farthest_rows():
     """Pairs of rows so alike that the first centres leave some of them without any row."""
     emptied = 0

@@ -74,6 +74,7 @@ def test_months_all_alike_are_one_number() -> None:
     assert np.array_equal(sky(section=twelve).wetness, sky().wetness)
 
 
+@pytest.mark.slow
 def test_where_the_region_has_less_vapour_there_is_less_rain_here_and_there() -> None:
     """Over ground that does what is usual, place and region change alike; without a change the normal rain falls."""
     usual = SECTION.usual_evaporation * MONTH.rain_mm_per_day, 1.0 - SECTION.usual_shade
