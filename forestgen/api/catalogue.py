@@ -99,13 +99,8 @@ def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
     named = [one for one in found if name is None or one.name == text_of(name, "name")]
     if name is not None and not named:
         known = [one.name for one in found]
-        raise RecipeError(
-            "there is no page of this name",
-            parameter="name",
-            expected="one of " + ", ".join(known),
-            got=repr(name),
-            hint=did_you_mean(name, known),
-        )
+        problem, expected = "there is no page of this name", "one of " + ", ".join(known)
+        raise RecipeError(problem, parameter="name", expected=expected, got=repr(name), hint=did_you_mean(name, known))
     return named
 
 
@@ -211,10 +206,6 @@ def _path_of(part: object) -> str:
         found = [name for name, value in vars(importlib.import_module(module)).items() if value is part]
         if found:
             return f"{module}:{found[0]}"
-    raise RecipeError(
-        "the part cannot be imported again by worker processes",
-        parameter="part",
-        expected="an object at the top of a module",
-        got=f"{part!r:.80} of {module}",
-        hint="put it into a module of its own, or pass its place: 'package.module:NAME'",
-    )
+    problem, expected = "the part cannot be imported again by worker processes", "an object at the top of a module"
+    hint = "put it into a module of its own, or pass its place: 'package.module:NAME'"
+    raise RecipeError(problem, parameter="part", expected=expected, got=f"{part!r:.80} of {module}", hint=hint)

@@ -376,13 +376,8 @@ def radius_of_m(species: Species, height_m: float | None) -> float:
     if law.exponent:
         return law.inverse(height_m)
     if not math.isclose(height_m, law.scale, rel_tol=0.01):
-        raise RecipeError(
-            "plants of this species are all of one height",
-            parameter="height_m",
-            expected=f"{law.scale:g} m",
-            got=f"{height_m:g} m",
-            hint="leave `height_m` out",
-        )
+        problem, hint = "plants of this species are all of one height", "leave `height_m` out"
+        raise RecipeError(problem, parameter="height_m", expected=f"{law.scale:g} m", got=f"{height_m:g} m", hint=hint)
     return mature_m
 
 

@@ -154,13 +154,8 @@ def fit_kernel(
 
 def _check_species(species: str | None, library: set[str]) -> None:
     if species is not None and text_of(species, "species") not in library:
-        raise RecipeError(
-            "no such species",
-            parameter="species",
-            expected=", ".join(sorted(library)),
-            got=repr(species[:60]),
-            hint="a fit says where plants stand; `species`, what they look like",
-        )
+        expected, hint = ", ".join(sorted(library)), "a fit says where plants stand; `species`, what they look like"
+        raise RecipeError("no such species", parameter="species", expected=expected, got=repr(species[:60]), hint=hint)
 
 
 def fit_files(target: Path) -> tuple[Path, Path, Path]:

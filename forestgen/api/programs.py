@@ -89,12 +89,8 @@ def derive(
     program = compile_program(with_values(parse_file(path), _values(set)))
     wanted = program.derivation_length if steps is None else steps
     if wanted is None:
-        raise RecipeError(
-            "how many steps?",
-            where=program.name,
-            expected="`steps=N`, or derivation length: N in the file",
-            got="neither",
-        )
+        expected = "`steps=N`, or derivation length: N in the file"
+        raise RecipeError("how many steps?", where=program.name, expected=expected, got="neither")
     wanted = whole_of(wanted, "steps", 0, _MOST_STEPS)
     last: derivation.Derivation | None = None
     for last in derivation.derive(program, wanted, drawn, most_modules=most):  # noqa: B007 - the last matters

@@ -48,13 +48,9 @@ def verify(
         Printer(quiet)(str(report))
     if not report.ok:
         first, total = report.findings[0], len(report.findings) + report.not_named
-        raise DatasetError(
-            f"{first.problem} (check {first.check!r}; {count(total, 'finding')} in all)",
-            where=str(folder / first.file),
-            expected=first.expected or None,
-            got=first.got or None,
-            hint="the command that made the data set, with --resume, makes damaged images again",
-        )
+        problem, got = f"{first.problem} (check {first.check!r}; {count(total, 'finding')} in all)", first.got or None
+        hint = "the command that made the data set, with --resume, makes damaged images again"
+        raise DatasetError(problem, where=str(folder / first.file), expected=first.expected or None, got=got, hint=hint)
 
 
 def merge(

@@ -133,13 +133,11 @@ def calibrate(
     say(f"calibrated in {seconds(time.perf_counter() - started)}")
     say(f"files: {folder}/ (look at {folder / SHEET})")
     if missed := [check for check in found.checks if not check.holds]:
-        raise RenderError(
-            "the calibration misses " + ("a bound" if len(missed) == 1 else f"{len(missed)} bounds"),
-            where=str(folder),
-            expected="; ".join(f"{check.name} below {check.bound:.3g}" for check in missed),
-            got="; ".join(f"{check.value:.3g}" for check in missed),
-            hint="more --samples if the picture is noisy; another --at if the chart lies in broken shade",
-        )
+        problem = "the calibration misses " + ("a bound" if len(missed) == 1 else f"{len(missed)} bounds")
+        expected = "; ".join(f"{check.name} below {check.bound:.3g}" for check in missed)
+        got = "; ".join(f"{check.value:.3g}" for check in missed)
+        hint = "more --samples if the picture is noisy; another --at if the chart lies in broken shade"
+        raise RenderError(problem, where=str(folder), expected=expected, got=got, hint=hint)
 
 
 def weather(

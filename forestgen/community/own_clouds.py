@@ -79,13 +79,10 @@ class CommunityClouds(CloudSource[CommunityKeys]):
 def _air_of(drawn: DrawnRecipe, model: object) -> OwnAir:
     air = capability(model, OwnAir)
     if air is None:
-        raise RecipeError(
-            "this community has no air of its own",
-            where=drawn.where("sky", "clouds", "type"),
-            expected=f"community.model: {models_with(OwnAir)}, with a section weather",
-            got=drawn.recipe.community.model,
-            hint="set sky.clouds=cumulus for clouds that know no plants",
-        )
+        problem, where = "this community has no air of its own", drawn.where("sky", "clouds", "type")
+        expected = f"community.model: {models_with(OwnAir)}, with a section weather"
+        hint = "set sky.clouds=cumulus for clouds that know no plants"
+        raise RecipeError(problem, where=where, expected=expected, got=drawn.recipe.community.model, hint=hint)
     return air
 
 

@@ -256,13 +256,10 @@ def _count_duplicates(path: Path, points: Floats, rows: NDArray[np.int64], allow
     if len(same) and not allowed:
         one, two = order[same[0]], order[same[0] + 1]
         more = f", and {len(same) - 1:,} more" if len(same) > 1 else ""
-        raise AssetError(
-            "a point occurs twice",
-            where=f"{path}:{rows[two]}",
-            expected="points that differ: no two plants stand at one place",
-            got=f"({points[one, 0]:g}, {points[one, 1]:g}), as in line {rows[one]}{more}",
-            hint="remove the copies; of rounded positions, take more digits",
-        )
+        expected = "points that differ: no two plants stand at one place"
+        got = f"({points[one, 0]:g}, {points[one, 1]:g}), as in line {rows[one]}{more}"
+        hint = "remove the copies; of rounded positions, take more digits"
+        raise AssetError("a point occurs twice", where=f"{path}:{rows[two]}", expected=expected, got=got, hint=hint)
     return len(same)
 
 

@@ -95,21 +95,14 @@ def snapshot_to_resume(plan: CommunityPlan, path: Path, step: int | None) -> Pop
         raise RecipeError(f"{path} has no such step", parameter="from_step", expected=expected, got=str(step))
     _check_same_simulation(plan, dict(history.origin), chosen, path)
     if chosen >= plan.steps:
-        raise RecipeError(
-            f"nothing is left to simulate after step {chosen}",
-            where=plan.drawn.where("community", "steps"),
-            expected=f"more than {chosen} steps",
-            got=str(plan.steps),
-            hint=f"`set='community.steps={chosen + 100}'`, or `from_step` with an earlier step",
-        )
+        problem, where = f"nothing is left to simulate after step {chosen}", plan.drawn.where("community", "steps")
+        hint = f"`set='community.steps={chosen + 100}'`, or `from_step` with an earlier step"
+        raise RecipeError(problem, where=where, expected=f"more than {chosen} steps", got=str(plan.steps), hint=hint)
     if history.grows_by_modules and not history.has_modules:
-        raise RecipeError(
-            f"{path} has no modules, from which alone its plants can go on",
-            parameter="resume",
-            expected=f"a history with {MODULES_NAME} beside it",
-            got="one row a plant",
-            hint="simulate it again with `set='community.history_modules=true'`, and resume that",
-        )
+        problem = f"{path} has no modules, from which alone its plants can go on"
+        expected = f"a history with {MODULES_NAME} beside it"
+        hint = "simulate it again with `set='community.history_modules=true'`, and resume that"
+        raise RecipeError(problem, parameter="resume", expected=expected, got="one row a plant", hint=hint)
     population = history.whole(chosen)
     _check_values(plan, population, path)
     return population

@@ -32,11 +32,9 @@ STORAGE_ERRNOS = frozenset(_REMEDIES)
 def output_error(error: OSError, path: Path | None = None) -> OutputError:
     """`error` as an `OutputError` that names the path, the reason and what to do."""
     where = (error.filename2 or error.filename) if path is None else path  # of a copy, where it should have gone
-    return OutputError(
-        f"cannot write: {error.strerror or error}",
-        where=None if where is None else str(where),
-        hint=_REMEDIES.get(error.errno or 0, "check the folder, or choose another"),
-    )
+    problem = f"cannot write: {error.strerror or error}"
+    hint = _REMEDIES.get(error.errno or 0, "check the folder, or choose another")
+    return OutputError(problem, where=None if where is None else str(where), hint=hint)
 
 
 @contextmanager

@@ -106,12 +106,9 @@ class OutputFolder:
         if not any(target.iterdir()):
             return
         if not self.is_ours(target):
-            raise OutputError(
-                NO_OUTPUT,
-                where=str(self.target),
-                expected="a new or empty folder, or a previous forestgen output",
-                hint="choose another folder; forestgen replaces only its own, with `overwrite=True`",
-            )
+            expected = "a new or empty folder, or a previous forestgen output"
+            hint = "choose another folder; forestgen replaces only its own, with `overwrite=True`"
+            raise OutputError(NO_OUTPUT, where=str(self.target), expected=expected, hint=hint)
         if not self.overwrite:
             hint = "choose another folder, or `overwrite=True` to replace it"
             raise OutputError(OURS, where=str(self.target), hint=hint)
@@ -125,13 +122,10 @@ class OutputFolder:
     def _check_space(self) -> None:
         free = shutil.disk_usage(self._final.parent).free
         if free < self.required_bytes:
-            raise OutputError(
-                "too little free disk space",
-                where=str(self._final.parent),
-                expected=f"{self.required_bytes / 1e6:,.0f} MB",
-                got=f"{free / 1e6:,.0f} MB",
-                hint="free some space, choose a folder on another disk, or make fewer or smaller images",
-            )
+            problem, where = "too little free disk space", str(self._final.parent)
+            expected = f"{self.required_bytes / 1e6:,.0f} MB"
+            hint = "free some space, choose a folder on another disk, or make fewer or smaller images"
+            raise OutputError(problem, where=where, expected=expected, got=f"{free / 1e6:,.0f} MB", hint=hint)
 
     def _commit(self) -> None:
         """Rename the staging folder into place; a folder that was there steps aside until that has worked."""

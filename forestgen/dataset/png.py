@@ -49,13 +49,9 @@ def write_instance(path: Path, instance: NDArray[np.uint32]) -> None:
     """Write plant ids as colours, id = R + 256 G + 65536 B, as COCO panoptic does; others raise `OutputError`."""
     largest = int(instance.max(initial=0))
     if largest > MAX_PNG_ID:
-        raise OutputError(
-            "a plant_id does not fit the 24 bits of an instance PNG",
-            where=str(path),
-            expected=f"ids up to {MAX_PNG_ID}",
-            got=str(largest),
-            hint="ids count all plants that ever lived: make the site smaller, or stop after fewer steps",
-        )
+        problem = "a plant_id does not fit the 24 bits of an instance PNG"
+        hint = "ids count all plants that ever lived: make the site smaller, or stop after fewer steps"
+        raise OutputError(problem, where=str(path), expected=f"ids up to {MAX_PNG_ID}", got=str(largest), hint=hint)
     write_png(path, np.stack([(instance >> shift) & 0xFF for shift in (0, 8, 16)], axis=-1).astype(np.uint8))
 
 

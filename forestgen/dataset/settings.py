@@ -71,13 +71,9 @@ def check_one_data_set(drawn: DrawnRecipe, settings: DatasetSettings) -> None:
         mine, common = getattr(own, field.name), getattr(settings, field.name)
         if mine != common:
             keys = _KEYS.get(field.name, ("dataset", field.name))
-            raise RecipeError(
-                "images of one data set must agree on this",
-                where=drawn.where(*keys),
-                expected=f"{_show(common)}, as in the first image",
-                got=_show(mine),
-                hint="give a value, not a distribution",
-            )
+            problem, expected = "images of one data set must agree on this", f"{_show(common)}, as in the first image"
+            hint = "give a value, not a distribution"
+            raise RecipeError(problem, where=drawn.where(*keys), expected=expected, got=_show(mine), hint=hint)
 
 
 def check_stands(plan: CommunityPlan, loaded: LoadedRecipe, splits: Sequence[str]) -> None:
@@ -90,13 +86,11 @@ def check_stands(plan: CommunityPlan, loaded: LoadedRecipe, splits: Sequence[str
     )
     nobody = plan.model.expected_plants(plan.parameters, plan.site, plan.ecologies) == 0
     if len(splits) > 1 and not stands_differ and not nobody:
-        raise RecipeError(
-            "all images show the plants of one list: train and test would share a stand (data leakage)",
-            where=plan.drawn.where("community", "model"),
-            expected="one split, or a stand that is drawn for each image",
-            got=f"{community.model}, with the splits {', '.join(splits)}",
-            hint="`set='dataset.splits={train: 1}'`; merge data sets of several stands, each of its own split",
-        )
+        problem = "all images show the plants of one list: train and test would share a stand (data leakage)"
+        expected = "one split, or a stand that is drawn for each image"
+        got = f"{community.model}, with the splits {', '.join(splits)}"
+        hint = "`set='dataset.splits={train: 1}'`; merge data sets of several stands, each of its own split"
+        raise RecipeError(problem, where=plan.drawn.where("community", "model"), expected=expected, got=got, hint=hint)
 
 
 def _show(value: object) -> str:
@@ -106,10 +100,7 @@ def _show(value: object) -> str:
 def check_splits(loaded: LoadedRecipe, splits: Sequence[str]) -> None:
     """Refuse a run of ``same_stand: true`` that uses several splits: train and test would share the stand."""
     if loaded.data.get("same_stand") is True and len(splits) > 1:
-        raise RecipeError(
-            "one stand cannot be in several splits: train and test would share a stand (data leakage)",
-            where=loaded.sources.where(("same_stand",)),
-            expected="by_split, a stand for each split; or false, a stand for each image",
-            got=f"true, with the splits {', '.join(splits)}",
-            hint="or one split: `set='dataset.splits={train: 1}'`",
-        )
+        problem = "one stand cannot be in several splits: train and test would share a stand (data leakage)"
+        expected = "by_split, a stand for each split; or false, a stand for each image"
+        got, hint = f"true, with the splits {', '.join(splits)}", "or one split: `set='dataset.splits={train: 1}'`"
+        raise RecipeError(problem, where=loaded.sources.where(("same_stand",)), expected=expected, got=got, hint=hint)

@@ -172,13 +172,10 @@ def find_regions(spec: SceneSpec, camera: Camera, progress: Progress) -> tuple[N
     hidden = float(1 - on_board[1:-1, 1:-1].mean())
     if (pixels < _FEWEST_PX).any():
         few = [names[k] for k in np.flatnonzero(pixels < _FEWEST_PX)]
-        raise RecipeError(
-            "the colour chart is hidden from its camera, 0.8 m in front of it",
-            parameter="at",
-            expected="a place with free sight",
-            got=f"{100 * hidden:.0f}% of it hidden, among it {', '.join(few[:3])}",
-            hint="choose another `at`, higher or in a gap; without `at` it lies above all plants",
-        )
+        problem = "the colour chart is hidden from its camera, 0.8 m in front of it"
+        got = f"{100 * hidden:.0f}% of it hidden, among it {', '.join(few[:3])}"
+        hint = "choose another `at`, higher or in a gap; without `at` it lies above all plants"
+        raise RecipeError(problem, parameter="at", expected="a place with free sight", got=got, hint=hint)
     notes = []
     if hidden > 0.001:
         notes.append(f"{100 * hidden:.1f}% of the chart is hidden from its camera; the rest of each patch was measured")

@@ -69,13 +69,10 @@ class GapFractionOfFisheyes(Instrument[GapFractionKeys, GapFractions]):
     def check(self, plan: Plan, keys: GapFractionKeys) -> None:
         cameras = plan.views.all_cameras
         if not any(map(looks_up, cameras)):
-            raise RecipeError(
-                "no camera sees the canopy from below",
-                where=plan.drawn.where("cameras"),
-                expected="an equidistant fisheye that looks straight up",
-                got=", ".join(f"{one.name}, {one.projection}" for one in cameras[:5]),
-                hint="`set='cameras=[{kind: fisheye, look: up}]'`",
-            )
+            problem, expected = "no camera sees the canopy from below", "an equidistant fisheye that looks straight up"
+            got = ", ".join(f"{one.name}, {one.projection}" for one in cameras[:5])
+            hint = "`set='cameras=[{kind: fisheye, look: up}]'`"
+            raise RecipeError(problem, where=plan.drawn.where("cameras"), expected=expected, got=got, hint=hint)
 
     def measure(self, scene: BuiltScene, keys: GapFractionKeys, progress: Progress, timings: Timings) -> GapFractions:
         samples = scene.drawn.recipe.labels.samples

@@ -179,13 +179,10 @@ def place(drawn: DrawnRecipe, point: Point, *, above_ground: bool) -> tuple[Poin
     ground_m = float(height_field(drawn)(np.array(point[0]), np.array(point[1])))
     z = point[2] + (ground_m if above_ground else 0.0)
     if z <= ground_m:
-        raise RecipeError(
-            "this point does not lie above the ground",
-            parameter="at",
-            expected="z above 0" if above_ground else f"z above {ground_m:.3f} m",
-            got=said,
-            hint="z counts from the ground below; with `absolute_z` from z = 0",
-        )
+        problem = "this point does not lie above the ground"
+        expected = "z above 0" if above_ground else f"z above {ground_m:.3f} m"
+        hint = "z counts from the ground below; with `absolute_z` from z = 0"
+        raise RecipeError(problem, parameter="at", expected=expected, got=said, hint=hint)
     base_m = cloud_source_of(drawn).known_base_m(drawn)
     if base_m is not None and z >= base_m:
         raise RecipeError(

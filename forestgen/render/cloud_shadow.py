@@ -153,26 +153,18 @@ def cloud_transport_of(
     if asked == "auto":
         return "exact"
     expected, got = near
-    raise RecipeError(
-        "the clouds are too near for light from afar",
-        where=where,
-        expected=expected,
-        got=f"farfield, and {got}",
-        hint="set render.clouds to auto or exact, or raise the clouds",
-    )
+    problem = "the clouds are too near for light from afar"
+    hint = "set render.clouds to auto or exact, or raise the clouds"
+    raise RecipeError(problem, where=where, expected=expected, got=f"farfield, and {got}", hint=hint)
 
 
 def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
     """`RecipeError`: clouds so near that the plane of their shadow would lie among the plants or below a point."""
     near = _too_near(spec, [("the point", float(point_m[2]))], [np.asarray(point_m)])
     if near is not None:
-        raise RecipeError(
-            "light at a point cannot be measured in clouds or fog, or close below them",
-            where="sky.clouds",
-            expected=near[0],
-            got=near[1],
-            hint="raise the clouds, or measure with `set='sky.clouds=none'`",
-        )
+        problem = "light at a point cannot be measured in clouds or fog, or close below them"
+        hint = "raise the clouds, or measure with `set='sky.clouds=none'`"
+        raise RecipeError(problem, where="sky.clouds", expected=near[0], got=near[1], hint=hint)
 
 
 def _too_near(spec: SceneSpec, tops: Sequence[tuple[str, float]], points_m: Sequence[Floats]) -> tuple[str, str] | None:

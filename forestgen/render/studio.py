@@ -139,12 +139,8 @@ def _fitted(position: tuple[float, float, float], points: Floats, settings: Pict
     """The camera at `position` whose picture the points fill."""
     way = points - np.array(position)
     if not np.all(way[:, 1] > 0.0):
-        raise RecipeError(
-            "the camera stands in the plant",
-            parameter="distance_m",
-            expected=f"more than {-points[:, 1].min():.3g} m, or `look_at_m` with it",
-            got=f"{-position[1]:g}",
-        )
+        expected, got = f"more than {-points[:, 1].min():.3g} m, or `look_at_m` with it", f"{-position[1]:g}"
+        raise RecipeError("the camera stands in the plant", parameter="distance_m", expected=expected, got=got)
     bearing = np.arctan2(way[:, 0], way[:, 1])
     lift = np.arctan2(way[:, 2], np.hypot(way[:, 0], way[:, 1]))
     turn, tilt = (0.5 * (angle.min() + angle.max()) for angle in (bearing, lift))
@@ -155,12 +151,8 @@ def _fitted(position: tuple[float, float, float], points: Floats, settings: Pict
     half = max(across, up * settings.size_px[0] / settings.size_px[1])
     widest = 2 * math.degrees(math.atan(half))
     if not (np.all(seen[:, 2] > 0.0) and widest < _WIDEST_DEG):
-        raise RecipeError(
-            "no lens holds the whole plant from there",
-            parameter="distance_m",
-            expected="a larger distance, or `look_at_m` with it",
-            got=f"{-position[1]:g}",
-        )
+        problem, expected = "no lens holds the whole plant from there", "a larger distance, or `look_at_m` with it"
+        raise RecipeError(problem, parameter="distance_m", expected=expected, got=f"{-position[1]:g}")
     return Camera("plant", position, axes, settings.size_px, widest)
 
 

@@ -135,11 +135,8 @@ def tracing_variant() -> str:
     named = os.environ.get(TRACING_ENVIRONMENT, "llvm").lower()
     variants = {"llvm": LLVM, "cuda": CUDA}
     if named not in variants:
-        raise ResourceError(
-            f"the environment variable {TRACING_ENVIRONMENT} names no device to trace on",
-            expected=" or ".join(variants),
-            got=named,
-        )
+        problem = f"the environment variable {TRACING_ENVIRONMENT} names no device to trace on"
+        raise ResourceError(problem, expected=" or ".join(variants), got=named)
     return variants[named]
 
 
@@ -162,20 +159,16 @@ def require(variant: str) -> None:
     """Raise `ResourceError` if a tracing variant cannot run here."""
     if variant == LLVM:
         if find_llvm() is None:
-            raise ResourceError(
-                "no LLVM library was found, and tracing rays needs one",
-                expected=f"libLLVM 19 or newer in {Path(sys.prefix) / 'lib'} or at DRJIT_LIBLLVM_PATH",
-                hint="pip install karellen-llvm-core; `forestgen doctor` shows what is found",
-            )
+            expected = f"libLLVM 19 or newer in {Path(sys.prefix) / 'lib'} or at DRJIT_LIBLLVM_PATH"
+            hint = "pip install karellen-llvm-core; `forestgen doctor` shows what is found"
+            raise ResourceError("no LLVM library was found, and tracing rays needs one", expected=expected, hint=hint)
         return
     try:
         cuda_devices()
     except RuntimeError as error:
-        raise ResourceError(
-            f"rays were to be traced on CUDA, and there is {error}",
-            expected="an NVIDIA driver and device",
-            hint=f"use `device='llvm'` or {TRACING_ENVIRONMENT}=llvm, the processor; `forestgen doctor` shows more",
-        ) from error
+        problem = f"rays were to be traced on CUDA, and there is {error}"
+        hint = f"use `device='llvm'` or {TRACING_ENVIRONMENT}=llvm, the processor; `forestgen doctor` shows more"
+        raise ResourceError(problem, expected="an NVIDIA driver and device", hint=hint) from error
 
 
 @contextmanager

@@ -262,12 +262,8 @@ class RunOptions:
             return None
         size = parse_bytes(self.worker_memory, "worker_memory")
         if size < _LEAST_BYTES:
-            raise RecipeError(
-                "this is too little for a worker",
-                parameter="worker_memory",
-                expected="such as 4GB",
-                got=shown(self.worker_memory),
-            )
+            problem = "this is too little for a worker"
+            raise RecipeError(problem, parameter="worker_memory", expected="such as 4GB", got=shown(self.worker_memory))
         return size
 
     @property

@@ -174,12 +174,9 @@ def check_fits(expected: Estimate, storage: StorageBackend, *, workers_here: boo
 def _check_memory(expected: Estimate) -> None:
     free, need = SHARE_OF_MEMORY * free_bytes(), expected.worker_bytes
     if need > free:
-        raise ResourceError(
-            "one worker would need more memory than is free",
-            expected=f"at most {show_bytes(free)}",
-            got=f"about {show_bytes(need)}",
-            hint="make the images or the site smaller, or lower plants.exemplars_per_species",
-        )
+        problem = "one worker would need more memory than is free"
+        hint = "make the images or the site smaller, or lower plants.exemplars_per_species"
+        raise ResourceError(problem, expected=f"at most {show_bytes(free)}", got=f"about {show_bytes(need)}", hint=hint)
     if expected.wanted is not None and need * expected.wanted > free:
         fits = max(1, int(free / need))
         raise ResourceError(
@@ -274,13 +271,11 @@ def check_disk(storage: StorageBackend, images: int, image_bytes: float) -> None
     free, need = shutil.disk_usage(folder).free, round(images * image_bytes)
     if need + _ROOM_BYTES > free:
         fits = max(0, int((free - _ROOM_BYTES) / max(image_bytes, 1.0)))
-        raise OutputError(
-            "the data set would be larger than what is free on the disk",
-            where=storage.name,
-            expected=f"at most {show_bytes(max(0, free - _ROOM_BYTES))}",
-            got=f"about {show_bytes(need)} for {images:,} images",
-            hint=f"another disk, or `count={fits}`" if fits else "another disk",
-        )
+        problem = "the data set would be larger than what is free on the disk"
+        expected = f"at most {show_bytes(max(0, free - _ROOM_BYTES))}"
+        got = f"about {show_bytes(need)} for {images:,} images"
+        hint = f"another disk, or `count={fits}`" if fits else "another disk"
+        raise OutputError(problem, where=storage.name, expected=expected, got=got, hint=hint)
 
 
 def _rows(expected: Estimate) -> Iterator[tuple[str, str]]:

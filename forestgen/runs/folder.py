@@ -45,30 +45,21 @@ def check_ours(storage: StorageBackend) -> None:
         raise OutputError("the output is a file", where=storage.name, expected="a folder", hint="choose another name")
     begun = HIDDEN in names and set(names) <= {HIDDEN, RUN}  # a run that ended before it said what it makes
     if names and not begun and not _is_batch(storage):
-        raise OutputError(
-            "the folder is not empty and holds no forestgen data set",
-            where=storage.name,
-            expected="a new or empty folder, or a previous data set",
-            got=", ".join(names[:4]) + (", ..." if len(names) > 4 else ""),
-            hint="choose another folder",
-        )
+        problem = "the folder is not empty and holds no forestgen data set"
+        expected = "a new or empty folder, or a previous data set"
+        got = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
+        raise OutputError(problem, where=storage.name, expected=expected, got=got, hint="choose another folder")
     if not isinstance(storage, LocalStorage):
         return
     linked = [name for name in names if (storage.root / name).is_symlink()]
     if linked:
-        raise OutputError(
-            "a part of the data set is a link to elsewhere: what a run removes and replaces must lie here",
-            where=f"{storage.name}/{linked[0]}",
-            hint="move it here; the whole folder may be a link",
-        )
+        problem = "a part of the data set is a link to elsewhere: what a run removes and replaces must lie here"
+        where = f"{storage.name}/{linked[0]}"
+        raise OutputError(problem, where=where, hint="move it here; the whole folder may be a link")
     for name in _FOLDERS:
         if os.path.lexists(storage.root / name) and not SafePath(storage.root, name).is_folder():
-            raise OutputError(
-                "a part of the data set is no folder",
-                where=f"{storage.name}/{name}",
-                expected="a folder of its own, and no link",
-                hint="move it away",
-            )
+            problem, where = "a part of the data set is no folder", f"{storage.name}/{name}"
+            raise OutputError(problem, where=where, expected="a folder of its own, and no link", hint="move it away")
 
 
 def check_resume(storage: StorageBackend, *, resume: bool) -> None:

@@ -128,12 +128,9 @@ def _check_target(target: Path, sources: Sequence[Path], *, overwrite: bool) -> 
 def _piece(root: Path) -> Piece:
     description = open_data_set(root)
     if description["images"] and not SafePath(root, JOBS).is_folder():
-        raise RecipeError(
-            "this copy of a data set has no records, by which images are merged",
-            where=str(root),
-            expected=f"a folder {JOBS}",
-            hint="copy the whole folder, with what is hidden in it",
-        )
+        problem = "this copy of a data set has no records, by which images are merged"
+        hint = "copy the whole folder, with what is hidden in it"
+        raise RecipeError(problem, where=str(root), expected=f"a folder {JOBS}", hint=hint)
     return Piece(root, description)
 
 
@@ -190,11 +187,9 @@ def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
     if len(parts) == 1:  # a hole between two pieces is what one run would have left out
         first, last = parts[0].asked[0][0], parts[0].asked[-1][1]
         if last - first >= MOST_IMAGES:
-            raise RecipeError(
-                "the pieces lie too far apart: all images between them would be missing",
-                expected=f"numbers that differ by less than {MOST_IMAGES:,}",
-                got=f"images {first} to {last}",
-            )
+            problem = "the pieces lie too far apart: all images between them would be missing"
+            expected = f"numbers that differ by less than {MOST_IMAGES:,}"
+            raise RecipeError(problem, expected=expected, got=f"images {first} to {last}")
         return [replace(parts[0], asked=((first, last),))]
     _check_numbers(parts, pieces)
     return parts
@@ -218,13 +213,11 @@ def _check_numbers(parts: Sequence[RecipePart], pieces: Sequence[Piece]) -> None
     ranges = sorted(one for part in parts for one in part.asked)
     for (_, last), (first, _) in pairwise(ranges):
         if first <= last:
-            raise RecipeError(
-                "two recipes have images of the same numbers",
-                where=", ".join(str(piece.root) for piece in pieces),
-                expected="numbers that differ: frames are named by them",
-                got=f"image {first} in both",
-                hint=f"make one of the data sets with `set='first_image={max(last for _, last in ranges) + 1}'`",
-            )
+            problem = "two recipes have images of the same numbers"
+            where = ", ".join(str(piece.root) for piece in pieces)
+            expected = "numbers that differ: frames are named by them"
+            hint = f"make one of the data sets with `set='first_image={max(last for _, last in ranges) + 1}'`"
+            raise RecipeError(problem, where=where, expected=expected, got=f"image {first} in both", hint=hint)
 
 
 def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]]:
@@ -251,13 +244,10 @@ def _records(pieces: Sequence[Piece]) -> Iterator[tuple[Piece | None, JobRecord]
         yield before
     for piece, count in zip(pieces, counts, strict=True):
         if count != piece.description["images"]:
-            raise DatasetError(
-                "the data set has not a record for each image",
-                where=str(piece.root / JOBS),
-                expected=f"{piece.description['images']} records",
-                got=f"{count}" + (f"; {notes[0]}" if notes else ""),
-                hint=f"forestgen verify {piece.root}; the command that made it, with `resume=True`, makes images again",
-            )
+            problem, expected = "the data set has not a record for each image", f"{piece.description['images']} records"
+            got = f"{count}" + (f"; {notes[0]}" if notes else "")
+            hint = f"forestgen verify {piece.root}; the command that made it, with `resume=True`, makes images again"
+            raise DatasetError(problem, where=str(piece.root / JOBS), expected=expected, got=got, hint=hint)
 
 
 def _check_same(one: tuple[Piece, JobRecord], other: tuple[Piece, JobRecord]) -> None:
@@ -281,11 +271,9 @@ def _check_seeds(record_index: RecordIndex) -> None:
     if shared:
         seed, first, first_split = shared[0]
         other, other_split = next((image, split) for _, image, split in shared if split != first_split)
-        raise RecipeError(
-            "two splits would show one stand: train and test would share it (data leakage)",
-            expected="another seed of the recipe in each, or one split",
-            got=f"image {first} ({first_split}) and image {other} ({other_split}) of the seed {seed}",
-        )
+        problem = "two splits would show one stand: train and test would share it (data leakage)"
+        got = f"image {first} ({first_split}) and image {other} ({other_split}) of the seed {seed}"
+        raise RecipeError(problem, expected="another seed of the recipe in each, or one split", got=got)
 
 
 def _take(piece: Piece, record: JobRecord, storage: LocalStorage, link: bool) -> None:
@@ -302,13 +290,11 @@ def _take(piece: Piece, record: JobRecord, storage: LocalStorage, link: bool) ->
         except OSError as error:
             raise unreadable(source, error, "forestgen verify names all such files") from error
         if size != entry["bytes"] or digest != entry["sha256"]:
-            raise DatasetError(
-                "the file has changed since it was made",
-                where=str(source),
-                expected=f"{entry['bytes']} bytes, sha256 {entry['sha256']}",
-                got=f"{size} bytes, sha256 {digest}" if size == entry["bytes"] else f"{size} bytes",
-                hint=f"forestgen verify {piece.root} names all such files",
-            )
+            problem = "the file has changed since it was made"
+            expected = f"{entry['bytes']} bytes, sha256 {entry['sha256']}"
+            got = f"{size} bytes, sha256 {digest}" if size == entry["bytes"] else f"{size} bytes"
+            hint = f"forestgen verify {piece.root} names all such files"
+            raise DatasetError(problem, where=str(source), expected=expected, got=got, hint=hint)
     storage.write(record_path(record.key), record_bytes(record))
 
 

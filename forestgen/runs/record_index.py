@@ -61,11 +61,8 @@ class RecordIndex:
             raise self._failed(error) from error
 
     def _failed(self, error: sqlite3.OperationalError) -> OutputError:
-        return OutputError(
-            f"cannot write the table of all files: {error}",
-            where=self._scratch.name,
-            hint="free some space there, or name a folder on another disk in TMPDIR",
-        )
+        hint = "free some space there, or name a folder on another disk in TMPDIR"
+        return OutputError(f"cannot write the table of all files: {error}", where=self._scratch.name, hint=hint)
 
     # -- writing
 

@@ -123,26 +123,17 @@ def read_record(content: bytes, where: str) -> JobRecord:
         if hashlib.sha256(content.rpartition(_SUM)[0]).hexdigest() != data["sha256"]:
             raise ValueError("its content has not its own SHA-256")
         if data["schema"] != _SCHEMA:
-            raise DatasetError(
-                "this record of a finished image is of another version of forestgen",
-                where=where,
-                expected=_SCHEMA,
-                got=f"{data['schema']!r:.40}",
-                hint=_AGAIN + "; or take the version that made it",
-            )
+            problem = "this record of a finished image is of another version of forestgen"
+            hint = _AGAIN + "; or take the version that made it"
+            raise DatasetError(problem, where=where, expected=_SCHEMA, got=f"{data['schema']!r:.40}", hint=hint)
         stored = _StoredRecord.model_validate(data).model_dump()
         record = JobRecord(**stored | {"rows": tuple(stored["rows"]), "notes": tuple(stored["notes"])})
         if record.image != image_of_key(record.key):
             raise ValueError(f"image {record.image} under the key {record.key:.60}")
         return record
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise DatasetError(
-            "this record of a finished image is damaged",
-            where=where,
-            expected=f"JSON, {_SCHEMA}",
-            got=f"{type(error).__name__}: {one_line(error)}",
-            hint=_AGAIN,
-        ) from error
+        problem, got = "this record of a finished image is damaged", f"{type(error).__name__}: {one_line(error)}"
+        raise DatasetError(problem, where=where, expected=f"JSON, {_SCHEMA}", got=got, hint=_AGAIN) from error
 
 
 def done_keys(storage: StorageBackend) -> set[str]:

@@ -257,12 +257,9 @@ class RemoteLock:
     def check(self) -> None:
         """Raise `OutputError` if another run has taken the lock over; makes no request."""
         if self._lost:
-            raise OutputError(
-                "the lock of the data set was lost: this run could not reach the store, or another took over",
-                where=self._where,
-                got=self._lost,
-                hint="see that no other run writes there, then `resume=True`",
-            )
+            problem = "the lock of the data set was lost: this run could not reach the store, or another took over"
+            hint = "see that no other run writes there, then `resume=True`"
+            raise OutputError(problem, where=self._where, got=self._lost, hint=hint)
 
     def _take(self) -> None:
         found = self._read()

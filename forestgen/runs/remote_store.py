@@ -34,12 +34,9 @@ def check_url(url: str) -> str:
     scheme, separator, path = url.partition("://")
     parts = path.removeprefix("/").removesuffix("/").split("/")
     if not separator or scheme not in (*SCHEMES, _IN_PROCESS):
-        raise OutputError(
-            "no kind of store that forestgen writes to",
-            where=url,
-            expected="a folder, or " + ", ".join(f"{name}://" for name in SCHEMES),
-            got=f"{scheme}://" if separator else "no scheme",
-        )
+        problem = "no kind of store that forestgen writes to"
+        expected = "a folder, or " + ", ".join(f"{name}://" for name in SCHEMES)
+        raise OutputError(problem, where=url, expected=expected, got=f"{scheme}://" if separator else "no scheme")
     if "@" in parts[0] and ":" in parts[0]:
         raise OutputError(
             "the address holds a password",  # so it is not repeated here
@@ -48,11 +45,8 @@ def check_url(url: str) -> str:
             hint="give credentials by the environment or by the store's own configuration file",
         )
     if any(part in ("", ".", "..") for part in parts) or any(mark in path for mark in "?#\\"):
-        raise OutputError(
-            "the address is no name of a folder in a store",
-            where=url,
-            expected=f"{scheme}://BUCKET/PREFIX",
-        )
+        problem = "the address is no name of a folder in a store"
+        raise OutputError(problem, where=url, expected=f"{scheme}://BUCKET/PREFIX")
     return scheme
 
 
@@ -75,12 +69,8 @@ def _opened(scheme: str, _process: int) -> Any:
     try:
         return fsspec.filesystem(scheme, **options)
     except ImportError as error:
-        raise OutputError(
-            f"{scheme}:// needs a package that is not installed here",
-            where=f"{scheme}://",
-            got=str(error),
-            hint=f"pip install '{SCHEMES[scheme]}'",
-        ) from error
+        problem, where = f"{scheme}:// needs a package that is not installed here", f"{scheme}://"
+        raise OutputError(problem, where=where, got=str(error), hint=f"pip install '{SCHEMES[scheme]}'") from error
 
 
 @contextmanager
@@ -120,26 +110,15 @@ def storage_error(error: BaseException, where: str) -> OutputError:
     if code == "NoSuchBucket" or "bucket does not exist" in str(error).lower():
         return OutputError("there is no such bucket", where=bucket, hint="make it, or correct its name")
     if name in ("NoCredentialsError", "PartialCredentialsError"):
-        return OutputError(
-            "no credentials were found",
-            where=where,
-            hint="set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE, here and on the workers",
-        )
+        hint = "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or AWS_PROFILE, here and on the workers"
+        return OutputError("no credentials were found", where=where, hint=hint)
     if isinstance(error, PermissionError):
-        return OutputError(
-            "the store refused access",
-            where=where,
-            expected="credentials that may list the bucket, and read, write and delete objects below the prefix",
-            got=got,
-            hint="check AWS_PROFILE or AWS_ACCESS_KEY_ID, here and on the workers, and the bucket's policy",
-        )
+        expected = "credentials that may list the bucket, and read, write and delete objects below the prefix"
+        hint = "check AWS_PROFILE or AWS_ACCESS_KEY_ID, here and on the workers, and the bucket's policy"
+        return OutputError("the store refused access", where=where, expected=expected, got=got, hint=hint)
     if isinstance(error, ConnectionError | TimeoutError) or "Connect" in name or "Timeout" in name:
-        return OutputError(
-            "the store does not answer",
-            where=where,
-            got=got,
-            hint="check the network, and AWS_ENDPOINT_URL if the store is not Amazon's",
-        )
+        hint = "check the network, and AWS_ENDPOINT_URL if the store is not Amazon's"
+        return OutputError("the store does not answer", where=where, got=got, hint=hint)
     hint = "look at the store's own status, then `resume=True`"
     return OutputError("the store failed", where=where, got=got, hint=hint)
 

@@ -281,13 +281,9 @@ def check_replaceable(storage: StorageBackend, splits: Iterable[str]) -> None:
 
     own = (path for path in foreign_files(root) if tool_of(path) is None)
     if used := [path for path in own if any(map(is_used, files(path)))]:
-        raise OutputError(
-            "files that forestgen has not written lie where the new data set has its own",
-            where=storage.name,
-            expected="none in frames' folders, and none of a name that forestgen gives",
-            got=named(used),
-            hint="move them away",
-        )
+        problem = "files that forestgen has not written lie where the new data set has its own"
+        expected = "none in frames' folders, and none of a name that forestgen gives"
+        raise OutputError(problem, where=storage.name, expected=expected, got=named(used), hint="move them away")
 
 
 def move_foreign(source: Path, target: Path) -> list[str]:

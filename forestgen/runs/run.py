@@ -187,12 +187,9 @@ def check_recipe(loaded: LoadedRecipe, images: range) -> tuple[DatasetSettings, 
     splits = dict(plan.drawn.recipe.dataset.splits)
     for name in TAKEN:
         if name in splits:
-            raise RecipeError(
-                "a split cannot have this name: the data set's folder uses it",
-                where=plan.drawn.where("dataset", "splits", name),
-                expected="another than " + ", ".join(TAKEN),
-                got=name,
-            )
+            problem = "a split cannot have this name: the data set's folder uses it"
+            where = plan.drawn.where("dataset", "splits", name)
+            raise RecipeError(problem, where=where, expected="another than " + ", ".join(TAKEN), got=name)
     used = used_splits(splits, images)
     check_splits(loaded, used)
     check_stands(plan.community, loaded, used)
@@ -263,11 +260,8 @@ def _give_up(run: _Run, failed: Failed) -> None:
     if run.strict and failed.error is not None:
         raise failed.error
     if failed.kind == "output":
-        raise OutputError(
-            f"the run has stopped: results cannot be written\n{failed.message}",
-            where=run.work.storage.name,
-            hint="when that is mended, the same command with `resume=True` goes on",
-        )
+        problem, where = f"the run has stopped: results cannot be written\n{failed.message}", run.work.storage.name
+        raise OutputError(problem, where=where, hint="when that is mended, the same command with `resume=True` goes on")
     if run.tracker.failed >= _HOPELESS and not run.tracker.done:
         kinds = Counter(one.message for one in run.failed)
         message, times = kinds.most_common(1)[0]

@@ -108,13 +108,10 @@ def check_stale_outputs(found: ResumeDiff, where: str, *, agreed: bool) -> None:
     Raises `RecipeError` if images would be removed and `agreed` is False.
     """
     if found.discarded and not agreed:
-        raise RecipeError(
-            f"this would throw away {found.discarded:,} of {found.kept + found.discarded:,} finished images",
-            where=where,
-            expected="the recipe, the numbers of images and the versions that the batch was begun with, or more images",
-            got=found.reasons(),
-            hint="`discard=True` agrees to it; or choose another folder",
-        )
+        problem = f"this would throw away {found.discarded:,} of {found.kept + found.discarded:,} finished images"
+        expected = "the recipe, the numbers of images and the versions that the batch was begun with, or more images"
+        hint = "`discard=True` agrees to it; or choose another folder"
+        raise RecipeError(problem, where=where, expected=expected, got=found.reasons(), hint=hint)
 
 
 def _changes(storage: StorageBackend, loaded: LoadedRecipe) -> str:

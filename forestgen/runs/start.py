@@ -144,12 +144,9 @@ def _check_complete(summary: RunSummary) -> None:
     if not summary.failed and not summary.missing:
         return
     if not summary.failed:
-        raise DatasetError(
-            f"{len(summary.missing):,} of {summary.images:,} images are missing: files have changed meanwhile",
-            where=summary.target,
-            got="\n".join(summary.notes[:_MOST_FAILURES]),
-            hint="the same command with `resume=True` makes them again",
-        )
+        problem = f"{len(summary.missing):,} of {summary.images:,} images are missing: files have changed meanwhile"
+        hint = "the same command with `resume=True` makes them again"
+        raise DatasetError(problem, where=summary.target, got="\n".join(summary.notes[:_MOST_FAILURES]), hint=hint)
     shown = [
         f"image {one.job.image} ({one.job.split}), {count(one.attempt, 'attempt')}, {one.kind}: {one.message}"
         for one in summary.failed[:_MOST_FAILURES]

@@ -238,12 +238,9 @@ def refuse_address(path: Path) -> None:
     """Raise `RecipeError` for the address of an object store, which is no folder of this machine."""
     scheme, separator, _ = str(path).partition(":/")
     if separator and scheme.isalnum() and len(scheme) > 1:  # one letter is a drive of Windows
-        raise RecipeError(
-            "this is the address of an object store",
-            where=str(path).replace(":/", "://", 1),
-            expected="a folder of this machine",
-            hint="copy the data set here, with what is hidden in it",
-        )
+        problem, where = "this is the address of an object store", str(path).replace(":/", "://", 1)
+        hint = "copy the data set here, with what is hidden in it"
+        raise RecipeError(problem, where=where, expected="a folder of this machine", hint=hint)
 
 
 def _check_files(verifier: _Verifier, hashes: bool) -> None:

@@ -165,12 +165,10 @@ def complete(work: Work, job: Job, attempt: int, progress: Progress, *, memory_b
     with timings("recipe"):
         drawn = work.loaded.draw(job.index)
         if job_key(drawn, work.versions) != job.key:
-            raise AssetError(
-                "a file that the recipe names has changed since the batch was started",
-                where=str(work.loaded.path),
-                expected=f"a drawn recipe of the key {job.key}",
-                hint="start the batch again with `resume=True`: what has changed is made anew",
-            )
+            problem = "a file that the recipe names has changed since the batch was started"
+            where = str(work.loaded.path)
+            hint = "start the batch again with `resume=True`: what has changed is made anew"
+            raise AssetError(problem, where=where, expected=f"a drawn recipe of the key {job.key}", hint=hint)
         check_one_data_set(drawn, work.settings)
         plan = make_plan(drawn)
         check_memory(plan, memory_budget_bytes=memory_budget_bytes)

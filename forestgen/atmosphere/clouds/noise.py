@@ -59,12 +59,10 @@ class NoiseClouds(CloudSource[NoiseKeys]):
         keys = self.keys_of(drawn)
         depth = keys.extinction_per_m * keys.thickness_m
         if depth > _MOST_OPTICAL_DEPTH:
-            raise RecipeError(
-                "the clouds are too thick to be traced in reasonable time",
-                where=drawn.where("sky", "clouds"),
-                expected=f"extinction_per_m x thickness_m of at most {_MOST_OPTICAL_DEPTH:g}; cumulus have tens",
-                got=f"{keys.extinction_per_m:g} x {keys.thickness_m:g} = {depth:g}",
-            )
+            problem = "the clouds are too thick to be traced in reasonable time"
+            expected = f"extinction_per_m x thickness_m of at most {_MOST_OPTICAL_DEPTH:g}; cumulus have tens"
+            got = f"{keys.extinction_per_m:g} x {keys.thickness_m:g} = {depth:g}"
+            raise RecipeError(problem, where=drawn.where("sky", "clouds"), expected=expected, got=got)
 
     def known_base_m(self, drawn: DrawnRecipe) -> float:
         return self.keys_of(drawn).base_m

@@ -89,13 +89,10 @@ class SavedClouds(source.CloudSource[SavedKeys]):
             source.check_depth(drawn, found, "check the file's unit: extinction per metre")
             return source.on_the_ground(request, _centred(found, centre))
         if radius_um is None:
-            raise RecipeError(
-                "the file does not say how large its droplets are",
-                where=where,
-                expected="sky.clouds.droplet_radius_um, micrometres: fog 8, cumulus 10, cumulonimbus 15",
-                got="none",
-                hint="set it, or save the weather again with forestgen weather",
-            )
+            problem = "the file does not say how large its droplets are"
+            expected = "sky.clouds.droplet_radius_um, micrometres: fog 8, cumulus 10, cumulonimbus 15"
+            hint = "set it, or save the weather again with forestgen weather"
+            raise RecipeError(problem, where=where, expected=expected, got="none", hint=hint)
         return source.clouds_of_air(request, keys, found, radius_um, centre)
 
 
@@ -114,13 +111,10 @@ def _check_box_of_volume(drawn: DrawnRecipe, grid: CloudGrid) -> None:
     width_m = max(high - low for low, high in zip(grid.low_m[:2], grid.high_m[:2], strict=True))
     if width_m <= _WIDEST_M and grid.low_m[2] >= -_HIGHEST_M and 0 < grid.high_m[2] <= _HIGHEST_M:
         return
-    raise RecipeError(
-        "the file's box is not one of clouds",
-        where=drawn.where("sky", "clouds", "file"),
-        expected=f"metres: at most {_WIDEST_M:g} wide, its top above the ground and at most {_HIGHEST_M:g} high",
-        got=f"{width_m:g} wide, from {grid.low_m[2]:g} to {grid.high_m[2]:g} high",
-        hint="give the file's box in metres",
-    )
+    problem, where = "the file's box is not one of clouds", drawn.where("sky", "clouds", "file")
+    expected = f"metres: at most {_WIDEST_M:g} wide, its top above the ground and at most {_HIGHEST_M:g} high"
+    got = f"{width_m:g} wide, from {grid.low_m[2]:g} to {grid.high_m[2]:g} high"
+    raise RecipeError(problem, where=where, expected=expected, got=got, hint="give the file's box in metres")
 
 
 def _centred(grid: CloudGrid, centre: tuple[float, float]) -> CloudGrid:

@@ -170,13 +170,10 @@ class CloudSource(Generic[KeysT]):
     def air(self, drawn: DrawnRecipe, progress: Progress) -> WeatherReport:
         """The state of the air that the clouds are of, without the community. `RecipeError`: these clouds have none."""
         simulated = [name for name, one in CLOUD_SOURCES.parts() if type(one).air is not CloudSource.air]
-        raise RecipeError(
-            "the recipe's clouds are not simulated",
-            where=drawn.where("sky", "clouds"),
-            expected="a type of " + ", ".join(simulated),
-            got=drawn.recipe.sky.clouds.type,
-            hint="set sky.clouds to one of these; clouds that come with their community are seen in its images",
-        )
+        problem, where = "the recipe's clouds are not simulated", drawn.where("sky", "clouds")
+        expected = "a type of " + ", ".join(simulated)
+        hint = "set sky.clouds to one of these; clouds that come with their community are seen in its images"
+        raise RecipeError(problem, where=where, expected=expected, got=drawn.recipe.sky.clouds.type, hint=hint)
 
 
 def cloud_source_of(drawn: DrawnRecipe) -> CloudSource[Any]:
@@ -210,13 +207,9 @@ def check_depth(drawn: DrawnRecipe, grid: CloudGrid, hint: str) -> None:
     """Raise `RecipeError` if the field is too thick to be traced."""
     depth = float(grid.extinction_per_m.sum(axis=0, dtype=np.float64).max()) * grid.cell_m[2]
     if depth > _MOST_OPTICAL_DEPTH:
-        raise RecipeError(
-            "the clouds are too thick to be traced in reasonable time",
-            where=drawn.where("sky", "clouds"),
-            expected=f"an optical depth of at most {_MOST_OPTICAL_DEPTH:g}; thunderclouds have hundreds",
-            got=f"{depth:.3g} in the thickest column",
-            hint=hint,
-        )
+        problem, where = "the clouds are too thick to be traced in reasonable time", drawn.where("sky", "clouds")
+        expected = f"an optical depth of at most {_MOST_OPTICAL_DEPTH:g}; thunderclouds have hundreds"
+        raise RecipeError(problem, where=where, expected=expected, got=f"{depth:.3g} in the thickest column", hint=hint)
 
 
 @contextmanager

@@ -132,11 +132,8 @@ class KernelGrowthParameters(CommunityParameters):
             )
         for keys, kernel in placement_kernels.each_kernel(kernels):
             if kernel.balanced:
-                raise violation(
-                    "a kernel that is not balanced",
-                    problem="balanced keeps the number of plants, which the seeds that fall already limit",
-                    at=(*keys, "balanced"),
-                )
+                problem = "balanced keeps the number of plants, which the seeds that fall already limit"
+                raise violation("a kernel that is not balanced", problem=problem, at=(*keys, "balanced"))
         return kernels
 
     def matrix(self, species: Ecologies) -> Interactions:

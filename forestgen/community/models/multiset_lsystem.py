@@ -173,13 +173,10 @@ def _check_own_words(state: State, plants: int) -> None:
     """Few modules in words that are no plants: every step of the history holds them all as a list."""
     modules = len(state.derivation.multiset.code) - _MODULES_PER_PLANT * plants
     if modules > _MOST_OWN_MODULES:
-        raise ResourceError(
-            "the program's own words, those without a plant, grow too long",
-            where=state.program.name,
-            expected=f"at most {_MOST_OWN_MODULES:,} modules in all of them",
-            got=f"{modules:,} in step {state.step}",
-            hint="a production that makes more of its own module in each step has no end: give it a condition",
-        )
+        problem, where = "the program's own words, those without a plant, grow too long", state.program.name
+        expected = f"at most {_MOST_OWN_MODULES:,} modules in all of them"
+        hint = "a production that makes more of its own module in each step has no end: give it a condition"
+        raise ResourceError(problem, where=where, expected=expected, got=f"{modules:,} in step {state.step}", hint=hint)
 
 
 def _check_plants(state: State, values: Floats) -> None:
@@ -188,12 +185,9 @@ def _check_plants(state: State, values: Floats) -> None:
     wrong = ~((values[:, RADIUS] > 0) & (sp >= 0) & (sp < len(state.species)) & (sp == np.floor(sp)))
     if wrong.any():
         row = values[np.flatnonzero(wrong)[0]]
-        raise LsystemError(
-            "a plant of impossible size or species",
-            where=state.program.name,
-            expected=f"T(x, y, r, sp) with r > 0, and sp from 0 to {len(state.species) - 1}",
-            got=f"r = {row[RADIUS]:g}, sp = {row[SPECIES]:g} in step {state.step}",
-        )
+        where, expected = state.program.name, f"T(x, y, r, sp) with r > 0, and sp from 0 to {len(state.species) - 1}"
+        got = f"r = {row[RADIUS]:g}, sp = {row[SPECIES]:g} in step {state.step}"
+        raise LsystemError("a plant of impossible size or species", where=where, expected=expected, got=got)
 
 
 def _is_number(value: object) -> bool:
@@ -223,13 +217,9 @@ def _is_word(word: object, program: Program, population: Population) -> bool:
 
 def _too_many(program: Program, parameters: MultisetParameters, step: int) -> ResourceError:
     """The community grows beyond the recipe's limit."""
-    return ResourceError(
-        "the community grows too large",
-        where=program.name,
-        expected=f"at most community.most_plants = {parameters.most_plants:,} plants",
-        got=f"more of them in step {step}",
-        hint="fewer seedlings, a smaller site, or a higher most_plants",
-    )
+    expected, got = f"at most community.most_plants = {parameters.most_plants:,} plants", f"more of them in step {step}"
+    hint = "fewer seedlings, a smaller site, or a higher most_plants"
+    return ResourceError("the community grows too large", where=program.name, expected=expected, got=got, hint=hint)
 
 
 class MultisetLSystem:
@@ -333,12 +323,9 @@ class MultisetLSystem:
         """The multiset with more words T(x, y, r, sp)?E(1); the environment answers anew."""
         form, old, n = state.form, state.derivation, len(planting)
         if form.arity > OWN:
-            raise RecipeError(
-                f"plants of {state.program.name} cannot be planted",
-                where="community.disturbances",
-                expected="a program whose plants are T(x, y, r, sp)",
-                got=f"they have {', '.join(form.names[: form.arity - OWN])} too",
-            )
+            problem, where = f"plants of {state.program.name} cannot be planted", "community.disturbances"
+            got = f"they have {', '.join(form.names[: form.arity - OWN])} too"
+            raise RecipeError(problem, where=where, expected="a program whose plants are T(x, y, r, sp)", got=got)
         values = np.ones((n, form.values))
         values[:, :2], values[:, RADIUS], values[:, SPECIES] = planting.position_m, planting.radius_m, planting.species
         plant_id = new_ids(old.next_id, n)

@@ -92,11 +92,9 @@ def _rows(table: str) -> list[PlacedPlant]:
     unknown = set(names) - {*_NUMBERS, "species"}
     missing = {"species", "x_m", "y_m"} - set(names)
     if unknown or missing or len(set(names)) < len(names):
-        raise violation(
-            "the names species, x_m, y_m, and any of height_m, radius_m, age_yr, azimuth_deg, each once",
-            problem="the table's first line does not name its columns",
-            got=lines[0].strip()[:100],
-        )
+        expected = "the names species, x_m, y_m, and any of height_m, radius_m, age_yr, azimuth_deg, each once"
+        problem = "the table's first line does not name its columns"
+        raise violation(expected, problem=problem, got=lines[0].strip()[:100])
     return [_plant(names, cells, number) for number, cells in enumerate(csv.reader(lines[1:]), start=1)]
 
 
@@ -173,13 +171,10 @@ def _size(plant: PlacedPlant, species: SpeciesEcology, where: str) -> tuple[floa
         shortest = 0.0
         radius = math.exp(min((math.log(plant.height_m) - math.log(scale)) / exponent, 700.0))
     if not shortest <= plant.height_m <= tallest * (1 + 1e-9) or radius <= 0.0:
-        raise RecipeError(
-            f"no {species.name} is so {'tall' if plant.height_m > tallest else 'short'}",
-            where=where,
-            expected=f"a height_m of {'at most' if exponent else 'exactly'} {tallest:g} m, which its largest plant has",
-            got=f"{plant.height_m:g} m",
-            hint="set the species' height_m, its mature height",
-        )
+        problem = f"no {species.name} is so {'tall' if plant.height_m > tallest else 'short'}"
+        expected = f"a height_m of {'at most' if exponent else 'exactly'} {tallest:g} m, which its largest plant has"
+        hint = "set the species' height_m, its mature height"
+        raise RecipeError(problem, where=where, expected=expected, got=f"{plant.height_m:g} m", hint=hint)
     return min(radius, largest), plant.height_m
 
 
@@ -197,13 +192,11 @@ class Placed(FixedPopulation[PlacedParameters]):
             where = f"community.plants.{i}" if i < listed else f"community.table, row {i - listed + 1}"
             if not ground.holds(*plant.position_m):
                 width, depth = site.size_m
-                raise RecipeError(
-                    "this plant does not stand on the site",
-                    where=where,
-                    expected=f"x from 0 to {width:g} and y from 0 to {depth:g} metres",
-                    got=f"[{plant.position_m[0]:g}, {plant.position_m[1]:g}]",
-                    hint="move the plant, or enlarge site.size_m",
-                )
+                problem = "this plant does not stand on the site"
+                expected = f"x from 0 to {width:g} and y from 0 to {depth:g} metres"
+                got = f"[{plant.position_m[0]:g}, {plant.position_m[1]:g}]"
+                hint = "move the plant, or enlarge site.size_m"
+                raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
             sizes[i] = _size(plant, species[index[plant.species]], where)
         ids = new_ids(1, n)
         azimuth = [

@@ -110,13 +110,11 @@ def _refuse_large_patterns(parameters: PoissonDiscParameters, site: Site, needed
     given = parameters.distance_m
     points = float(needed) if given is None else _FILL * site.area_m2 / given / given
     if points > MOST_POINTS:
-        raise RecipeError(
-            "this pattern of Poisson discs has too many points",
-            where="community.plants" if given is None else "community.distance_m",
-            expected=f"at most {MOST_POINTS:,} on the whole site, plants or not",
-            got=f"about {points:,.0f}",
-            hint="a greater distance_m" if given is not None else "fewer plants, or strauss, halftone, jittered_grid",
-        )
+        problem = "this pattern of Poisson discs has too many points"
+        where = "community.plants" if given is None else "community.distance_m"
+        expected = f"at most {MOST_POINTS:,} on the whole site, plants or not"
+        hint = "a greater distance_m" if given is not None else "fewer plants, or strauss, halftone, jittered_grid"
+        raise RecipeError(problem, where=where, expected=expected, got=f"about {points:,.0f}", hint=hint)
 
 
 class PoissonDisc(placement.GriddedModel[PoissonDiscParameters]):

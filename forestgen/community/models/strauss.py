@@ -195,13 +195,11 @@ def _refuse_long_runs(parameters: StraussParameters, site: Site, n: int, field: 
     neighbours = min(float(n), math.pi * radius**2 * n / site.area_m2 * crowding)
     most = _MOST_MEETINGS / (parameters.sweeps * n) - 1
     if 3 * neighbours > most:
-        raise RecipeError(
-            "this Strauss process would take too long",
-            where="community.interaction_radius_m",
-            expected=f"a radius within which a plant has at most {max(most / 3, 0):,.3g} others at random",
-            got=f"{radius:g} m, within which it has about {neighbours:,.3g}",
-            hint="a smaller interaction_radius_m, fewer plants or fewer sweeps",
-        )
+        problem = "this Strauss process would take too long"
+        expected = f"a radius within which a plant has at most {max(most / 3, 0):,.3g} others at random"
+        got = f"{radius:g} m, within which it has about {neighbours:,.3g}"
+        hint = "a smaller interaction_radius_m, fewer plants or fewer sweeps"
+        raise RecipeError(problem, where="community.interaction_radius_m", expected=expected, got=got, hint=hint)
 
 
 class Strauss(GriddedModel[StraussParameters]):

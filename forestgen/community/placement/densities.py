@@ -57,11 +57,9 @@ class Stand(Section):
     @model_validator(mode="after")
     def _one_number(self) -> Self:
         if (self.count is None) == (self.plants_per_ha is None):
-            raise violation(
-                "count or plants_per_ha",
-                problem="how many plants?" if self.count is None else "two numbers of plants",
-                got=None if self.count is None else f"count {self.count} and plants_per_ha {self.plants_per_ha:g}",
-            )
+            problem = "how many plants?" if self.count is None else "two numbers of plants"
+            got = None if self.count is None else f"count {self.count} and plants_per_ha {self.plants_per_ha:g}"
+            raise violation("count or plants_per_ha", problem=problem, got=got)
         return self
 
 
@@ -143,13 +141,11 @@ def plant_counts(parameters: PlacementParameters, site: Site, species: Ecologies
             mean = float(species_density(parameters, site, one.name, shape).mean())
             asked = stand.plants_per_ha * site.area_ha * mean + 0.5
             if asked > MOST_PLANTS:
-                raise RecipeError(
-                    f"too many plants of {one.name}",
-                    where=f"community.plants.{one.name}.plants_per_ha",
-                    expected=f"at most {MOST_PLANTS:,} on the whole site",
-                    got=f"{asked:,.0f}" if asked < 1e15 else f"{asked:.3g}",
-                    hint="plants_per_ha is multiplied by the map's values: a map of 0 to 1 leaves it as it is",
-                )
+                where = f"community.plants.{one.name}.plants_per_ha"
+                expected = f"at most {MOST_PLANTS:,} on the whole site"
+                got = f"{asked:,.0f}" if asked < 1e15 else f"{asked:.3g}"
+                hint = "plants_per_ha is multiplied by the map's values: a map of 0 to 1 leaves it as it is"
+                raise RecipeError(f"too many plants of {one.name}", where=where, expected=expected, got=got, hint=hint)
             counts[index] = math.floor(asked)
     return counts
 
@@ -159,12 +155,9 @@ def check_sizes(parameters: PlacementParameters, species: Ecologies) -> None:
     for one in species:
         stand = parameters.plants.get(one.name)
         if stand is not None and stand.radius_m is not None and stand.radius_m.median > one.max_radius_m:
-            raise RecipeError(
-                f"no {one.name} is so large",
-                where=f"community.plants.{one.name}.radius_m",
-                expected=f"a radius of at most ecology.max_radius_m = {one.max_radius_m:g} m",
-                got=f"{stand.radius_m.median:g} m",
-            )
+            problem, where = f"no {one.name} is so large", f"community.plants.{one.name}.radius_m"
+            expected = f"a radius of at most ecology.max_radius_m = {one.max_radius_m:g} m"
+            raise RecipeError(problem, where=where, expected=expected, got=f"{stand.radius_m.median:g} m")
 
 
 def sizes_of(sizes: Sizes | None, species: SpeciesEcology) -> Sizes:

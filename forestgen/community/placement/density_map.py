@@ -161,11 +161,8 @@ class MapSection(Section):
 
         def read() -> SingleChannelRaster:
             if self.sha256 is not None and file_sha256(path, named) != self.sha256:
-                raise AssetError(
-                    "this is not the file that the recipe was made with",
-                    expected=f"a file whose SHA-256 is {self.sha256[:16]}...",
-                    got=str(path),
-                )
+                problem = "this is not the file that the recipe was made with"
+                raise AssetError(problem, expected=f"a file whose SHA-256 is {self.sha256[:16]}...", got=str(path))
             return read_raster(path)
 
         try:
@@ -292,13 +289,10 @@ def check_maps(parameters: BaseModel, size_m: tuple[float, float], where: Callab
             raise RecipeError(problem, where=where(*keys), expected=expected, got=one.file or "rows of 0", hint=hint)
         exact = one.fit == "exact" or (one.fit is None and one.file is not None)
         if exact and not _square(one.shape, size_m):
-            raise RecipeError(
-                "the map's shape is not the site's",
-                where=where(*keys),
-                expected=f"{_shape_of(size_m, one.shape)}, for a site of {size_m[0]:g} x {size_m[1]:g} m",
-                got=f"{one.shape[1]} x {one.shape[0]} pixels",
-                hint="fit: stretch",
-            )
+            problem = "the map's shape is not the site's"
+            expected = f"{_shape_of(size_m, one.shape)}, for a site of {size_m[0]:g} x {size_m[1]:g} m"
+            got = f"{one.shape[1]} x {one.shape[0]} pixels"
+            raise RecipeError(problem, where=where(*keys), expected=expected, got=got, hint="fit: stretch")
 
 
 def _square(shape: tuple[int, int], size_m: tuple[float, float]) -> bool:

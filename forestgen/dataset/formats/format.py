@@ -45,24 +45,18 @@ class DatasetFormat:
         for channel, why in self.label_channels.items():
             if channel not in recipe.labels.channels:
                 keys = ("labels", "channels")
-                raise RecipeError(
-                    why,
-                    where=drawn.where(*keys),
-                    expected=f"{channel} among labels.channels",
-                    got=drawn.drawn_from(", ".join(recipe.labels.channels) or "none", *keys),
-                    hint=f"labels: {{channels: [..., {channel}]}}, or leave {self.name} out of dataset.formats",
-                )
+                expected = f"{channel} among labels.channels"
+                got = drawn.drawn_from(", ".join(recipe.labels.channels) or "none", *keys)
+                hint = f"labels: {{channels: [..., {channel}]}}, or leave {self.name} out of dataset.formats"
+                raise RecipeError(why, where=drawn.where(*keys), expected=expected, got=got, hint=hint)
         for index, camera in enumerate(recipe.cameras):
             where = drawn.where("cameras", index, "kind")
             if not self.holds(load_projection(camera.kind, where=where)):
                 kinds = [name for name, part in PROJECTIONS.parts() if self.holds(part)]
-                raise RecipeError(
-                    f"{self.name} has no such camera",
-                    where=where,
-                    expected=f"a kind that the format {self.name} can hold: {', '.join(kinds)}",
-                    got=drawn.drawn_from(camera.kind, "cameras", index, "kind"),
-                    hint=f"leave {self.name} out of dataset.formats, or the camera out of this recipe",
-                )
+                expected = f"a kind that the format {self.name} can hold: {', '.join(kinds)}"
+                got = drawn.drawn_from(camera.kind, "cameras", index, "kind")
+                hint = f"leave {self.name} out of dataset.formats, or the camera out of this recipe"
+                raise RecipeError(f"{self.name} has no such camera", where=where, expected=expected, got=got, hint=hint)
 
     def holds(self, projection: Projection) -> bool:
         """Whether the format has words for cameras of a projection."""

@@ -93,13 +93,9 @@ def _require_fitting(instance: NDArray[np.uint32], where: str) -> None:
     """Raise `OutputError` if an (H, W) mask of plants has an id that the pictures cannot hold."""
     largest = int(instance.max(initial=0))
     if largest > MOST_PLANT_ID:
-        raise OutputError(
-            "a plant_id does not fit the 24 bits of a panoptic picture, of which two ids are ground and sky",
-            where=where,
-            expected=f"ids up to {MOST_PLANT_ID}",
-            got=str(largest),
-            hint="leave panoptic out of dataset.formats: coco.json and frame.exr hold ids of 32 bits",
-        )
+        problem = "a plant_id does not fit the 24 bits of a panoptic picture, of which two ids are ground and sky"
+        hint = "leave panoptic out of dataset.formats: coco.json and frame.exr hold ids of 32 bits"
+        raise OutputError(problem, where=where, expected=f"ids up to {MOST_PLANT_ID}", got=str(largest), hint=hint)
 
 
 def segment_ids(instance: NDArray[np.uint32], part: NDArray[np.uint8]) -> NDArray[np.uint32]:

@@ -55,13 +55,8 @@ class OvercastKeys(SkySection):
     @model_validator(mode="after")
     def _one_kind_of_cloud(self) -> Self:
         if self.clouds.has_clouds:
-            raise violation(
-                "clouds: none",
-                problem="an overcast sky has no single clouds",
-                got=self.clouds.type,
-                hint="leave out clouds, or make the sky's kind clear",
-                at=("clouds", "type"),
-            )
+            problem, hint = "an overcast sky has no single clouds", "leave out clouds, or make the sky's kind clear"
+            raise violation("clouds: none", problem=problem, got=self.clouds.type, hint=hint, at=("clouds", "type"))
         return self
 
 

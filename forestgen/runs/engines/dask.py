@@ -148,11 +148,8 @@ class DaskEngine:
         return [outcome]
 
     def _gone(self) -> ResourceError:
-        return ResourceError(
-            "the Dask scheduler is gone",
-            where=str(self._address),
-            hint="see why it ended, start it again, then `resume=True`: what was done is kept",
-        )
+        hint = "see why it ended, start it again, then `resume=True`: what was done is kept"
+        return ResourceError("the Dask scheduler is gone", where=str(self._address), hint=hint)
 
 
 class WorkerPool:
@@ -330,12 +327,8 @@ def _address_of(target: str | None) -> str:
     try:
         return str(json.loads(Path(target).read_text(encoding="utf-8"))["address"])
     except FileNotFoundError as error:
-        raise ResourceError(
-            "there is no such scheduler file",
-            where=target,
-            expected="tcp://HOST:8786, or the file of `dask scheduler --scheduler-file FILE`",
-            hint=_START_ONE,
-        ) from error
+        expected, hint = "tcp://HOST:8786, or the file of `dask scheduler --scheduler-file FILE`", _START_ONE
+        raise ResourceError("there is no such scheduler file", where=target, expected=expected, hint=hint) from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ResourceError("this is no scheduler file of Dask's", where=target, got=str(error)) from error
 
