@@ -21,29 +21,10 @@ from pydantic import (
     model_validator,
 )
 
+from forestgen.recipe import fields
 from forestgen.recipe.cameras import Camera, check_cameras, check_motion, default_view
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
-from forestgen.recipe.fields import (
-    Flag,
-    Fraction,
-    GivenSection,
-    Label,
-    Name,
-    NonNegative,
-    Number,
-    OpenSection,
-    PartSection,
-    Positive,
-    Section,
-    Text,
-    Whole,
-    each_once,
-    extent_m,
-    part_name,
-    shorthand,
-    violation,
-)  # fmt: skip
 from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, TERRAINS
 from forestgen.recipe.sampler import Sampling
 from forestgen.recipe.sky import SkySection
@@ -51,32 +32,32 @@ from forestgen.recipe.species import Building, Species
 from forestgen.recipe.spectra import Season
 
 SCHEMA_VERSION = 1
-Extent = Annotated[Positive, Field(le=5000)]
-_Error = Annotated[Number, Field(gt=0, le=10)]
-_Samples = Annotated[Whole, Field(ge=1, le=65536)]
+Extent = Annotated[fields.Positive, Field(le=5000)]
+_Error = Annotated[fields.Number, Field(gt=0, le=10)]
+_Samples = Annotated[fields.Whole, Field(ge=1, le=65536)]
 
 
-class Terrain(PartSection, GivenSection):
+class Terrain(fields.PartSection, fields.GivenSection):
     """The ground's shape."""
 
     registry = TERRAINS
     selector = "kind"
 
-    kind: Text = Field("flat", description="Shape of the ground.")
+    kind: fields.Text = Field("flat", description="Shape of the ground.")
 
 
-class WetSoil(Section):
+class WetSoil(fields.Section):
     """How the water that a community has in its soil shows in the ground's colour."""
 
-    shown: Flag = Field(default=True, description="Whether wet ground is darker.")
-    depth_m: Positive | None = Field(
+    shown: fields.Flag = Field(default=True, description="Whether wet ground is darker.")
+    depth_m: fields.Positive | None = Field(
         default=None,
         le=100,
         description="Depth of the soil that holds the water, metres: what makes a saturation of mm. Default: 1 in "
         "forest soil, 0.05 in a dryland's, whose rains wet little more than its crust.",
     )
-    porosity: Fraction = Field(default=0.4, gt=0, description="Share of the soil that water can fill.")
-    pond_mm: Positive = Field(
+    porosity: fields.Fraction = Field(default=0.4, gt=0, description="Share of the soil that water can fill.")
+    pond_mm: fields.Positive = Field(
         default=25.0,
         le=10_000,
         description="Water on the ground that begins to drown it, mm; twice as much makes it wholly wet. Less is what "
@@ -84,32 +65,32 @@ class WetSoil(Section):
     )
 
 
-class Site(Section):
+class Site(fields.Section):
     """The piece of land: x from 0 to size_m[0] (east), y from 0 to size_m[1] (north)."""
 
     size_m: tuple[Extent, Extent] = Field((100.0, 100.0), description="Extent east (x) and north (y), metres.")
-    terrain: Annotated[SerializeAsAny[Terrain], *shorthand("kind")] = Field(
+    terrain: Annotated[SerializeAsAny[Terrain], *fields.shorthand("kind")] = Field(
         default_factory=lambda: Terrain.model_validate({}), description="Shape of the ground, or just its kind."
     )
-    ground: Annotated[Text, *part_name(GROUND_COVERS)] = Field("litter", description="What covers it.")
-    altitude_m: Number = Field(
+    ground: Annotated[fields.Text, *fields.part_name(GROUND_COVERS)] = Field("litter", description="What covers it.")
+    altitude_m: fields.Number = Field(
         0.0,
         ge=-430,
         le=9000,
         description="Height of z = 0 above sea level, metres; for species with a response to elevation_m, and for the "
         "light that comes through the air above.",
     )
-    latitude_deg: Number = Field(
+    latitude_deg: fields.Number = Field(
         50.0,
         ge=-90,
         le=90,
         description="Latitude, degrees, north positive: where the sun stands over the year, for species with a "
         "response to sun, and for an image's own sun where sky.sun has a date.",
     )
-    longitude_deg: Number | None = Field(
+    longitude_deg: fields.Number | None = Field(
         None, ge=-180, le=180, description="Longitude, degrees, east positive; for a sun by date and time."
     )
-    wind_from_deg: Number = Field(
+    wind_from_deg: fields.Number = Field(
         270.0,
         ge=-360,
         le=360,
@@ -119,7 +100,7 @@ class Site(Section):
     buildings: tuple[SerializeAsAny[Building], ...] = Field(
         (), max_length=1000, description="What people have built there; for community models that know of buildings."
     )
-    wet_soil: Annotated[WetSoil | None, *shorthand("shown", of=bool)] = Field(
+    wet_soil: Annotated[WetSoil | None, *fields.shorthand("shown", of=bool)] = Field(
         None,
         description="How litter, dry soil, rock and sand darken where the community model has water in its soil; "
         "false: they do not. Default: they do.",
@@ -141,24 +122,24 @@ class Site(Section):
                 x, y = one.position_m
                 expected = f"all of its ground plan within x from 0 to {width:g} and y from 0 to {depth:g} metres"
                 problem, got = "this building does not lie on the site", f"[{x:g}, {y:g}], from [{low}] to [{high}]"
-                raise violation(expected, problem=problem, got=got, at=("buildings", index, "position_m"))
+                raise fields.violation(expected, problem=problem, got=got, at=("buildings", index, "position_m"))
         return self
 
 
-class Community(OpenSection):
+class Community(fields.OpenSection):
     """The plants of the stand: a community model, and keys that the model checks itself."""
 
-    model: Text = Field(min_length=1, max_length=100, description="Id of the community model.")
+    model: fields.Text = Field(min_length=1, max_length=100, description="Id of the community model.")
 
 
 #: A section of no plants, where a recipe's community does not matter.
 NO_PLANTS: Mapping[str, Any] = {"model": "uniform", "plants": {}}
 
 
-Channel = Annotated[Text, *part_name(LABEL_CHANNELS)]
+Channel = Annotated[fields.Text, *fields.part_name(LABEL_CHANNELS)]
 
 
-class Plants(Section):
+class Plants(fields.Section):
     """What each plant looks like."""
 
     geometry: Literal["plants", "silhouettes"] = Field(
@@ -166,21 +147,21 @@ class Plants(Section):
         description="plants: stems, branches and leaves. silhouettes: solids of revolution of the crowns' forms, for "
         "looking at a stand before its plants (Lane 2002, Figure 6.2).",
     )
-    exemplars_per_species: Whole = Field(
+    exemplars_per_species: fields.Whole = Field(
         10,
         ge=1,
         le=1000,
         description="Sizes modelled for each species: the centres of clusters of its plants' radii. Every plant is one "
         "of these, scaled to its exact height.",
     )
-    variants_per_size: Whole = Field(
+    variants_per_size: fields.Whole = Field(
         1,
         ge=1,
         le=100,
         description="Plants modelled for each size, of different seeds; a plant's own number decides which it is. Time "
         "and memory grow with it.",
     )
-    library: Whole | None = Field(
+    library: fields.Whole | None = Field(
         None,
         ge=1,
         le=1000,
@@ -188,20 +169,20 @@ class Plants(Section):
         "a fixed scale, and an image shows `variants_per_size` of them. null: every image grows its own plants. No "
         "two splits share a plant.",
     )
-    traits: Annotated[tuple[Text, ...], AfterValidator(each_once)] = Field(
+    traits: Annotated[tuple[fields.Text, ...], AfterValidator(fields.each_once)] = Field(
         (),
         max_length=20,
         description="What counts beside the radius when plants are grouped into sizes: age_yr, height_m, or a column "
         "of the community model's own. One standard deviation of a trait counts half as much as one of the radius' "
         "logarithm.",
     )
-    unique: Literal["auto", "all", "none"] | Annotated[Whole, Field(ge=0, le=100_000)] = Field(
+    unique: Literal["auto", "all", "none"] | Annotated[fields.Whole, Field(ge=0, le=100_000)] = Field(
         "auto",
         description="Which plants that grew as branch modules are modelled with their own branches: auto, those that "
         "are large in an image, as many as ten million triangles hold; all; none; or so many of the largest. The "
         "others are one of `exemplars_per_species` of these, scaled and turned.",
     )
-    levels: Flag = Field(
+    levels: fields.Flag = Field(
         False,
         description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
         "chosen so that they stay below a pixel.",
@@ -211,7 +192,7 @@ class Plants(Section):
         description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their number; "
         "shipped evergreens stay green.",
     )
-    cache: Flag = Field(
+    cache: fields.Flag = Field(
         True,
         description="Whether to keep the modelled plants on disk and take them from there when the same ones are asked "
         "for again; nothing else changes. FORESTGEN_CACHE names the folder.",
@@ -222,15 +203,15 @@ class Plants(Section):
         if self.library is not None and self.library < self.variants_per_size:
             expected = f"at least variants_per_size = {self.variants_per_size}"
             problem = "the library has fewer plants of a size than an image shows"
-            raise violation(expected, problem=problem, got=str(self.library), at="library")
+            raise fields.violation(expected, problem=problem, got=str(self.library), at="library")
         if self.library is not None and self.traits:
             problem = "a library's plants are grouped by their size alone"
             hint = "leave out plants.traits, or plants.library"
-            raise violation("no traits", problem=problem, got=", ".join(self.traits), hint=hint, at="traits")
+            raise fields.violation("no traits", problem=problem, got=", ".join(self.traits), hint=hint, at="traits")
         return self
 
 
-class Render(Section):
+class Render(fields.Section):
     """How the radiance is computed.
 
     Without a target or a time budget an image has just its `samples`. With them, passes go on after the first `samples`
@@ -257,20 +238,20 @@ class Render(Section):
     target_error_p95: _Error | None = Field(
         None, description="Goes on until the 95th percentile of the pixels' relative error is at most this."
     )
-    time_budget_s: Annotated[Number, Field(gt=0, le=1e7)] | None = Field(
+    time_budget_s: Annotated[fields.Number, Field(gt=0, le=1e7)] | None = Field(
         None,
         description="Goes on for about so many seconds an image, building its scene not counted. The samples, and so "
         "the bytes of the image, then depend on the machine and on what else it does.",
     )
     most_samples: _Samples = Field(4096, description="Light paths a pixel at most, with a target or a time budget.")
-    denoise: Flag = Field(True, description="Whether to remove the noise that remains.")
+    denoise: fields.Flag = Field(True, description="Whether to remove the noise that remains.")
     clouds: Literal["auto", "farfield", "exact"] = Field(
         "auto",
         description="How light goes through clouds. farfield: they are rendered once, and their light and shadow fall "
         "on the scene from afar. exact: their volume is traced with the scene. auto: farfield where clouds are far "
         "above the plants and cameras, otherwise exact.",
     )
-    max_depth: Whole = Field(64, ge=1, le=4096, description="Most scatterings of a path.")
+    max_depth: fields.Whole = Field(64, ge=1, le=4096, description="Most scatterings of a path.")
 
     @model_validator(mode="after")
     def _enough(self) -> Self:
@@ -278,21 +259,23 @@ class Render(Section):
         if open_ended and self.most_samples < self.samples:
             expected, hint = f"at least samples, {self.samples}", "lower samples, or raise most_samples"
             problem, got = "fewer samples than it begins with", str(self.most_samples)
-            raise violation(expected, problem=problem, got=got, hint=hint, at="most_samples")
+            raise fields.violation(expected, problem=problem, got=got, hint=hint, at="most_samples")
         return self
 
 
-class Labels(Section):
+class Labels(fields.Section):
     """Which labels are made, and how."""
 
-    samples: Whole = Field(16, ge=1, le=1024, description="Identity samples a pixel, a square number: 1, 4, 9, 16, ...")
-    channels: Annotated[tuple[Channel, ...], AfterValidator(each_once)] = Field(
+    samples: fields.Whole = Field(
+        16, ge=1, le=1024, description="Identity samples a pixel, a square number: 1, 4, 9, 16, ..."
+    )
+    channels: Annotated[tuple[Channel, ...], AfterValidator(fields.each_once)] = Field(
         DEFAULT_CHANNELS,
         description="Labels besides the masks: coverage ranks, surface (position, normals), albedo, sun (shadows), "
         "cloud opacity, motion, occlusion boundaries, amodal masks; and module, not among those made by default: "
         "branch modules and their segments.",
     )
-    classes: dict[Label, tuple[Name, ...]] | None = Field(
+    classes: dict[fields.Label, tuple[fields.Name, ...]] | None = Field(
         None,
         max_length=MOST_CLASSES,
         description="Semantic classes: name -> the species and parts in it, a part before a species; `others` are the "
@@ -303,40 +286,40 @@ class Labels(Section):
     @classmethod
     def _is_square(cls, value: int) -> int:
         if math.isqrt(value) ** 2 != value:
-            raise violation("a square number: 1, 4, 9, 16, 25, ...")
+            raise fields.violation("a square number: 1, 4, 9, 16, 25, ...")
         return value
 
 
-class Wind(Section):
+class Wind(fields.Section):
     """Wind at each plant's top, in which it leans and sways; it blows from site.wind_from_deg, by default the west."""
 
-    speed_m_per_s: NonNegative = Field(0.0, le=40, description="Mean speed, metres per second; 0: still air.")
-    gustiness: Fraction = Field(0.5, description="Amplitude of the sway by the mean lean, 0 to 1.")
+    speed_m_per_s: fields.NonNegative = Field(0.0, le=40, description="Mean speed, metres per second; 0: still air.")
+    gustiness: fields.Fraction = Field(0.5, description="Amplitude of the sway by the mean lean, 0 to 1.")
 
 
 def _is_same_stand(value: Any) -> Any:
     if isinstance(value, bool) or value == "by_split":
         return value
     hint = "this key may not be a distribution" if isinstance(value, Mapping) else None
-    raise violation("true, false or by_split", hint=hint)
+    raise fields.violation("true, false or by_split", hint=hint)
 
 
-class Recipe(Section):
+class Recipe(fields.Section):
     """A drawn, complete recipe."""
 
     forestgen: Literal[1] = Field(description="Version of the recipe's schema.")
-    seed: Whole = Field(0, ge=0, lt=2**63, description="Root of all randomness; 0 is a seed.")
-    images: Whole = Field(1, ge=1, le=10**9, description="How many images, each drawn anew.")
-    first_image: Whole = Field(
+    seed: fields.Whole = Field(0, ge=0, lt=2**63, description="Root of all randomness; 0 is a seed.")
+    images: fields.Whole = Field(1, ge=1, le=10**9, description="How many images, each drawn anew.")
+    first_image: fields.Whole = Field(
         0, ge=0, le=10**12, description="Index of the first image; a stored drawn recipe keeps its own here."
     )
-    same_stand: Annotated[Flag | Literal["by_split"], BeforeValidator(_is_same_stand)] = Field(
+    same_stand: Annotated[fields.Flag | Literal["by_split"], BeforeValidator(_is_same_stand)] = Field(
         False,
         description="Whether all images show image 0's stand, or by_split, all images of a split the split's own; "
         "distributions are still drawn by image.",
     )
     site: Site = Field(default_factory=lambda: Site.model_validate({}), description="The piece of land.")
-    species: dict[Name, Species] = Field(min_length=1, max_length=1000, description="Species by name.")
+    species: dict[fields.Name, Species] = Field(min_length=1, max_length=1000, description="Species by name.")
     community: Community = Field(description="The plants of the stand: a community model and its own keys.")
     plants: Plants = Field(Plants.model_validate({}), description="How plants are modelled.")
     sky: SerializeAsAny[SkySection] = Field(
@@ -357,7 +340,7 @@ class Recipe(Section):
         cameras = data.get("cameras", [{}])
         if not isinstance(cameras, list):
             return data
-        size = extent_m(data.get("site"))
+        size = fields.extent_m(data.get("site"))
         filled = [
             {"name": f"camera{i}", **camera, **default_view(camera, size)} if isinstance(camera, Mapping) else camera
             for i, camera in enumerate(cameras)
@@ -386,7 +369,7 @@ class Recipe(Section):
             problem, got = "the sun by date needs a place on earth", "no " + " and no ".join(missing)
             hint = "site: {latitude_deg: 51.0, longitude_deg: 13.7} is Dresden"
             expected = "site.latitude_deg and site.longitude_deg, degrees"
-            raise violation(expected, problem=problem, got=got, hint=hint, at=("site", missing[0]))
+            raise fields.violation(expected, problem=problem, got=got, hint=hint, at=("site", missing[0]))
         reserved = (*NO_SPECIES, *(one.kind for one in self.site.buildings))
         for name in self.species:
             if name.lower() in reserved:
@@ -394,7 +377,7 @@ class Recipe(Section):
                     f"another name than {', '.join(reserved)}",
                     "labels use this name for what is no plant",
                 )
-                raise violation(expected, problem=problem, got=name, at=("species", name))
+                raise fields.violation(expected, problem=problem, got=name, at=("species", name))
         wrong = None if self.labels.classes is None else wrong_classes(self.labels.classes, self.labelled_names)
         if wrong is not None:
             raise wrong

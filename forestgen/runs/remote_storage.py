@@ -38,17 +38,9 @@ from typing import Any
 
 from forestgen.core.errors import OutputError
 from forestgen.dataset.files import output_error
+from forestgen.runs import remote_store
 from forestgen.runs.contract import StorageBackend
 from forestgen.runs.records import TaskT, in_order
-from forestgen.runs.remote_store import (
-    CONNECTIONS,
-    check_url,
-    file_system,
-    persistently,
-    put_checked,
-    storage_errors,
-    store_code,
-)
 from forestgen.runs.storage import LocalStorage, refusal, this_process
 
 _STAGING = "forestgen-staging-"
@@ -76,7 +68,7 @@ class RemoteStorage:
     url: str  # such as s3://bucket/prefix
 
     def __post_init__(self) -> None:
-        file_system(check_url(self.url))
+        remote_store.file_system(remote_store.check_url(self.url))
 
     @property
     def name(self) -> str:
@@ -101,13 +93,15 @@ class RemoteStorage:
         self.remove_all([path for path in self.files(target) if path not in kept])
 
     def put_file(self, source: Path, target: str) -> None:
-        put_checked(self._store, source, self._key(target), self._where(target))
+        remote_store.put_checked(self._store, source, self._key(target), self._where(target))
 
     def write(self, target: str, content: bytes) -> None:
-        put_checked(self._store, content, self._key(target), self._where(target))
+        remote_store.put_checked(self._store, content, self._key(target), self._where(target))
 
     def read(self, path: str) -> bytes | None:
-        content = persistently(lambda: _or_none(lambda: self._store.cat_file(self._key(path))), self._where(path))
+        content = remote_store.persistently(
+            lambda: _or_none(lambda: self._store.cat_file(self._key(path))), self._where(path)
+        )
         return None if content is None else bytes(content)
 
     def exists(self, path: str) -> bool:
@@ -138,16 +132,16 @@ class RemoteStorage:
     def remove_all(self, paths: Collection[str]) -> None:
         """Remove many files, in a request for each 1,000."""
         if paths:
-            persistently(lambda: self._store.rm([self._key(path) for path in paths]), self.url)
+            remote_store.persistently(lambda: self._store.rm([self._key(path) for path in paths]), self.url)
 
     def fetch(self, paths: Iterable[str], folder: Path) -> None:
         """Download files to ``folder/PATH``; `OutputError` if one is not there, or does not arrive whole."""
 
         def get(path: str) -> None:
             key, target = self._key(path), folder / path  # the former refuses a path that leads out of the folder
-            with storage_errors(self._where(path)):
+            with remote_store.storage_errors(self._where(path)):
                 target.parent.mkdir(parents=True, exist_ok=True)
-            persistently(lambda: self._store.get_file(key, str(target)), self._where(path))
+            remote_store.persistently(lambda: self._store.get_file(key, str(target)), self._where(path))
 
         _at_once(get, paths)
 
@@ -162,17 +156,17 @@ class RemoteStorage:
 
         def copy(pair: tuple[str, str]) -> None:
             source, target = (self._key(path) for path in pair)
-            persistently(lambda: self._store.cp_file(source, target), self._where(pair[1]))
+            remote_store.persistently(lambda: self._store.cp_file(source, target), self._where(pair[1]))
 
         _at_once(copy, pairs)
 
     @property
     def _store(self) -> Any:
-        return file_system(self.url.partition("://")[0])
+        return remote_store.file_system(self.url.partition("://")[0])
 
     def _asked(self, question: Callable[..., Any], path: str, **options: Any) -> Any:
         """What the store answers about a path; None if nothing is there."""
-        with storage_errors(self._where(path)):
+        with remote_store.storage_errors(self._where(path)):
             return _or_none(lambda: question(self._key(path), **options))
 
     def _key(self, path: str) -> str:
@@ -191,7 +185,7 @@ def _or_none(answer: Callable[[], Any]) -> Any:
     try:
         return answer()
     except (FileNotFoundError, NotADirectoryError, IsADirectoryError) as error:
-        if store_code(error) == "NoSuchBucket":
+        if remote_store.store_code(error) == "NoSuchBucket":
             raise
         return None
 
@@ -203,7 +197,7 @@ def _files_below(folder: Path) -> list[str]:
 
 def _at_once(task: Callable[[TaskT], None], items: Iterable[TaskT]) -> None:
     """Do a task for each item, several at once; the first failure is raised, and what has not begun is left."""
-    with ThreadPoolExecutor(CONNECTIONS) as pool:
+    with ThreadPoolExecutor(remote_store.CONNECTIONS) as pool:
         try:
             for _ in in_order(pool, task, items):
                 pass
@@ -242,7 +236,7 @@ class RemoteLock:
         self._thread = threading.Thread(target=self._keep, name="forestgen-lock", daemon=True)
 
     def __enter__(self) -> RemoteLock:
-        with storage_errors(self._where):
+        with remote_store.storage_errors(self._where):
             self._take()
         self._thread.start()
         return self
@@ -297,9 +291,9 @@ class RemoteLock:
         except FileExistsError as error:
             raise self._refusal(self._read()) from error
         except Exception as error:
-            if store_code(error) in _REFUSED:
+            if remote_store.store_code(error) in _REFUSED:
                 raise self._refusal(self._read()) from error
-            if store_code(error) not in _NOT_OFFERED:
+            if remote_store.store_code(error) not in _NOT_OFFERED:
                 raise
             self._store.pipe_file(self._key, data)
 

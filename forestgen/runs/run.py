@@ -12,6 +12,7 @@ from forestgen.core.errors import DatasetError, ForestgenError, OutputError, Rec
 from forestgen.dataset.settings import DatasetSettings, check_one_data_set, check_splits, check_stands, data_set_of
 from forestgen.recipe.dataset import split_of, used_splits
 from forestgen.recipe.load import LoadedRecipe
+from forestgen.runs import folder
 from forestgen.runs.contract import (
     TRANSIENT,
     Done,
@@ -27,15 +28,6 @@ from forestgen.runs.contract import (
     Work,
 )
 from forestgen.runs.finish import finish
-from forestgen.runs.folder import (
-    TAKEN,
-    check_ours,
-    check_resume,
-    fingerprint,
-    forget_key,
-    open_batch,
-    settle_batch,
-)
 from forestgen.runs.records import done_keys, job_key, records_of, versions_hash
 from forestgen.runs.remote_storage import storage_of
 from forestgen.runs.replace import check_replaceable, recover, replacing
@@ -113,13 +105,13 @@ def run_batch(
     display, overwrite = display or SilentDisplay(), options.overwrite
     count = options.count or loaded.images
     storage, images = storage_of(target), images_of(loaded, count)
-    check_ours(storage)
+    folder.check_ours(storage)
     settings, splits = check_recipe(loaded, images)
     work = Work(loaded, settings, storage, versions_hash(), options.threads, options.memory_bytes)
     with storage.lock(display.say) as lock:
-        check_resume(storage, resume=options.resume or overwrite)
+        folder.check_resume(storage, resume=options.resume or overwrite)
         recover(storage, display.say)
-        mark = fingerprint(loaded, work.versions)
+        mark = folder.fingerprint(loaded, work.versions)
         before = finished_images(work, images, splits, mark, display.say, overwrite=overwrite)
         check_stale_outputs(before, storage.name, agreed=options.discard)
         work = prepare(work, count - before.kept)
@@ -129,7 +121,7 @@ def run_batch(
             damaged = damaged_images(storage, loaded, images, before.stale, display.say)
             with Log(storage) as log:
                 storage.discard(storage.staging())  # raises if nothing can be written, before anything is removed
-                known = open_batch(storage, images, used, mark, display.say, before.stale, damaged)
+                known = folder.open_batch(storage, images, used, mark, display.say, before.stale, damaged)
                 retries = 0 if strict else options.retries
                 queue = JobQueue(work, images, splits, known, before.stale)
                 run = _Run(work, lock, log, queue, display, retries, strict)
@@ -157,7 +149,7 @@ def _make_and_finish(
     work = run.work
     try:
         _make_all(run, engine(work, run.notice))
-        settle_batch(work.storage, splits, mark)
+        folder.settle_batch(work.storage, splits, mark)
         return _finish(run, images)
     except BaseException as error:
         _log_stop(run, error)
@@ -185,11 +177,11 @@ def check_recipe(loaded: LoadedRecipe, images: range) -> tuple[DatasetSettings, 
     for drawn in loaded.probes():
         check_one_data_set(drawn, settings)
     splits = dict(plan.drawn.recipe.dataset.splits)
-    for name in TAKEN:
+    for name in folder.TAKEN:
         if name in splits:
             problem = "a split cannot have this name: the data set's folder uses it"
             where = plan.drawn.where("dataset", "splits", name)
-            raise RecipeError(problem, where=where, expected="another than " + ", ".join(TAKEN), got=name)
+            raise RecipeError(problem, where=where, expected="another than " + ", ".join(folder.TAKEN), got=name)
     used = used_splits(splits, images)
     check_splits(loaded, used)
     check_stands(plan.community, loaded, used)
@@ -378,7 +370,7 @@ class JobQueue:
                 self.keys[image] = known
                 continue
             if known is not None:
-                forget_key(self._storage, known)
+                folder.forget_key(self._storage, known)
             self.keys[image] = ""
             try:
                 self.keys[image] = job_key(self._loaded.draw(image - self.images.start), self._versions)

@@ -16,16 +16,7 @@ import numpy as np
 
 from forestgen.core.errors import DatasetError, ForestgenError
 from forestgen.core.progress import Progress, Timings
-from forestgen.dataset.check.files import (
-    MISUNDERSTOOD,
-    Finding,
-    UnreadableError,
-    misunderstood,
-    read_json,
-    read_picture,
-    read_table,
-    read_text,
-)
+from forestgen.dataset.check import files
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.png import thumbnail_name, write_thumbnail
 from forestgen.dataset.safe_path import SafePath, one_line
@@ -35,7 +26,7 @@ from forestgen.runs.records import in_order
 from forestgen.runs.storage import files_below
 from forestgen.runs.verify_index import plain_yaml
 
-Check = tuple[str, str, int, list[Finding]]  # name, what holds, how many it looked at, findings
+Check = tuple[str, str, int, list[files.Finding]]  # name, what holds, how many it looked at, findings
 _HINT = "give the recipe one split, or let it draw each image's plants"
 
 
@@ -45,7 +36,7 @@ class FrameFacts:
 
     row: Mapping[str, Any]  # the index' own
     community: bytes  # hash of the plants' species and places; empty: bare ground
-    findings: tuple[Finding, ...]
+    findings: tuple[files.Finding, ...]
 
 
 def check_frames(root: Path, description: Mapping[str, Any], jobs: int | None, progress: Progress) -> list[Check]:
@@ -55,10 +46,10 @@ def check_frames(root: Path, description: Mapping[str, Any], jobs: int | None, p
     `jobs`: threads; by default the cores.
     """
     class_names = description["settings"]["class_names"]
-    frames: list[Finding] = []
+    frames: list[files.Finding] = []
     first: dict[tuple[str, bytes], tuple[str, str]] = {}  # what and its mark -> split and frame that had it first
-    seeds: list[Finding] = []
-    communities: list[Finding] = []
+    seeds: list[files.Finding] = []
+    communities: list[files.Finding] = []
     with ThreadPoolExecutor(jobs) as pool, progress.stage("frames", int(description["frames"])) as advance:
         for facts in in_order(pool, partial(_facts, root, class_names), _rows(root)):
             advance(1)
@@ -83,52 +74,52 @@ def _rows(root: Path) -> Iterator[dict[str, Any]]:
 
 def _shared(
     first: dict[tuple[str, bytes], tuple[str, str]], what: str, mark: bytes, row: Mapping[str, Any]
-) -> Iterator[Finding]:
+) -> Iterator[files.Finding]:
     """A finding if another split has had what only one may have."""
     split, frame = first.setdefault((what, mark), (row["split"], row["folder"]))
     if mark and split != row["split"]:
         expected = f"another than that of {frame} ({_HINT})"
         problem = f"two splits share a {what}"
-        yield Finding(str(row["folder"]), problem, expected, f"the same in {row['split']}")
+        yield files.Finding(str(row["folder"]), problem, expected, f"the same in {row['split']}")
 
 
 def _facts(root: Path, class_names: Sequence[str], row: Mapping[str, Any]) -> FrameFacts:
     """Compare each file of a frame with the row; one that cannot be read leaves the others."""
     folder = str(row["folder"])
-    findings: list[Finding] = []
+    findings: list[files.Finding] = []
 
     def plants() -> dict[str, Any]:
-        table = read_table(root, f"{folder}/plants.parquet")
+        table = files.read_table(root, f"{folder}/plants.parquet")
         community.append(_community(table))
         return _plants_shown(table)
 
     def classes() -> dict[str, Any]:
-        semantic = read_picture(root, f"{folder}/semantic.png")
+        semantic = files.read_picture(root, f"{folder}/semantic.png")
         height, width = semantic.shape
         counts = np.bincount(semantic.ravel(), minlength=len(class_names))
         pixels = {class_names[number]: int(counts[number]) for number in np.flatnonzero(counts).tolist()}
         return {"class_pixels": pixels, "height_px": height, "width_px": width}
 
     def camera() -> dict[str, Any]:
-        content = read_json(root, f"{folder}/camera.json")
+        content = files.read_json(root, f"{folder}/camera.json")
         position = zip(("camera_x_m", "camera_y_m", "camera_z_m"), content["position_m"], strict=True)
         return {"camera": content.get("name"), **dict(position)}
 
     def recipe() -> dict[str, Any]:
         file = f"{folder}/recipe.yaml"
         try:
-            return {"recipe_hash": _hash_of(read_text(root, file))}
-        except UnreadableError as error:
-            raise UnreadableError(replace(error.finding, file=file)) from error
+            return {"recipe_hash": _hash_of(files.read_text(root, file))}
+        except files.UnreadableError as error:
+            raise files.UnreadableError(replace(error.finding, file=file)) from error
 
     community: list[bytes] = []
     for read in (plants, classes, camera, recipe):
         try:
             findings.extend(_wrong(row, key, value) for key, value in read().items() if row[key] != value)
-        except UnreadableError as error:
+        except files.UnreadableError as error:
             findings.append(error.finding)
-        except MISUNDERSTOOD as error:
-            findings.append(misunderstood(folder, error, str(row["frame"])))
+        except files.MISUNDERSTOOD as error:
+            findings.append(files.misunderstood(folder, error, str(row["frame"])))
     return FrameFacts(row, community[0] if community else b"", tuple(findings))
 
 
@@ -137,9 +128,9 @@ def _hash_of(text: str) -> str:
     return recipe_hash(plain_yaml(text, ""))
 
 
-def _wrong(row: Mapping[str, Any], key: str, value: Any) -> Finding:
+def _wrong(row: Mapping[str, Any], key: str, value: Any) -> files.Finding:
     problem = f"{key} of {row['folder']} is not what its files show"
-    return Finding(INDEX_NAME, problem, f"{value!r:.120}", f"{row[key]!r:.120}", image=str(row["frame"]))
+    return files.Finding(INDEX_NAME, problem, f"{value!r:.120}", f"{row[key]!r:.120}", image=str(row["frame"]))
 
 
 def _plants_shown(plants: Mapping[str, Any]) -> dict[str, Any]:
@@ -168,7 +159,7 @@ def _community(plants: Mapping[str, Any]) -> bytes:
 
 def check_renders(
     root: Path, description: Mapping[str, Any], count: int, seed: int, progress: Progress, note: Callable[[str], None]
-) -> Iterator[Finding]:
+) -> Iterator[files.Finding]:
     """Files that have other bytes than those that are rendered now.
 
     `description`: dataset.json.
@@ -182,7 +173,7 @@ def check_renders(
         try:
             images = sorted(_drawn_images(root, count, seed).items())
         except (DatasetError, KeyError, TypeError, ValueError) as error:
-            yield Finding(INDEX_NAME, "the index cannot be read", got=one_line(error))
+            yield files.Finding(INDEX_NAME, "the index cannot be read", got=one_line(error))
             return
         for image, rows in images:
             if any(row.get("stopped_by") == "time_budget_s" for row in rows):
@@ -191,7 +182,9 @@ def check_renders(
             try:
                 yield from _check_image(root, image, rows, progress, moved)
             except OSError as error:
-                yield Finding(str(rows[0]["folder"]), f"image {image} cannot be read", got=error.strerror or str(error))
+                yield files.Finding(
+                    str(rows[0]["folder"]), f"image {image} cannot be read", got=error.strerror or str(error)
+                )
             advance(1)
 
 
@@ -216,7 +209,7 @@ def _drawn_images(root: Path, count: int, seed: int) -> dict[int, list[dict[str,
 
 def _check_image(
     root: Path, image: int, rows: list[dict[str, Any]], progress: Progress, moved: str
-) -> Iterator[Finding]:
+) -> Iterator[files.Finding]:
     with TemporaryDirectory(prefix="forestgen-rerender-") as folder:
         fresh = Path(folder) / "fresh"
         fresh.mkdir()
@@ -226,12 +219,12 @@ def _check_image(
             again = _render(source.located(), fresh, progress)
         except (ForestgenError, OSError) as error:
             got = str(error).replace("\n", " ")
-            yield Finding(source.name, "the image cannot be rendered again", got=got)
+            yield files.Finding(source.name, "the image cannot be rendered again", got=got)
             return
         names = {str(row["frame"]) for row in rows}
         if names != set(again):
             expected, got = ", ".join(sorted(names)), ", ".join(sorted(again))
-            yield Finding(
+            yield files.Finding(
                 str(rows[0]["folder"]), f"image {image} has other frames when it is rendered again", expected, got
             )
         for row in rows:
@@ -259,7 +252,7 @@ def _render(source: Path, fresh: Path, progress: Progress) -> dict[str, dict[str
     return {str(row["frame"]): row for row in image.rows}
 
 
-def _compare(root: Path, fresh: Path, kept_name: str, fresh_name: str, moved: str) -> Iterator[Finding]:
+def _compare(root: Path, fresh: Path, kept_name: str, fresh_name: str, moved: str) -> Iterator[files.Finding]:
     """A file, or all files of a folder."""
     kept, made = SafePath(root, kept_name), fresh / fresh_name
     if made.is_file():
@@ -271,7 +264,7 @@ def _compare(root: Path, fresh: Path, kept_name: str, fresh_name: str, moved: st
         one, other = (kept / name, made / name) if name else (kept, made)
         problem = _difference(one, other)
         if problem is not None:
-            finding = Finding(f"{kept_name}/{name}" if name else kept_name, *problem)
+            finding = files.Finding(f"{kept_name}/{name}" if name else kept_name, *problem)
             yield replace(finding, got=f"{finding.got} ({moved})") if moved else finding
 
 
@@ -288,13 +281,13 @@ def _difference(kept: SafePath, made: Path) -> tuple[str, str, str] | None:
     return "rendered again, the file has other bytes", f"{len(new)} bytes", f"{len(old)} bytes, other from byte {at} on"
 
 
-def _compare_rows(kept: Mapping[str, Any], made: Mapping[str, Any]) -> Iterator[Finding]:
+def _compare_rows(kept: Mapping[str, Any], made: Mapping[str, Any]) -> Iterator[files.Finding]:
     for key, value in made.items():
         if key.startswith("draw."):  # a drawn recipe draws nothing
             continue
         if kept.get(key) != value:
             problem = f"{key} of {made['frame']} is another when it is rendered again"
-            yield Finding(INDEX_NAME, problem, f"{value!r:.120}", f"{kept.get(key)!r:.120}")
+            yield files.Finding(INDEX_NAME, problem, f"{value!r:.120}", f"{kept.get(key)!r:.120}")
 
 
 def _moved(description: Mapping[str, Any]) -> str:

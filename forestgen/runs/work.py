@@ -11,15 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from forestgen.core.errors import (
-    AssetError,
-    ForestgenError,
-    LsystemError,
-    OutputError,
-    RecipeError,
-    RenderError,
-    ResourceError,
-)
+from forestgen.core import errors
 from forestgen.core.processes import whole_bytes
 from forestgen.core.progress import Progress, Silent, Timings
 from forestgen.core.registry import explained_bug
@@ -59,7 +51,7 @@ def make_here(work: Work, job: Job, attempt: int, progress: Progress) -> Done:
         return complete(work, job, attempt, progress)
     except _StorageFailedError as error:
         cause = error.__cause__
-        if not isinstance(cause, OutputError):
+        if not isinstance(cause, errors.OutputError):
             raise output_error(cast(OSError, cause)) from cause
         raise cause from cause.__cause__
     except OSError as error:
@@ -119,19 +111,21 @@ def _worker_name() -> str:
 
 def failure_kind(error: BaseException) -> FailureKind:
     """What went wrong, as far as it decides whether another attempt may help."""
-    if isinstance(error, MemoryError | ResourceError):
+    if isinstance(error, MemoryError | errors.ResourceError):
         return "memory"
     if _storage_failed(error):
         return "output"
-    if isinstance(error, RecipeError | AssetError | LsystemError | OutputError):
+    if isinstance(error, errors.RecipeError | errors.AssetError | errors.LsystemError | errors.OutputError):
         return "recipe"  # also what a format cannot hold, however often it is tried
-    return "renderer" if isinstance(error, RenderError) else "bug"
+    return "renderer" if isinstance(error, errors.RenderError) else "bug"
 
 
 def _storage_failed(error: BaseException | None) -> bool:
     """Whether a disk, a quota or a network is behind an error."""
     while error is not None:
-        if isinstance(error, _StorageFailedError) or (isinstance(error, OutputError) and error.__cause__ is not None):
+        if isinstance(error, _StorageFailedError) or (
+            isinstance(error, errors.OutputError) and error.__cause__ is not None
+        ):
             return True  # an `OutputError` without a cause is about what a format cannot hold
         if isinstance(error, OSError) and (error.errno in STORAGE_ERRNOS or isinstance(error, ConnectionError)):
             return True
@@ -143,7 +137,7 @@ def explained(error: BaseException) -> str:
     """An error for people; of a bug also the place in the code."""
     if isinstance(error, _StorageFailedError) and error.__cause__ is not None:
         return explained(error.__cause__)
-    if isinstance(error, ForestgenError):
+    if isinstance(error, errors.ForestgenError):
         return str(error)
     if isinstance(error, MemoryError):
         return "memory ran out\n  try       fewer workers, smaller images or a smaller site"
@@ -168,7 +162,7 @@ def complete(work: Work, job: Job, attempt: int, progress: Progress, *, memory_b
             problem = "a file that the recipe names has changed since the batch was started"
             where = str(work.loaded.path)
             hint = "start the batch again with `resume=True`: what has changed is made anew"
-            raise AssetError(problem, where=where, expected=f"a drawn recipe of the key {job.key}", hint=hint)
+            raise errors.AssetError(problem, where=where, expected=f"a drawn recipe of the key {job.key}", hint=hint)
         check_one_data_set(drawn, work.settings)
         plan = make_plan(drawn)
         check_memory(plan, memory_budget_bytes=memory_budget_bytes)
@@ -226,12 +220,12 @@ def _put_into_place(storage: StorageBackend, staging: Path, job: Job, record: Jo
         storage.write(record_path(job.key), record_bytes(record))
     except BaseException as error:
         if not isinstance(error, Exception):
-            with suppress(ForestgenError, OSError):
+            with suppress(errors.ForestgenError, OSError):
                 if storage.exists(record_path(job.key)):
                     raise  # stopped just after the image was done
         for name in (record_path(job.key), *(f"{job.split}/{folder.name}" for folder in frames)):
-            with suppress(ForestgenError, OSError):
+            with suppress(errors.ForestgenError, OSError):
                 storage.remove(name)
-        if isinstance(error, OutputError | OSError):
+        if isinstance(error, errors.OutputError | OSError):
             raise _StorageFailedError from error
         raise

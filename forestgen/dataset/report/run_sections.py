@@ -5,19 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from forestgen.core.figures import seconds, show_bytes
-from forestgen.dataset.report.charts import (
-    Cell,
-    Chart,
-    Fact,
-    Row,
-    Section,
-    ShareList,
-    Table,
-    bars,
-    histogram,
-    nice_step,
-    shares,
-)
+from forestgen.dataset.report import charts
 from forestgen.dataset.report.source import Failure, RecipeMetadata, RunLog, Source
 
 _MOST_STAGES, _MOST_WINDOWS = 16, 48
@@ -25,30 +13,32 @@ _MOST_IMAGES = 12  # named beside a message
 _NO_RUN = "There is no log of a run: merged data sets have none."
 
 
-def failure_section(source: Source) -> Section:
+def failure_section(source: Source) -> charts.Section:
     """What went wrong, by message, and what became of it."""
     run = source.run
     if run is None or not run.lines:
-        return Section("failures", "Failures", _NO_RUN)
+        return charts.Section("failures", "Failures", _NO_RUN)
     given_up = set(run.given_up)
     facts = (
-        Fact(f"{run.failed_attempts:,}", "failed attempts"),
-        Fact(f"{len(given_up):,}", "images given up"),
-        Fact(f"{run.workers_lost:,}", "workers lost"),
+        charts.Fact(f"{run.failed_attempts:,}", "failed attempts"),
+        charts.Fact(f"{len(given_up):,}", "images given up"),
+        charts.Fact(f"{run.workers_lost:,}", "workers lost"),
     )
     rows = [_failure_row(one, given_up) for one in run.failures]
     unlisted = run.unlisted_attempts
     note = f"{unlisted:,} attempts with other messages are in run/log.jsonl." if unlisted else ""
-    tables = [Table("By message", ("kind", "message", "attempts", "images"), rows, note, words=True)] if rows else []
+    tables = (
+        [charts.Table("By message", ("kind", "message", "attempts", "images"), rows, note, words=True)] if rows else []
+    )
     lead = "An attempt that failed leaves nothing in the data set; what may pass is tried again."
     if not rows:
         lead = "No attempt failed."
     if run.damaged_lines:
         lead += f" {run.damaged_lines:,} of the log's lines cannot be read; a kill may cut one short."
-    return Section("failures", "Failures", "", lead, facts, tables)
+    return charts.Section("failures", "Failures", "", lead, facts, tables)
 
 
-def _failure_row(failure: Failure, given_up: set[int]) -> Row:
+def _failure_row(failure: Failure, given_up: set[int]) -> charts.Row:
     images = sorted(failure.images)
     named = ", ".join(
         f"{image} (attempt {failure.images[image]}{', given up' if image in given_up else ''})"
@@ -56,55 +46,57 @@ def _failure_row(failure: Failure, given_up: set[int]) -> Row:
     )
     more = f" and {len(images) - _MOST_IMAGES:,} more" if len(images) > _MOST_IMAGES else ""
     is_lost = not given_up.isdisjoint(images)
-    listed = Cell(named + more, soft="" if is_lost else "all made in the end", warn=is_lost)
-    return Row(failure.kind, [Cell(failure.message), Cell(f"{failure.attempts:,}"), listed])
+    listed = charts.Cell(named + more, soft="" if is_lost else "all made in the end", warn=is_lost)
+    return charts.Row(failure.kind, [charts.Cell(failure.message), charts.Cell(f"{failure.attempts:,}"), listed])
 
 
-def timing_section(source: Source) -> Section:
+def timing_section(source: Source) -> charts.Section:
     """Where the time went."""
     run = source.run
     if run is None:
-        return Section("timings", "Time and memory", _NO_RUN)
+        return charts.Section("timings", "Time and memory", _NO_RUN)
     memory_mib = [one / 2**20 for one in run.peak_memory_bytes]
     parts = (
         *_timing_facts(run),
         _stages(run),
-        histogram(run.job_s, "Time of an image", "seconds", log=True, y_title="images"),
+        charts.histogram(run.job_s, "Time of an image", "seconds", log=True, y_title="images"),
         _pace(run),
-        histogram(memory_mib, "Peak memory of a worker", "MiB", y_title="images") if len(memory_mib) > 1 else None,
+        charts.histogram(memory_mib, "Peak memory of a worker", "MiB", y_title="images")
+        if len(memory_mib) > 1
+        else None,
     )
-    return Section("timings", "Time and memory", "The log has no times.", parts=parts)
+    return charts.Section("timings", "Time and memory", "The log has no times.", parts=parts)
 
 
-def _timing_facts(run: RunLog) -> list[Fact]:
+def _timing_facts(run: RunLog) -> list[charts.Fact]:
     facts = []
     if run.images_per_hour is not None:
         rate = run.images_per_hour
-        facts.append(Fact(f"{rate:,.0f}" if rate >= 100 else f"{rate:.3g}", "images per hour"))
+        facts.append(charts.Fact(f"{rate:,.0f}" if rate >= 100 else f"{rate:.3g}", "images per hour"))
     if run.job_s:
-        facts.append(Fact(seconds(float(np.median(run.job_s))), "an image, by the median"))
+        facts.append(charts.Fact(seconds(float(np.median(run.job_s))), "an image, by the median"))
     if run.running_s > 0:
-        facts.append(Fact(seconds(run.running_s), "in all" if run.runs < 2 else f"in all, over {run.runs} runs"))
+        facts.append(charts.Fact(seconds(run.running_s), "in all" if run.runs < 2 else f"in all, over {run.runs} runs"))
     if run.workers:
-        facts.append(Fact(f"{len(run.workers):,}", "worker processes, over all runs"))
+        facts.append(charts.Fact(f"{len(run.workers):,}", "worker processes, over all runs"))
     if any(run.peak_memory_bytes):
-        facts.append(Fact(f"{max(run.peak_memory_bytes) / 2**20:,.0f} MiB", "peak memory of a worker"))
+        facts.append(charts.Fact(f"{max(run.peak_memory_bytes) / 2**20:,.0f} MiB", "peak memory of a worker"))
     return facts
 
 
-def _stages(run: RunLog) -> ShareList | None:
+def _stages(run: RunLog) -> charts.ShareList | None:
     """Time by stage, those of less than a hundredth together."""
     whole = sum(run.stage_s.values())
     stages = sorted(run.stage_s.items(), key=lambda one: (-one[1], one[0]))
     large = [one for one in stages if one[1] >= 0.01 * whole][:_MOST_STAGES]
     if len(rest := stages[len(large) :]) > 1:
         stages = [*large, (f"{len(rest)} others", sum(seconds for _, seconds in rest))]
-    rows = shares([name for name, _ in stages], [seconds for _, seconds in stages], of=whole)
+    rows = charts.shares([name for name, _ in stages], [seconds for _, seconds in stages], of=whole)
     note = "share of the workers' time · seconds"
-    return ShareList("Where the time goes, by stage", rows, note) if rows else None
+    return charts.ShareList("Where the time goes, by stage", rows, note) if rows else None
 
 
-def _pace(run: RunLog) -> Chart | None:
+def _pace(run: RunLog) -> charts.Chart | None:
     """Images per hour over the run, in windows of equal length."""
     if len(run.finished_s) < 2 or run.running_s <= 0 or max(run.finished_s) <= min(run.finished_s):
         return None
@@ -112,17 +104,17 @@ def _pace(run: RunLog) -> Chart | None:
         (3600.0, "hours") if run.running_s > 7200 else (60.0, "minutes") if run.running_s > 180 else (1.0, "seconds")
     )
     span = run.running_s / scale
-    step = nice_step(span, min(_MOST_WINDOWS, max(2, len(run.finished_s) // 4)))
+    step = charts.nice_step(span, min(_MOST_WINDOWS, max(2, len(run.finished_s) // 4)))
     edges = np.arange(int(np.ceil(span / step - 1e-9)) + 1) * step
     counts, _ = np.histogram(np.asarray(run.finished_s) / scale, edges)
     width_h = np.minimum(np.diff(edges), span - edges[:-1]) * scale / 3600.0  # the last window ends with the run
     rate = counts / np.maximum(width_h, 1e-9)
     title = "Images per hour over the run"
     summary = f"{title}: least {rate.min():.3g}, most {rate.max():.3g}"
-    return bars(rate, edges, title, f"running time, {unit}", y_title="images/h", summary=summary)
+    return charts.bars(rate, edges, title, f"running time, {unit}", y_title="images/h", summary=summary)
 
 
-def provenance_section(source: Source) -> Section:
+def provenance_section(source: Source) -> charts.Section:
     """What the data set was made from, and with."""
     metadata = source.metadata
     licence = " ".join(filter(None, ((metadata.licence or {}).get(key) for key in ("name", "url"))))
@@ -144,9 +136,9 @@ def provenance_section(source: Source) -> Section:
         *(("made with", str(versions)) for versions in metadata.made_with),
         ("missing images", gaps_text(metadata.missing, 100) or "none"),
     ]
-    rows = [Row(name, [Cell(text)]) for name, text in values if text]
-    table = Table("Where it comes from", ("what", "value"), rows, words=True)
-    return Section("provenance", "Provenance", "", tables=[table])
+    rows = [charts.Row(name, [charts.Cell(text)]) for name, text in values if text]
+    table = charts.Table("Where it comes from", ("what", "value"), rows, words=True)
+    return charts.Section("provenance", "Provenance", "", tables=[table])
 
 
 def gaps_text(gaps: list[tuple[int, int]], most: int = 12) -> str:

@@ -27,17 +27,7 @@ from pydantic import Field
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.cameras import Look
 from forestgen.recipe.fields import Number, Point
-from forestgen.scene.projection import (
-    DeviceRays,
-    Exchange,
-    FileGeometry,
-    Floats,
-    Pixels,
-    Rays,
-    matrix_k,
-    read_angle_rad,
-    read_k,
-)
+from forestgen.scene import projection
 from forestgen.scene.projections.hulls import CurvedProjection, lies_over
 from forestgen.scene.spec import Camera
 
@@ -65,17 +55,21 @@ class Fisheye(CurvedProjection):
     Parameters = FisheyeCamera
     model = "fisheye"
     is_equidistant = True
-    exchange = Exchange("OPENCV_FISHEYE", ("k1", "k2", "k3", "k4"))
+    exchange = projection.Exchange("OPENCV_FISHEYE", ("k1", "k2", "k3", "k4"))
 
-    def rays(self, camera: Camera, x: Floats, y: Floats) -> Rays:
+    def rays(self, camera: Camera, x: projection.Floats, y: projection.Floats) -> projection.Rays:
         radius = np.hypot(x, y)
         theta = radius / self.focal_px(camera)
         sine = np.divide(np.sin(theta), radius, out=np.zeros_like(radius), where=radius > 0)
         direction = np.stack([x * sine, y * sine, np.cos(theta)], axis=-1)
         # Exact for pixel centres.
-        return Rays(np.zeros((*x.shape, 3)), direction, np.asarray(x * x + y * y <= (camera.size_px[0] / 2) ** 2))
+        return projection.Rays(
+            np.zeros((*x.shape, 3)), direction, np.asarray(x * x + y * y <= (camera.size_px[0] / 2) ** 2)
+        )
 
-    def project(self, camera: Camera, x: Floats, y: Floats, z: Floats) -> Pixels:
+    def project(
+        self, camera: Camera, x: projection.Floats, y: projection.Floats, z: projection.Floats
+    ) -> projection.Pixels:
         across = np.hypot(x, y)
         radius = np.arctan2(across, z) * self.focal_px(camera)
         sideways = across > 0
@@ -83,15 +77,15 @@ class Fisheye(CurvedProjection):
         v = radius * np.divide(y, across, out=np.zeros_like(across), where=sideways)
         depth = np.hypot(across, z)
         # Rounding may carry a point of the circle itself across.
-        return Pixels(u, v, depth, (radius <= camera.size_px[0] / 2 * (1 + 1e-12)) & (depth > 0))
+        return projection.Pixels(u, v, depth, (radius <= camera.size_px[0] / 2 * (1 + 1e-12)) & (depth > 0))
 
-    def device_rays(self, camera: Camera, x: Any, y: Any, lens: Any | None, mi: Any, dr: Any) -> DeviceRays:
+    def device_rays(self, camera: Camera, x: Any, y: Any, lens: Any | None, mi: Any, dr: Any) -> projection.DeviceRays:
         radius = dr.sqrt(x * x + y * y)
         sine, cosine = dr.sincos(radius * dr.opaque(mi.Float, 1 / self.focal_px(camera)))
         sine = dr.select(radius > 0, sine / radius, 0.0)
         double = dr.float64_array_t(mi.Float)  # squares of pixels are exact in double precision
         inside = double(x) * double(x) + double(y) * double(y) <= dr.opaque(double, (camera.size_px[0] / 2) ** 2)
-        return DeviceRays(mi.Vector3f(x * sine, y * sine, cosine), mi.Float(1.0), None, inside)
+        return projection.DeviceRays(mi.Vector3f(x * sine, y * sine, cosine), mi.Float(1.0), None, inside)
 
     def focal_px(self, camera: Camera) -> float:
         """Pixels a radian."""
@@ -100,32 +94,34 @@ class Fisheye(CurvedProjection):
     def pixels_a_radian(self, camera: Camera) -> tuple[float, float]:
         return self.focal_px(camera), self.focal_px(camera)
 
-    def everywhere(self, camera: Camera) -> Floats:
+    def everywhere(self, camera: Camera) -> projection.Floats:
         (width, height), reach = camera.size_px, np.pi * self.focal_px(camera)
         return np.array([width / 2 - reach, height / 2 - reach, width / 2 + reach, height / 2 + reach])
 
-    def stretch_sine(self, seen: Floats, distance_m: Floats) -> Floats:
+    def stretch_sine(self, seen: projection.Floats, distance_m: projection.Floats) -> projection.Floats:
         return np.where(seen[..., 2] < 0, np.hypot(seen[..., 0], seen[..., 1]) / distance_m, 1.0)
 
-    def torn_boxes(self, camera: Camera, box: Floats, unit: Floats) -> Floats:
+    def torn_boxes(self, camera: Camera, box: projection.Floats, unit: projection.Floats) -> projection.Floats:
         """A hull straight behind is in all directions around the circle, out to pi radians."""
         box[lies_over(unit, np.array([0.0, 0.0, -1.0]))] = self.everywhere(camera)
         return box
 
-    def pixels_per_sr(self, camera: Camera, toward: Floats) -> Floats:
+    def pixels_per_sr(self, camera: Camera, toward: projection.Floats) -> projection.Floats:
         theta = np.arccos(np.clip(toward[..., 2], -1.0, 1.0))
         return np.asarray(self.focal_px(camera) ** 2 / np.maximum(np.sinc(theta / np.pi), 1e-9))
 
-    def step_rad(self, camera: Camera, x: Floats, y: Floats, step_px: tuple[float, float]) -> float:
+    def step_rad(
+        self, camera: Camera, x: projection.Floats, y: projection.Floats, step_px: tuple[float, float]
+    ) -> float:
         return float(np.hypot(*step_px)) / self.focal_px(camera)
 
-    def finest_pixel_m(self, camera: Camera, distance_m: Floats) -> Floats:
+    def finest_pixel_m(self, camera: Camera, distance_m: projection.Floats) -> projection.Floats:
         # Around the axis a pixel covers sin(theta) / theta of what it covers away from it; 0 straight behind.
         edge = min(np.radians(camera.hfov_deg) / 2, 0.75 * np.pi)
         return np.asarray(distance_m * np.sin(edge) / edge / self.focal_px(camera))
 
-    def intrinsics(self, camera: Camera) -> Floats:
-        return matrix_k(camera, self.focal_px(camera))
+    def intrinsics(self, camera: Camera) -> projection.Floats:
+        return projection.matrix_k(camera, self.focal_px(camera))
 
     def file_keys(self, camera: Camera) -> dict[str, Any]:
         k = self.intrinsics(camera).tolist()
@@ -134,10 +130,10 @@ class Fisheye(CurvedProjection):
     def rim_px(self, camera: Camera) -> float:
         return camera.size_px[0] / 2
 
-    def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
-        focal_px, centre_px = read_k(values)
+    def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> projection.FileGeometry:
+        focal_px, centre_px = projection.read_k(values)
         camera = self.plain_camera(size_px, math.degrees(size_px[0] / focal_px[0]))
-        return FileGeometry(camera, focal_px, centre_px, size_px[0] / read_angle_rad(values))
+        return projection.FileGeometry(camera, focal_px, centre_px, size_px[0] / projection.read_angle_rad(values))
 
 
 PROJECTION = Fisheye()

@@ -31,19 +31,7 @@ from pydantic_core import PydanticCustomError
 
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.fields import Number, Positive, violation
-from forestgen.scene.projection import (
-    Bools,
-    DeviceRays,
-    Exchange,
-    FileGeometry,
-    Floats,
-    Pixels,
-    Rays,
-    Sensor,
-    matrix_k,
-    read_angle_rad,
-    read_k,
-)
+from forestgen.scene import projection
 from forestgen.scene.projections.hulls import FlatProjection, extent
 from forestgen.scene.spec import Camera
 
@@ -164,38 +152,40 @@ class Perspective(FlatProjection):
     model = "pinhole"
     is_pinhole = True
     nearest_m = 1e-3
-    exchange = Exchange("OPENCV", ("k1", "k2", "p1", "p2"))
+    exchange = projection.Exchange("OPENCV", ("k1", "k2", "p1", "p2"))
 
-    def rays(self, camera: Camera, x: Floats, y: Floats) -> Rays:
+    def rays(self, camera: Camera, x: projection.Floats, y: projection.Floats) -> projection.Rays:
         direction = np.stack([x / camera.focal_px, y / camera.focal_px, np.ones_like(x)], axis=-1)
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-        return Rays(np.zeros((*x.shape, 3)), direction, np.ones(x.shape, dtype=bool))
+        return projection.Rays(np.zeros((*x.shape, 3)), direction, np.ones(x.shape, dtype=bool))
 
-    def project(self, camera: Camera, x: Floats, y: Floats, z: Floats) -> Pixels:
+    def project(
+        self, camera: Camera, x: projection.Floats, y: projection.Floats, z: projection.Floats
+    ) -> projection.Pixels:
         seen = z > 0
         safe = np.where(seen, z, 1.0)
-        return Pixels(x / safe * camera.focal_px, y / safe * camera.focal_px, z, seen)
+        return projection.Pixels(x / safe * camera.focal_px, y / safe * camera.focal_px, z, seen)
 
-    def device_rays(self, camera: Camera, x: Any, y: Any, lens: Any | None, mi: Any, dr: Any) -> DeviceRays:
+    def device_rays(self, camera: Camera, x: Any, y: Any, lens: Any | None, mi: Any, dr: Any) -> projection.DeviceRays:
         # In single precision throughout.
         scale = dr.opaque(mi.Float, float(np.float32(1) / np.float32(camera.focal_px)))
         slope = mi.Vector3f(x * scale, y * scale, 1.0)
         if camera.lens is None or lens is None:
             along = dr.normalize(slope)
-            return DeviceRays(along, along.z)
+            return projection.DeviceRays(along, along.z)
         across = lens * dr.opaque(mi.Float, camera.lens.aperture_radius_m)
         start = mi.Vector3f(across.x, across.y, 0.0)
         along = dr.normalize(slope * dr.opaque(mi.Float, camera.lens.focus_m) - start)
-        return DeviceRays(along, along.z, start)
+        return projection.DeviceRays(along, along.z, start)
 
-    def sensor(self, camera: Camera) -> Sensor:
+    def sensor(self, camera: Camera) -> projection.Sensor:
         angle = {"fov": camera.hfov_deg, "fov_axis": "x"}
         if camera.lens is None:
-            return Sensor({"type": "perspective", **angle})
+            return projection.Sensor({"type": "perspective", **angle})
         lens = {"aperture_radius": camera.lens.aperture_radius_m, "focus_distance": camera.lens.focus_m}
-        return Sensor({"type": "thinlens", **angle, **lens})
+        return projection.Sensor({"type": "thinlens", **angle, **lens})
 
-    def box_of(self, camera: Camera, seen: Floats) -> Floats:
+    def box_of(self, camera: Camera, seen: projection.Floats) -> projection.Floats:
         width, height = camera.size_px
         x = seen[..., 0] / seen[..., 2] * camera.focal_px + width / 2
         y = seen[..., 1] / seen[..., 2] * camera.focal_px + height / 2
@@ -205,23 +195,23 @@ class Perspective(FlatProjection):
         low, high = ([(axis + sign * blur) for axis in (x, y)] for sign in (-1, 1))
         return np.stack([*(axis.min(axis=1) for axis in low), *(axis.max(axis=1) for axis in high)], axis=1)
 
-    def around_camera(self, camera: Camera, seen: Floats) -> Bools:
+    def around_camera(self, camera: Camera, seen: projection.Floats) -> projection.Bools:
         width, height = camera.size_px
         reach = self.nearest_m * max(1.0, max(width, height) / 2 / camera.focal_px) * 2
         if camera.lens is not None:
             reach += camera.lens.aperture_radius_m
         return np.asarray(((seen.min(axis=1) < reach) & (seen.max(axis=1) > -reach)).all(axis=1))
 
-    def finest_pixel_m(self, camera: Camera, distance_m: Floats) -> Floats:
+    def finest_pixel_m(self, camera: Camera, distance_m: projection.Floats) -> projection.Floats:
         # Pixels of a flat image cover least at its corners, where the depth is least for the same distance.
         width, height = camera.size_px
         corner = np.hypot(width, height) / 2.0 / camera.focal_px
         return np.asarray(distance_m / np.hypot(1.0, corner) / camera.focal_px)
 
-    def intrinsics(self, camera: Camera) -> Floats:
-        return matrix_k(camera, camera.focal_px)
+    def intrinsics(self, camera: Camera) -> projection.Floats:
+        return projection.matrix_k(camera, camera.focal_px)
 
-    def world_to_ndc(self, camera: Camera, near_m: float) -> Floats:
+    def world_to_ndc(self, camera: Camera, near_m: float) -> projection.Floats:
         (width, height), f = camera.size_px, camera.focal_px
         return np.array(
             [[f / width, 0.0, 0.5, 0.0], [0.0, f / height, 0.5, 0.0], [0.0, 0.0, 1.0, -near_m], [0.0, 0.0, 1.0, 0.0]]
@@ -235,11 +225,13 @@ class Perspective(FlatProjection):
         k = self.intrinsics(camera).tolist()
         return {"hfov_deg": float(camera.hfov_deg), "K": k, "distortion": [0.0] * 5, **lens}
 
-    def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> FileGeometry:
-        focal_px, centre_px = read_k(values)
-        of_angle = None if values.get("hfov_deg") is None else size_px[0] / 2 / math.tan(read_angle_rad(values) / 2)
+    def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> projection.FileGeometry:
+        focal_px, centre_px = projection.read_k(values)
+        of_angle = (
+            None if values.get("hfov_deg") is None else size_px[0] / 2 / math.tan(projection.read_angle_rad(values) / 2)
+        )
         camera = self.plain_camera(size_px, _field_of_view_deg(focal_px[0], size_px[0]))
-        return FileGeometry(camera, focal_px, centre_px, of_angle)
+        return projection.FileGeometry(camera, focal_px, centre_px, of_angle)
 
 
 PROJECTION = Perspective()
