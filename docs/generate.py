@@ -75,7 +75,8 @@ def pages() -> dict[Path, str]:
     made[DOCS / "models" / "variation.md"] = variation_page()
     made[DOCS / "plants_table.md"] = plants_table_page()
     made[DOCS / "reference" / "api.md"] = f"{_NOTICE}\n{generate_reference.api_page()}"
-    made[DOCS / "reference" / "community_models.md"] = f"{_NOTICE}\n{generate_reference.parts_page()}"
+    made[DOCS / "reference" / "community_models.md"] = f"{_NOTICE}\n{generate_reference.community_models_page()}"
+    made[DOCS / "reference" / "dataset_formats.md"] = f"{_NOTICE}\n{generate_reference.dataset_formats_page()}"
     made[DOCS / "reference" / "command_line.md"] = f"{_NOTICE}\n{generate_reference.command_line_page()}"
     for registry in (COMMUNITY_MODELS, COMPETITION_MODELS, GENERATORS, BUILDINGS):
         for name in registry.ids():

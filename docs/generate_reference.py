@@ -28,7 +28,13 @@ from forestgen.community.model import CommunityModel, CommunityParameters, Site
 from forestgen.community.point_statistics import PointStatistics
 from forestgen.community.population import Population, Status
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
+from forestgen.dataset.formats.format import DatasetFormat
+from forestgen.dataset.settings import DatasetSettings
+from forestgen.labels.labelled import LabelledFrame
+from forestgen.labels.masks import AmodalMasks, PixelLabels
+from forestgen.labels.plants_table import PlantViews, VisiblePlants
 from forestgen.runs.start import DryRun
+from forestgen.scene.plant_measures import PlantMeasures
 
 _ERRORS = [name for name in fg.__all__ if name.endswith("Error")]
 _CLASSES = ("Recipe", "Stand", "Frame", "Dataset", "Plant")
@@ -36,6 +42,7 @@ _FUNCTIONS = [name for name in fg.__all__ if name not in (*_ERRORS, *_CLASSES, "
 _RESULTS = (Run, Validation, DryRun, Merged, Words, FittedKernel, PointStatistics, Entry, SpeciesEntry, Diagnosis)
 _STATIC = (StaticModel, GrowingModel, StaticParameters, Placement, Change)
 _PROTOCOL = (CommunityModel, CommunityParameters, Site, SpeciesEcology, Population, Status, Planting)
+_LABELLED = (LabelledFrame, PixelLabels, PlantViews, VisiblePlants, PlantMeasures, AmodalMasks, DatasetSettings)
 _WIDTH = 100  # characters of a signature or of a help text
 _SECTION = re.compile(r"^([A-Z]\w+)\n-{3,}$", re.MULTILINE)
 
@@ -58,7 +65,7 @@ def api_page() -> str:
     return "\n".join(text).rstrip() + "\n"
 
 
-def parts_page() -> str:
+def community_models_page() -> str:
     """What the author of a community model needs."""
     text = [
         "# Community models of your own\n",
@@ -66,11 +73,30 @@ def parts_page() -> str:
         "[A community model as a plug-in](../tutorials/plugin.md) writes two;",
         "[`fg.register`](api.md#fgregister) adds them.\n",
         "## Base classes\n",
-        *(_class(f"{one.__module__}.{one.__name__}", one, title=one.__name__) for one in _STATIC),
+        *_importable(_STATIC),
         "## The protocol of all models\n",
-        *(_class(f"{one.__module__}.{one.__name__}", one, title=one.__name__) for one in _PROTOCOL),
+        *_importable(_PROTOCOL),
     ]
     return "\n".join(text).rstrip() + "\n"
+
+
+def dataset_formats_page() -> str:
+    """What the author of a data set format needs."""
+    text = [
+        "# Data set formats of your own\n",
+        "A format is an object of a class based on `DatasetFormat`, at the top of a module of its own.",
+        '`fg.register("dataset_format", "NAME", "package.module:FORMAT")` or an entry point adds it;',
+        "[stems_csv.py](../../examples/plugin/forestgen_plantation/stems_csv.py) is a whole one.\n",
+        "## The format\n",
+        *_importable((DatasetFormat,)),
+        "## What it is given\n",
+        *_importable(_LABELLED),
+    ]
+    return "\n".join(text).rstrip() + "\n"
+
+
+def _importable(classes: tuple[type, ...]) -> Iterator[str]:
+    return (_class(f"{one.__module__}.{one.__name__}", one, title=one.__name__) for one in classes)
 
 
 def command_line_page() -> str:
@@ -121,9 +147,9 @@ def _members(one: type) -> tuple[list[str], list[tuple[str, Any]]]:
     comments = _comments(one)
     if issubclass(one, enum.Enum):
         return [f"| `{member.name}` | `{member.value}` | |" for member in one], []
-    names = [field.name for field in dataclasses.fields(one)] if dataclasses.is_dataclass(one) else []
-    for name in names:
-        kind = one.__dataclass_fields__[name].type  # type: ignore[attr-defined]
+    kinds = {field.name: field.type for field in dataclasses.fields(one)} if dataclasses.is_dataclass(one) else {}
+    names = kinds or ({} if hasattr(one, "model_fields") else inspect.get_annotations(one))
+    for name, kind in names.items():
         rows.append(f"| `{name}` | {_cell_of_type(kind)} | {comments.get(name, '')} |")
     for name, field in getattr(one, "model_fields", {}).items():
         kind = inspect.get_annotations(one).get(name) or inspect.get_annotations(one.__mro__[1]).get(name, "")

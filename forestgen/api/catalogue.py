@@ -52,7 +52,8 @@ class Entry:
         part = _REGISTRIES[self.kind].part(self.name)
         module = sys.modules[type(part).__module__]
         page = inspect.cleandoc(module.__doc__ or f"{self.name} has no manual page")
-        return page + _keys(part.Parameters) if "Parameters: see" in page else page
+        others = not module.__name__.startswith("forestgen.") and hasattr(part, "Parameters")
+        return page + _keys(part.Parameters) if others or "Parameters: see" in page else page
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
@@ -99,8 +100,9 @@ def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
     named = [one for one in found if name is None or one.name == text_of(name, "name")]
     if name is not None and not named:
         known = [one.name for one in found]
-        problem, expected = "there is no page of this name", "one of " + ", ".join(known)
-        raise RecipeError(problem, parameter="name", expected=expected, got=repr(name), hint=did_you_mean(name, known))
+        expected = "a name that `forestgen models` lists: of a part, a species, an L-system or a recipe"
+        hint = did_you_mean(name, known)
+        raise RecipeError("no such name", parameter="name", expected=expected, got=repr(name), hint=hint)
     return named
 
 

@@ -206,7 +206,8 @@ class Dataset:
     def frame(self, name: str) -> Frame:
         """The frame of a name such as 000000-camera0."""
         if text_of(name, "name") not in self._numbers:
-            raise RecipeError("the data set has no such frame", parameter="name", got=shown(name))
+            expected = f"a frame's name, such as {next(iter(self._numbers), 'none: it is empty')}, or its number"
+            raise RecipeError("the data set has no such frame", parameter="name", expected=expected, got=shown(name))
         return self[self._numbers[name]]
 
     def pack(

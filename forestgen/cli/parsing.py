@@ -117,6 +117,9 @@ def options_suggested() -> Iterator[None]:
         cause: Any = error.__cause__
         if isinstance(error, typer.BadParameter) and hasattr(cause, "errors"):
             error.message = _value_message(cause.errors()[0])
+        if type(error).__name__ == "MissingParameter":
+            missing: Any = error
+            missing.message = missing.param.help
         name, context = getattr(error, "option_name", None), getattr(error, "ctx", None)
         if type(error).__name__ == "NoSuchOption" and isinstance(name, str) and context is not None:
             unknown: Any = error
@@ -156,8 +159,9 @@ def suggestion(name: str, command: Any) -> str | None:
     options = [option for one in command.params if not isinstance(one, typer.core.TyperArgument) for option in one.opts]
     takes_recipe = any(isinstance(one, typer.core.TyperArgument) and one.name == "recipe" for one in command.params)
     plain = name.replace("_", "-")
-    begun = [option for option in options if option.startswith(f"{plain}-")]
-    if len(begun) == 1:
+    begun = [option for option in options if option.startswith((f"{plain}s", f"{plain}-"))]
+    if len(begun) == 1 or f"{plain}s" in begun:
+        begun.sort(key=len)
         return str(begun[0])
     for does in _MEANT.get(plain, ()):
         is_key = takes_recipe and (does == _RECIPE or (" " in does and "--set" in options))

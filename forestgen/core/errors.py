@@ -41,6 +41,8 @@ def plain(text: str) -> str:
 class ForestgenError(Exception):
     """Base of all errors that a user can cause and fix.
 
+    Texts name a parameter between backticks, such as `` `overwrite=True` ``; the command line shows its option instead.
+
     Parameters
     ----------
     problem : one sentence: what is wrong.
@@ -48,8 +50,6 @@ class ForestgenError(Exception):
     parameter : in place of `where`: the parameter of a call whose value is wrong, ``count`` or ``workers=8``.
     expected, got : what a valid value looks like, and the value found.
     hint : what to do about it.
-
-    Texts name a parameter between backticks, such as `` `overwrite=True` ``; the command line shows its option instead.
     """
 
     code = "forestgen"  # the kind of error, for programs

@@ -27,6 +27,7 @@ def test_a_registered_model_is_used_like_a_shipped_one(part: object) -> None:
     (entry,) = fg.models("own")
     assert (entry.kind, entry.description) == ("community_model", "my own")
     assert "A community model of another package" in entry.page
+    assert "step_yr: duration of a step, years (> 0)" in entry.page
     stand = fg.load(STAND, set={"community.model": "own"}).simulate(progress=False)
     assert len(stand) == 42
     assert "own" in json.dumps(fg.schema())
@@ -187,7 +188,7 @@ def test_models_of_a_kind_or_a_name() -> None:
         fg.models(kind="specie")
     with pytest.raises(fg.RecipeError, match="did you mean 'spruce'"):
         fg.models("sprce")
-    with pytest.raises(fg.RecipeError, match="no page of this name"):
+    with pytest.raises(fg.RecipeError, match="no such name"):
         fg.models("spruce", kind="recipe")
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
 import forestgen
 from forestgen.cli import app
@@ -107,3 +108,9 @@ def texts_in(tree: ast.AST) -> Iterator[tuple[int, str]]:
                 getattr(one, "lineno", 0),
                 "".join(str(piece.value) for piece in pieces if isinstance(piece, ast.Constant)),
             )
+
+
+def test_a_missing_option_is_named_with_what_it_takes() -> None:
+    answer = CliRunner().invoke(app, ["pack", "somewhere", "--out", "elsewhere"])
+    assert answer.exit_code == 2
+    assert "Missing option '--format'. webdataset, huggingface" in " ".join(answer.output.split())

@@ -90,3 +90,7 @@ def test_the_message_of_the_command_line() -> None:
 def test_other_errors_pass() -> None:
     with pytest.raises(KeyError), options_suggested():
         raise KeyError("other")
+
+
+def test_an_option_in_the_singular_means_that_in_the_plural() -> None:
+    assert suggestion("--worker", command_of("--worker-memory", "--workers")) == "--workers"
