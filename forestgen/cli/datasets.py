@@ -113,7 +113,7 @@ def pack(
         out,
         format_,
         shard_size=shard_size,
-        channels=listed_names(channels) or None,
+        channels=listed_names(channels) if channels else None,
         splits=listed_names(splits),
         seed=seed,
         by_name=by_name,

@@ -106,7 +106,7 @@ class Film:
             stride = math.ceil(len(data) / MOST_BYTES) if len(frames) > 4 else 2
             frames = [*frames[:-1][:: max(2, stride)], frames[-1]]
             data = _gif(frames)
-        with writing(path, "the animation cannot be written", "free some space, or choose a folder on another disk"):
+        with writing(path, "the animation cannot be written"):
             path.write_bytes(data)
 
 

@@ -16,12 +16,28 @@ ours: the command line turns it into exit code 130.
 
 from __future__ import annotations
 
+import errno
 import re
 import unicodedata
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ParamSpec, Self, TypeVar
+
+_REMEDIES = {
+    errno.ENOSPC: "free some space, or choose a folder on another disk",
+    errno.EDQUOT: "your quota is used up: delete something, or choose a folder on another disk",
+    errno.EACCES: "choose a folder that you may write to",
+    errno.EPERM: "choose a folder that you may write to",
+    errno.EROFS: "the file system is read-only: choose a folder on another",
+    errno.ENAMETOOLONG: "choose a shorter name",
+    errno.ENOTDIR: "a part of the path is a file: choose another path",
+    errno.EBUSY: "the folder is in use or a mount point: choose a folder inside it",
+    errno.EIO: "the disk or the network share failed: choose a folder on another",
+    errno.EFBIG: "the file system cannot hold a file this large: choose a folder on another",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+}
+STORAGE_ERRNOS = frozenset(_REMEDIES)
 
 MOST_SHOWN = 50
 _PLACE = re.compile(r"^(?P<origin>.*?):(?P<line>\d+)(?::|$)")
@@ -154,13 +170,22 @@ class OutputError(ForestgenError):
     code, exit_code = "output", 4
 
 
+def output_error(error: OSError, path: Path | None = None) -> OutputError:
+    """`error` as an `OutputError` that names the path, the reason and what to do."""
+    where = (error.filename2 or error.filename) if path is None else path  # of a copy, where it should have gone
+    problem = f"cannot write: {error.strerror or error}"
+    hint = _REMEDIES.get(error.errno or 0, "check the folder, or choose another")
+    return OutputError(problem, where=None if where is None else str(where), hint=hint)
+
+
 @contextmanager
 def writing(path: Path, problem: str, hint: str | None = None) -> Iterator[None]:
-    """In this block, an `OSError` becomes an `OutputError` that names the path."""
+    """In this block, an `OSError` becomes an `OutputError` that names the path and what to do."""
     try:
         yield
     except OSError as error:
-        raise OutputError(problem, where=str(path), got=str(error), hint=hint) from error
+        remedy = hint or _REMEDIES.get(error.errno or 0)
+        raise OutputError(problem, where=str(path), got=error.strerror or str(error), hint=remedy) from error
 
 
 class RenderError(ForestgenError):

@@ -11,30 +11,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import OutputError
-
-_REMEDIES = {
-    errno.ENOSPC: "free some space, or choose a folder on another disk",
-    errno.EDQUOT: "your quota is used up: delete something, or choose a folder on another disk",
-    errno.EACCES: "choose a folder that you may write to",
-    errno.EPERM: "choose a folder that you may write to",
-    errno.EROFS: "the file system is read-only: choose a folder on another",
-    errno.ENAMETOOLONG: "choose a shorter name",
-    errno.ENOTDIR: "a part of the path is a file: choose another path",
-    errno.EBUSY: "the folder is in use or a mount point: choose a folder inside it",
-    errno.EIO: "the disk or the network share failed: choose a folder on another",
-    errno.EFBIG: "the file system cannot hold a file this large: choose a folder on another",
-    errno.EMFILE: "raise the limit of open files (ulimit -n)",
-}
-STORAGE_ERRNOS = frozenset(_REMEDIES)
-
-
-def output_error(error: OSError, path: Path | None = None) -> OutputError:
-    """`error` as an `OutputError` that names the path, the reason and what to do."""
-    where = (error.filename2 or error.filename) if path is None else path  # of a copy, where it should have gone
-    problem = f"cannot write: {error.strerror or error}"
-    hint = _REMEDIES.get(error.errno or 0, "check the folder, or choose another")
-    return OutputError(problem, where=None if where is None else str(where), hint=hint)
+from forestgen.core.errors import STORAGE_ERRNOS, OutputError, output_error
 
 
 @contextmanager

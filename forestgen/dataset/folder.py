@@ -18,8 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from forestgen.core.errors import OutputError
-from forestgen.dataset.files import STORAGE_ERRNOS, output_error
+from forestgen.core.errors import STORAGE_ERRNOS, OutputError, output_error
 from forestgen.dataset.manifest import is_run_folder
 
 OURS = "the folder already holds a forestgen output"

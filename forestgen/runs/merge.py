@@ -17,9 +17,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import DatasetError, OutputError, RecipeError
+from forestgen.core.errors import DatasetError, OutputError, RecipeError, output_error
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.files import make_folder, output_error
+from forestgen.dataset.files import make_folder
 from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
 from forestgen.dataset.manifest import file_sum, is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable

@@ -36,8 +36,7 @@ from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from forestgen.core.errors import OutputError
-from forestgen.dataset.files import output_error
+from forestgen.core.errors import OutputError, output_error
 from forestgen.runs import remote_store
 from forestgen.runs.contract import StorageBackend
 from forestgen.runs.records import TaskT, in_order

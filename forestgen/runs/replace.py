@@ -21,9 +21,8 @@ from contextlib import contextmanager, suppress
 from itertools import chain, count
 from pathlib import Path
 
-from forestgen.core.errors import ForestgenError, OutputError
+from forestgen.core.errors import ForestgenError, OutputError, output_error
 from forestgen.dataset.check import Finding
-from forestgen.dataset.files import output_error
 from forestgen.dataset.foreign import tool_of
 from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import SafePath, is_frame

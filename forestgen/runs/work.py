@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, cast
 
 from forestgen.core import errors
+from forestgen.core.errors import STORAGE_ERRNOS, output_error
 from forestgen.core.processes import whole_bytes
 from forestgen.core.progress import Progress, Silent, Timings
 from forestgen.core.registry import explained_bug
 from forestgen.core.threads import cores, limit_cores
-from forestgen.dataset.files import STORAGE_ERRNOS, output_error
 from forestgen.dataset.manifest import file_sum, peak_memory_bytes
 from forestgen.dataset.png import thumbnail_name, write_thumbnail
 from forestgen.dataset.settings import check_one_data_set

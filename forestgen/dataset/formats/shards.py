@@ -15,8 +15,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, get_args, get_origin
 
-from forestgen.core.errors import OutputError
-from forestgen.dataset.files import output_error, write_bytes
+from forestgen.core.errors import OutputError, output_error
+from forestgen.dataset.files import write_bytes
 from forestgen.dataset.safe_path import SafePath, load_json
 from forestgen.dataset.settings import DatasetSettings
 

@@ -116,7 +116,7 @@ def test_founders_are_tried_unless_they_are_not_wanted(quick, tmp_path, monkeypa
 
     monkeypatch.setattr(fitting, "_POOR", 0.0)
     monkeypatch.setattr(fitting, "match_founders", stop_at("founders"))
-    monkeypatch.setattr(fitting, "envelopes", stop_at("the test"))
+    monkeypatch.setattr(fitting.measured, "envelopes", stop_at("the test"))
     result = run(DATA / "redwood.csv", "-o", tmp_path / "fit", *more)
     assert f"stopped at {next_step}" in result.output
 

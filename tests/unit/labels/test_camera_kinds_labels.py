@@ -38,7 +38,7 @@ def planes(view: Camera, walls: list[tuple[np.ndarray, float]]) -> Surface:
         normal[closer] = n
     facing = np.sign(np.einsum("hwk,hwk->hw", normal, rays.direction))[..., None]
     own = rays.direction @ view.world_from_camera[:, 2]
-    depth = nearest if projection.depth_is_distance(view) else nearest * own
+    depth = nearest if projection.projection_of(view).depth_is_distance else nearest * own
     depth = np.where(np.isfinite(nearest), depth, np.inf)
     return replace(
         surface,

@@ -7,8 +7,7 @@ import os
 
 import pytest
 
-from forestgen.core.errors import AssetError, OutputError, RecipeError, RenderError, ResourceError
-from forestgen.dataset.files import output_error
+from forestgen.core.errors import AssetError, OutputError, RecipeError, RenderError, ResourceError, output_error
 from forestgen.runs.contract import TRANSIENT
 from forestgen.runs.work import explained, failure_kind
 
