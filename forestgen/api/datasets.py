@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 
 from forestgen.api.display import display_of
-from forestgen.core.arguments import PathLike, path_of, paths_of, shown, text_of, texts_of
-from forestgen.core.errors import DatasetError, RecipeError, ResourceError
+from forestgen.core.arguments import PathLike, path_of, paths_of, shown, text_of, texts_of, whole_of
+from forestgen.core.errors import DatasetError, OutputError, RecipeError, ResourceError
 from forestgen.core.progress import Progress
 from forestgen.dataset.frame import Frame, StoredFrame
 from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
@@ -110,6 +110,12 @@ def write_report(folder: PathLike | Dataset, out: PathLike | None = None, *, ove
     own = root / page.REPORT_NAME
     target = own if out is None else path_of(out, "out", output=True)
     is_own = target.name == own.name and os.path.realpath(target.parent) == os.path.realpath(own.parent)
+    if not is_own and root.resolve() in target.resolve().parents:
+        expected, hint = "a name outside of the data set's folder", f"leave `out` out, for {own.name} in it"
+        problem = "the page would be a stray file of the data set"
+        raise OutputError(problem, where=str(target), expected=expected, hint=hint)
+    if target.suffix.lower() not in (".html", ".htm"):
+        raise OutputError("this is no name of a page", where=str(target), expected="a name that ends in .html")
     if os.path.lexists(target):
         check_writable([target], overwrite=overwrite or is_own)
     page.write_report(root, target)
@@ -181,6 +187,10 @@ class Dataset:
     def __len__(self) -> int:
         return int(self._rows.num_rows)
 
+    def __contains__(self, name: object) -> bool:
+        """Whether a frame has this name."""
+        return name in self._numbers
+
     def __iter__(self) -> Iterator[Frame]:
         return (self[number] for number in range(len(self)))
 
@@ -246,7 +256,7 @@ class Dataset:
         with display.running():
             return pack(
                 self.folder, target, text_of(format, "format"), shard_size=shard_size, channels=names,
-                splits=wanted, seed=None if by_name else seed, overwrite=overwrite,
+                splits=wanted, seed=None if by_name else whole_of(seed, "seed", 0, 2**64 - 1), overwrite=overwrite,
                 progress=display,
             )  # fmt: skip
 

@@ -17,6 +17,7 @@ in its words a parameter stands between backticks, `` `overwrite=True` ``.
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
@@ -168,6 +169,8 @@ def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator
     if os.environ.get("FORESTGEN_DEBUG"):
         yield
         return
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that lacks a character shows a question mark
     try:
         with _stopping_cleanly():
             yield
@@ -187,6 +190,9 @@ def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
     except Exception as error:  # noqa: BLE001 - the one place where a bug is caught, named as such, and reported
+        if isinstance(error, FileNotFoundError) and not os.access(".", os.F_OK):
+            gone = OutputError("the working folder does not exist any more", hint="change to a folder that does")
+            fail(f"error: {gone}", OutputError.exit_code)
         if (failure := output_failure()) is not None:  # such as a full disk
             got = failure.strerror or str(failure)
             fail(

@@ -16,6 +16,7 @@ from forestgen.core.errors import AssetError, ForestgenError, OutputError, Recip
 
 PathLike = str | os.PathLike[str]
 MOST_SEEDS = 2**63 - 1
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*://")
 _LONGEST_NAME = 255  # bytes of a file's name, on all common file systems
 _MOST_LEVELS = 40  # of lists and mappings within one another; a recipe's file has no more
 _MOST_VALUES = 10_000_000
@@ -36,8 +37,11 @@ def path_of(value: Any, parameter: str, *, output: bool = False) -> Path:
     Raises
     ------
     RecipeError : this is no path, or no system can have a file there.
-    OutputError : the name of an output is not UTF-8 or has control characters.
+    OutputError : the name of an output is not UTF-8, has control characters or is the address of an object store.
     """
+    if output and isinstance(value, str) and _ADDRESS.match(value):
+        expected = "a path on this machine: `render`, `batch` and `merge` alone write to object stores"
+        raise OutputError("this is an address", parameter=parameter, expected=expected, got=value[:60])
     return Path(_checked(value, parameter, OutputError if output else RecipeError, output=output))
 
 

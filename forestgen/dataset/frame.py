@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.arguments import path_of
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.dataset.png import instance_of, overlay, rgb_of, semantic_of
@@ -196,12 +197,12 @@ class Frame(ABC):
         """
         from forestgen.dataset.folder import OutputFolder
 
-        target = Path(folder) / self.name
+        target = path_of(folder, "folder", output=True) / self.name
         if not overwrite and _is_frame_folder(target):
             hint = "choose another folder, or `overwrite=True`"
             raise OutputError("the frame is there already", where=str(target), hint=hint)
         with OutputFolder(target, overwrite=overwrite, is_ours=_is_frame_folder) as staging:
-            self._write(staging, Path(folder))
+            self._write(staging, target.parent)
         return target
 
     @abstractmethod

@@ -24,7 +24,7 @@ from forestgen.recipe.assets import find_asset, list_assets, recipes_dir
 from forestgen.recipe.biome import forget_drawn_biome, settle_biome
 from forestgen.recipe.dataset import NUMBERS_END, split_of
 from forestgen.recipe.distributions import Distribution, Scalar
-from forestgen.recipe.draws import Draws, find_written, make_draws, mentions, put, splits_of, whole_number
+from forestgen.recipe.draws import Draws, find_written, get, make_draws, mentions, put, splits_of, whole_number
 from forestgen.recipe.map_files import embed_maps, recipe_hash
 from forestgen.recipe.messages import Explainer, distribution_of, show
 from forestgen.recipe.schema import NO_PLANTS, SCHEMA_VERSION, Recipe
@@ -135,7 +135,11 @@ class LoadedRecipe:
         if any(keys[:2] == ("community", "biome") for keys in self.written):
             forget_drawn_biome(data, self.data)
         for keys, written in self.written.items():
-            put(data, keys, copied(written))
+            try:
+                put(data, keys, copied(written))
+            except (KeyError, IndexError, TypeError):  # in a grid, which its class keeps in another form
+                kept = next(keys[:end] for end in range(len(keys) - 1, 0, -1) if _is_at(data, keys[:end]))
+                put(data, kept, copied(get(self.data, kept)))
         embed_maps(data, self.sources, self.path.parent, self.file_sha256)  # those that are chosen for each image
         return data
 
@@ -414,6 +418,15 @@ def _check_version(data: Mapping[str, Any], sources: SourceMap) -> None:
 def dump_yaml(drawn: DrawnRecipe) -> str:
     """The drawn recipe as YAML text, the same bytes for the same content; `load_recipe` reads it."""
     return yaml_text(drawn.data)
+
+
+def _is_at(data: Any, keys: Keys) -> bool:
+    """Whether there is something at a key path."""
+    try:
+        get(data, keys)
+    except (KeyError, IndexError, TypeError):
+        return False
+    return True
 
 
 def _plain(recipe: Recipe) -> dict[str, Any]:

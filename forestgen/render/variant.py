@@ -78,7 +78,12 @@ def mitsuba(threads: int | None = None) -> Any:
     """The `mitsuba` module, prepared; enter `using` before building anything with it.
 
     `threads` is the size of the renderer's thread pool; None keeps the current one (at first: all cores).
+    Raises `ResourceError` in a process that was forked from one that has rendered: it would wait for ever.
     """
+    if _ready.get("process", os.getpid()) != os.getpid():
+        problem = "this process was forked from one that has rendered, and lacks the threads of its renderer"
+        hint = "multiprocessing.get_context('spawn') starts one anew; `recipe.batch` has workers of its own"
+        raise ResourceError(problem, expected="a process that was started, or forked before the first image", hint=hint)
     if "mitsuba" not in _ready:
         library = find_llvm()
         if library is not None:
@@ -103,6 +108,7 @@ def using(variant: str) -> Iterator[Any]:
     """
     if mi.variant() != variant:
         mi.set_variant(variant)
+    _ready["process"] = os.getpid()
     yield mi
 
 

@@ -224,9 +224,10 @@ class RunOptions:
                 numbers[name] = whole_of(getattr(self, name), name, 1, most)
         for name in ("resume", "discard", "overwrite"):
             flag_of(getattr(self, name), name)
-        for name, value, known in (("device", self.device or "llvm", DEVICES), ("engine", self.engine, ENGINES)):
+        for name, value, known in (("device", self.device, (None, *DEVICES)), ("engine", self.engine, ENGINES)):
             if value not in known:
-                raise RecipeError(f"no such {name}", parameter=name, expected=" or ".join(known), got=shown(value))
+                expected = " or ".join(one for one in known if one)
+                raise RecipeError(f"no such {name}", parameter=name, expected=expected, got=shown(value))
         self._check_together()
         resources: Any = self.resources or {}
         for key, amount in resources.items() if isinstance(resources, Mapping) else [(None, resources)]:

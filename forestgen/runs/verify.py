@@ -263,7 +263,12 @@ def _check_descriptions(verifier: _Verifier) -> None:
     """The files that describe others; records where they are: a copy of the data set may do without them."""
     data_set, description = verifier.data_set, verifier.data_set.description
     is_complete = not any(check.found for check in verifier.checks)
-    if LocalStorage(data_set.root).names(JOBS):
+    missing = sum(last - first + 1 for recipe in description["recipes"] for first, last in recipe.get("missing", ()))
+    if missing:
+        verifier.notes.append(
+            f"of the images that the recipes ask for, {missing:,} {'is' if missing == 1 else 'are'} missing"
+        )
+    if LocalStorage(data_set.root).names(JOBS) or not description["images"]:
         verifier.run(
             "records", "images' records agree with the files", description["images"], checks.record_findings(data_set)
         )

@@ -61,6 +61,9 @@ def test_holes_are_told(whole, tmp_path):
     answer = run("merge", piece(whole, tmp_path / "a", 0), piece(whole, tmp_path / "b", 3), "--out", tmp_path / "c")
     assert answer.code == 0, answer.err
     assert "2 images are missing: 1-2" in answer.out
+    assert "of the images that the recipes ask for, 2 are missing" in " ".join(
+        verify(tmp_path / "c", labels=False, workers=1).notes
+    )
     said = json.loads((tmp_path / "c/dataset.json").read_text())
     assert said["recipes"][0]["missing"] == [[1, 2]]
     assert piece(whole, tmp_path / "once", 0, 3)

@@ -271,3 +271,34 @@ def test_a_recipe_of_many_aliases_is_named_and_not_followed(of_a_frame: bool, ro
     findings = fg.verify(root, hashes=False, progress=False).findings
     assert any("too many values by aliases" in finding.got for finding in findings)
     assert time.perf_counter() - start < 10
+
+
+@pytest.mark.parametrize("name", ["set/dataset.json", "set/train/page.html", "recipe.yaml"])
+def test_a_report_replaces_nothing_but_a_page(name: str, root: Path, tmp_path: Path) -> None:
+    path = tmp_path / name
+    if not path.exists():
+        path.write_text("mine", encoding="utf-8")
+    before = path.read_bytes()
+    run("report", root, "-o", path, "--overwrite").refused(4, str(path))
+    assert path.read_bytes() == before
+
+
+def test_a_log_that_is_too_large_is_a_damaged_file(root: Path) -> None:
+    (root / "run").mkdir(exist_ok=True)
+    with (root / "run" / "log.jsonl").open("wb") as stream:
+        stream.truncate(2**40)
+    with pytest.raises(fg.DatasetError, match=r"log\.jsonl"):
+        fg.Dataset(root).report()
+
+
+def test_a_frame_is_in_a_data_set_by_its_name(root: Path) -> None:
+    assert FRAME in fg.Dataset(root)
+    assert "another" not in fg.Dataset(root)
+
+
+def test_arguments_that_are_none_are_refused_as_such(root: Path, tmp_path: Path) -> None:
+    data_set = fg.Dataset(root)
+    data_set.pack(tmp_path / "pack", "webdataset", seed=np.int64(1), progress=False)  # NumPy's are numbers as well
+    for folder in ("", "\0", 1, b"x", "\ud800", "a\nb", "s3://bucket/x"):
+        with pytest.raises(fg.ForestgenError):
+            data_set[0].save(folder)

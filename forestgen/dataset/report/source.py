@@ -19,7 +19,7 @@ from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.dataset.index import INDEX_NAME
 from forestgen.dataset.png import LEGEND_NAME, class_palette, read_legend
 from forestgen.dataset.report.frames import Frames, no_frames, read_frames
-from forestgen.dataset.safe_path import SafePath, check_folder, load_json
+from forestgen.dataset.safe_path import SafePath, check_folder, load_json, reading
 
 _LOG = "run/log.jsonl"
 _LONGEST_LINE = 1_000_000  # bytes
@@ -107,7 +107,7 @@ def read_run(folder: Path) -> RunLog | None:
 
 def _events(path: SafePath) -> Iterator[dict[str, Any] | None]:
     """Lines of the log; None for one that is damaged."""
-    with path.open() as stream:
+    with reading(path), path.open() as stream:
         for line in filter(bytes.strip, iter(lambda: stream.readline(_LONGEST_LINE), b"")):
             try:
                 event = load_json(line)

@@ -265,3 +265,12 @@ def test_a_whole_species_under_a_shipped_name_stays_its_own(write: Write) -> Non
     whole = (write().parent / "oak.yaml").read_text().replace("\n", "\n    ")
     path = write(MINIMAL.replace("{oak: ./oak.yaml}", f"\n  oak:\n    {whole}"))
     assert load_recipe(path).draw(0).data["species"]["oak"]["plant"] == {"generator": "pole", "leaves": 12}
+
+
+def test_a_number_of_a_grid_may_be_drawn(write: Write) -> None:
+    """The classes keep a grid in another form than the recipe: the whole grid stands as written."""
+    drawn = {"kind": "map", "map": [[0, 1], [{"uniform": [3, 4]}, 2]]}
+    loaded = load_recipe(write(MINIMAL), ["site.terrain={kind: map, map: [[0, 1], [{uniform: [3, 4]}, 2]]}"])
+    assert loaded.complete["site"]["terrain"]["map"] == drawn["map"]
+    assert 3 <= loaded.draw(0).recipe.site.terrain.map.rows[1][0] <= 4
+    assert len(loaded.hash) == 64
