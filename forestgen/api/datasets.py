@@ -100,8 +100,12 @@ def write_report(folder: PathLike | Dataset, out: PathLike | None = None, *, ove
 
     Parameters
     ----------
-    out : by default report.html in the data set's folder, which is renewed.
+    out : by default report.html in the data set's folder, which is renewed; else a .html file outside of that folder.
     overwrite : replace another file if it exists.
+
+    Raises
+    ------
+    OutputError : `out` is no name of a page, or lies in the data set; the page cannot be written.
     """
     from forestgen.dataset.files import check_writable
     from forestgen.dataset.report import page

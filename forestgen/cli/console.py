@@ -27,6 +27,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import typer
@@ -160,6 +161,14 @@ def fail(message: str, code: int) -> NoReturn:
     raise SystemExit(code)
 
 
+def _has_working_folder() -> bool:
+    try:
+        Path.cwd()
+    except FileNotFoundError:
+        return False
+    return True
+
+
 @contextmanager
 def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator[None]:
     """Turn exceptions into messages and exit codes. FORESTGEN_DEBUG=1 shows tracebacks instead.
@@ -190,7 +199,7 @@ def errors_for_people(names: Callable[[], Mapping[str, str]] = dict) -> Iterator
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(141) from None
     except Exception as error:  # noqa: BLE001 - the one place where a bug is caught, named as such, and reported
-        if isinstance(error, FileNotFoundError) and not os.access(".", os.F_OK):
+        if isinstance(error, FileNotFoundError) and not _has_working_folder():
             gone = OutputError("the working folder does not exist any more", hint="change to a folder that does")
             fail(f"error: {gone}", OutputError.exit_code)
         if (failure := output_failure()) is not None:  # such as a full disk

@@ -159,9 +159,10 @@ def suggestion(name: str, command: Any) -> str | None:
     options = [option for one in command.params if not isinstance(one, typer.core.TyperArgument) for option in one.opts]
     takes_recipe = any(isinstance(one, typer.core.TyperArgument) and one.name == "recipe" for one in command.params)
     plain = name.replace("_", "-")
-    begun = [option for option in options if option.startswith((f"{plain}s", f"{plain}-"))]
-    if len(begun) == 1 or f"{plain}s" in begun:
-        begun.sort(key=len)
+    if f"{plain}s" in options:
+        return f"{plain}s"
+    begun = [option for option in options if option.startswith(f"{plain}-")]
+    if len(begun) == 1:
         return str(begun[0])
     for does in _MEANT.get(plain, ()):
         is_key = takes_recipe and (does == _RECIPE or (" " in does and "--set" in options))

@@ -125,12 +125,17 @@ def test_python_has_each_documented_command_and_argument(
         (tmp_path / name).write_text(READERS_RECIPE.format(community=community), encoding="utf-8")
     tiny(tmp_path).rename(tmp_path / "recipe.yaml")
     monkeypatch.chdir(tmp_path)
-    for name in ("render", "batch", "simulate", "weather"):
-        monkeypatch.setattr(fg.Recipe, name, create_autospec(getattr(fg.Recipe, name)))
-    for name in ("Dataset", "merge", "verify", "doctor"):
-        monkeypatch.setattr(fg, name, create_autospec(getattr(fg, name)))
-    monkeypatch.setattr("documented.grow_files", create_autospec(grow_files))
+    called = {}
+    for owner, names in ((fg.Recipe, ("render", "batch", "simulate", "weather")), (fg, ("merge", "verify", "doctor"))):
+        for name in names:
+            called[name] = create_autospec(getattr(owner, name))
+            monkeypatch.setattr(owner, name, called[name])
+    called["plant"], data_set = create_autospec(grow_files), create_autospec(fg.Dataset)
+    called["pack"], called["report"] = data_set.return_value.pack, data_set.return_value.report
+    monkeypatch.setattr("documented.grow_files", called["plant"])
+    monkeypatch.setattr(fg, "Dataset", data_set)
     in_python(command)
+    assert [name for name, one in called.items() if one.called] == [parsed(command)[0]]
 
 
 @pytest.mark.slow

@@ -16,8 +16,8 @@ from support.cases import few
 FULL = Path("/dev/full")
 
 
-def shell(words: str, redirection: str) -> tuple[int, str, str]:
-    command = f"{sys.executable} -m forestgen {words} {redirection}"
+def shell(words: str, redirection: str, before: str = "") -> tuple[int, str, str]:
+    command = f"{before}{sys.executable} -m forestgen {words} {redirection}"
     done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=120, check=False)
     return done.returncode, done.stdout, done.stderr
 
@@ -73,3 +73,16 @@ def test_mistakes_are_told_in_our_words(words: list[str], told: str) -> None:
     assert told in said.output
     assert "Input should" not in said.output
     assert "Value error" not in said.output
+
+
+def test_a_terminal_without_unicode_shows_question_marks() -> None:
+    code, out, err = shell("models strands", "", "PYTHONUTF8=0 PYTHONIOENCODING=ascii ")
+    assert (code, err) == (0, "")
+    assert "?" in out
+
+
+def test_a_working_folder_that_is_gone_is_told(tmp_path: Path) -> None:
+    recipe = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
+    code, _, err = shell(f"render {recipe} -q", "", f"mkdir {tmp_path}/gone && cd {tmp_path}/gone && rmdir ../gone && ")
+    assert code == 4, err
+    assert "the working folder does not exist any more" in err

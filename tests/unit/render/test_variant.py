@@ -31,3 +31,10 @@ def test_cuda_without_a_device_is_refused_with_the_way_out(monkeypatch):
     with pytest.raises(ResourceError, match=r"no CUDA driver(?s:.)*FORESTGEN_TRACING=llvm"):
         require(CUDA)
     require(LLVM)
+
+
+def test_a_process_that_was_forked_after_an_image_is_refused(monkeypatch):
+    """Its renderer would wait for threads that the fork has not copied."""
+    monkeypatch.setitem(variant._ready, "process", -1)
+    with pytest.raises(ResourceError, match="forked"):
+        variant.mitsuba()
