@@ -112,7 +112,7 @@ def test_models_lists_and_explains() -> None:
         assert "default" in page
         assert len(page.splitlines()) > 20
     assert "ecology:" in run("models", "spruce").out
-    run("models", "sprce").refused(2, "multiset_lsystem", "did you mean 'spruce'?")
+    run("models", "sprce").refused(2, "a name that `forestgen models` lists", "'sprce'", "did you mean 'spruce'?")
 
 
 @pytest.fixture(scope="module")

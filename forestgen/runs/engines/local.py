@@ -159,7 +159,7 @@ class LocalEngine:
                     worker,
                     "time",
                     f"the image was not done after {taken_s:.3g} s\n"
-                    "  try       more time for an image, if it is only slow; a worker's first image takes longest",
+                    "  try       a larger `timeout`, if the image is only slow; a worker's first image takes longest",
                 )
 
     def _fail(self, worker: _Worker, kind: FailureKind, message: str) -> None:

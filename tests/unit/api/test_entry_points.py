@@ -47,7 +47,9 @@ def test_a_part_of_an_installed_package_is_used_without_registering(
     (entry,) = fg.models("meadow")
     assert entry.description == "of the package meadows 1.0"
     assert "meadow_model" not in sys.modules  # a listing imports nothing
-    assert entry.page == "Plants of a package."
+    page, keys = entry.page.split("\n\nKeys\n----\n")
+    assert page == "Plants of a package."
+    assert "step_yr: " in keys
     assert "meadow" in json.dumps(fg.schema())
     assert not registry.registrations()  # who only looks does not use it
     assert len(fg.load(STAND, set={"community.model": "meadow"}).simulate(progress=False)) == 42
