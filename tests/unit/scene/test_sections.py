@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from forestgen.geometry.mesh import Mesh
-from forestgen.geometry.sections import section_area_m2
+from forestgen.scene.plant_measures import section_area_m2
 
 
 def tube(foot, tip, radius_m, sides=48, tip_radius_m=None):
