@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 from forestgen.community.plan import CommunityPlan
 from forestgen.core.errors import RecipeError
-from forestgen.labels.classes import ClassMap
+from forestgen.recipe.classes import ClassMap
 from forestgen.recipe.dataset import View
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DEFAULT_FORMATS

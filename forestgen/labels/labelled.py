@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.population import Population
-from forestgen.labels.classes import ClassMap
 from forestgen.labels.masks import AmodalMasks, PixelLabels, amodal_masks, pixel_labels
 from forestgen.labels.plants_table import PlantViews, plant_views
+from forestgen.recipe.classes import ClassMap
 from forestgen.recipe.registries import DEFAULT_CHANNELS
 from forestgen.render.frame import Frame
 from forestgen.scene.plant_measures import PlantMeasures

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
-from forestgen.labels.classes import ClassMap
+from forestgen.recipe.classes import ClassMap
 from forestgen.render.frame import Amodal
 
 _BLOCK_SAMPLES = 1 << 18  # samples worked on at a time: scratch memory stays near 10 MB and in cache

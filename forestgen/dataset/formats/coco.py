@@ -2,7 +2,7 @@
 
 Files: ``FRAME/annotations.json``, the shard, and ``coco.json``, merged. Images are numbered from 1 in the order of
 their folders' names, annotations from 1 in that order and by plant_id, categories from 1. Categories are the recipe's
-species or, where labels.classes are given, the classes that list species (labels/classes.py).
+species or, where labels.classes are given, the classes that list species (recipe/classes.py).
 
 A plant is an instance in an image if it wins at least one pixel of the instance mask. Plants that are hidden wholly, or
 that win no pixel though some samples hit them, are in plants.parquet alone. `iscrowd` is always 0.

@@ -15,7 +15,7 @@ from forestgen.core.errors import OutputError
 from forestgen.core.parts import Part
 from forestgen.dataset.formats import cryptomatte
 from forestgen.dataset.formats.cryptomatte import crypto_ids, plant_names, write_cryptomatte
-from forestgen.labels.classes import ClassMap
+from forestgen.recipe.classes import ClassMap
 
 # MurmurHash3_x86_32 of seed 0 (Wikipedia's test cases), and the floats of the reference decoder's own tests.
 MURMUR3_32 = {

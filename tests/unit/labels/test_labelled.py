@@ -8,8 +8,8 @@ import pytest
 from forestgen.community.population import Population
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
-from forestgen.labels.classes import ClassMap
 from forestgen.labels.labelled import label_frame
+from forestgen.recipe.classes import ClassMap
 from forestgen.recipe.registries import LABEL_CHANNELS
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, Surface
 from forestgen.scene.plant_measures import PlantMeasures

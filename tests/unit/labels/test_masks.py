@@ -12,8 +12,8 @@ from hypothesis.extra import numpy as hnp
 
 from forestgen.core.parts import Part
 from forestgen.labels import masks
-from forestgen.labels.classes import ClassMap
 from forestgen.labels.masks import coverage_ranks, instance_mask, part_mask, pixel_labels, rows_of, semantic_mask
+from forestgen.recipe.classes import ClassMap
 
 IDS = st.sampled_from([0, 1, 2, 3, 2**24 + 1, 2**31 + 5, 2**32 - 1])
 

@@ -8,8 +8,7 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.dataset.check.files import categories
-from forestgen.labels.classes import ClassMap
-from forestgen.recipe.classes import PLANT_PARTS, wrong_classes
+from forestgen.recipe.classes import PLANT_PARTS, ClassMap, wrong_classes
 from forestgen.recipe.load import load_recipe
 
 SPECIES = ("poplar", "spruce", "fir")
