@@ -29,8 +29,8 @@ from forestgen.community.population import Population
 from forestgen.core.progress import Silent, Timings
 from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.labels.channels.motion import motion_px
+from forestgen.labels.labelled import plant_views
 from forestgen.labels.masks import PixelLabels, amodal_masks, pixel_labels
-from forestgen.labels.plants_table import plant_views
 from forestgen.recipe.classes import ClassMap
 from forestgen.render.amodal import trace_amodal
 from forestgen.render.frame import Amodal, Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface

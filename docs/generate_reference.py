@@ -30,9 +30,8 @@ from forestgen.community.population import Population, Status
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.labels.labelled import LabelledFrame
+from forestgen.labels.labelled import LabelledFrame, PlantViews, VisiblePlants
 from forestgen.labels.masks import AmodalMasks, PixelLabels
-from forestgen.labels.plants_table import PlantViews, VisiblePlants
 from forestgen.runs.start import DryRun
 from forestgen.scene.plant_measures import PlantMeasures
 

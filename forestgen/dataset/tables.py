@@ -1,7 +1,7 @@
 """plants.parquet: one row a plant of the population, visible or not, by rising plant_id.
 
 Lengths are metres in the world frame; pixels count from the image's upper left corner, right and down. Null: unknown,
-or nothing there. How the image's columns are defined stands in `forestgen.labels.plants_table`, the measures in
+or nothing there. How the image's columns are defined stands in `forestgen.labels.labelled`, the measures in
 `forestgen.scene.plant_measures`.
 
 | column | type | meaning | null |
@@ -50,8 +50,7 @@ from numpy.typing import NDArray
 
 from forestgen.community.population import Status
 from forestgen.dataset.files import write_bytes
-from forestgen.labels.labelled import LabelledFrame
-from forestgen.labels.plants_table import KEYPOINTS
+from forestgen.labels.labelled import KEYPOINTS, LabelledFrame
 
 STATUS_NAMES = {int(status): status.name.lower() for status in Status}
 _CORNERS = ("left", "top", "right", "bottom")

@@ -45,13 +45,10 @@ class Station:
     """A place and its climate normals."""
 
     name: str
-    country: str
     latitude_deg: float
     longitude_deg: float
-    elevation_m: float
     temperature_c: float  # mean of the year
     precipitation_mm_per_yr: float
-    period: str
     source: str
 
 
@@ -145,19 +142,16 @@ def choose_species(temperature_c: float, precipitation_mm_per_yr: float, *, wher
     chosen = [one for one in ranked if one.adaptation >= ADAPTATION_MIN][:MOST_SPECIES]
     if chosen:
         return chosen
-    best = ranked[0]
-    closest = f"{best.name} comes closest with {best.adaptation:.2g}: it likes {_likes(best.plant_type)}"
+    best, likes = ranked[0], ranked[0].plant_type
+    closest = (
+        f"{best.name} comes closest with {best.adaptation:.2g}: "
+        f"it likes {likes.temperature_c:g} ± {likes.temperature_width_c:g} deg C and "
+        f"{likes.precipitation_mm_per_yr:g} ± {likes.precipitation_width_mm_per_yr:g} mm/year"
+    )
     expected = f"an adaptation of at least {ADAPTATION_MIN:g} for one of {len(ranked)} species"
     got = f"{temperature_c:g} deg C and {precipitation_mm_per_yr:g} mm/year; {closest}"
     hint = "name species yourself, with a modules section of their own climate"
     raise RecipeError("no species fits this climate", where=where, expected=expected, got=got, hint=hint)
-
-
-def _likes(plant_type: PlantType) -> str:
-    return (
-        f"{plant_type.temperature_c:g} ± {plant_type.temperature_width_c:g} deg C and "
-        f"{plant_type.precipitation_mm_per_yr:g} ± {plant_type.precipitation_width_mm_per_yr:g} mm/year"
-    )
 
 
 @cache
@@ -168,9 +162,8 @@ def stations() -> Mapping[str, Station]:
     rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
     found = {}
     for row in rows:
-        numbers = {key: float(row[key]) for key in row if key.endswith(("_deg", "_m", "_c", "_yr"))}
-        texts = {key: row[key] for key in ("name", "country", "period", "source")}
-        found[row["name"].lower()] = Station(**texts, **numbers)  # type: ignore[arg-type]
+        numbers = {key: float(row[key]) for key in row if key.endswith(("_deg", "_c", "_yr"))}
+        found[row["name"].lower()] = Station(name=row["name"], source=row["source"], **numbers)
     return found
 
 

@@ -54,10 +54,8 @@ class ClassMap:
     def __post_init__(self) -> None:
         if len(self.own_names) > MOST_CLASSES:
             expected, got = f"at most {MOST_CLASSES} species", str(len(self.own_names))
-            problem, hint = (
-                "too many species for an 8-bit semantic mask",
-                "let labels.classes put several species into one class",
-            )
+            problem = "too many species for an 8-bit semantic mask"
+            hint = "let labels.classes put several species into one class"
             raise RecipeError(problem, where="species", expected=expected, got=got, hint=hint)
 
     @property

@@ -131,11 +131,6 @@ class Draws:
                 known[str(keys[-1])] = found[keys]
         return found
 
-    @property
-    def probe_count(self) -> int:
-        """How many `probes` there are, at most."""
-        return 2 + sum(len(_tried(one)) for one in self.distributions.values())
-
     def probes(self, first: Values) -> Iterator[dict[Keys, Scalar]]:
         """Values at the ends of the distributions; `first` are those of an image.
 
@@ -314,10 +309,8 @@ def _in_order(references: Mapping[Keys, Reference]) -> list[Keys]:
         order = [own[name] for name in TopologicalSorter(needed).static_order()]
     except CycleError as cause:
         names = cause.args[1][::-1]  # each needs the next
-        problem, expected = (
-            "variables that need one another",
-            "formulas of variables that are drawn, or follow from such",
-        )
+        problem = "variables that need one another"
+        expected = "formulas of variables that are drawn, or follow from such"
         where = references[own[names[0]]].where
         raise RecipeError(problem, where=where, expected=expected, got=" -> ".join(names)) from cause
     return [*order, *(keys for keys in references if not is_variable(keys))]
@@ -344,12 +337,12 @@ def make_draws(data: Mapping[str, Any], sources: SourceMap) -> Draws:
     sampler: Sampler | None = None
     if section is not None:
         sampler = make_sampler(section, distributions, references, sources, seed, splits_of(data))
-    draws = Draws(seed, written, distributions, constants, references, sampler)
-    if draws.probe_count > MOST_PROBES:
-        problem, got = "the recipe draws too much to be checked", f"{draws.probe_count:,}"
+    probes = 2 + sum(len(_tried(one)) for one in distributions.values())
+    if probes > MOST_PROBES:
+        problem, got = "the recipe draws too much to be checked", f"{probes:,}"
         expected = f"at most {MOST_PROBES:,} ends of distributions and choices in all"
         raise RecipeError(problem, where=sources.where(()), expected=expected, got=got)
-    return draws
+    return Draws(seed, written, distributions, constants, references, sampler)
 
 
 def _sampling(data: Mapping[str, Any], sources: SourceMap) -> Sampling | None:

@@ -73,10 +73,8 @@ def known_file(
     if path not in found:
         found[path] = file_sha256(path, named, where)
     if sha256 is not None and sha256 != found[path]:
-        problem, expected = (
-            "this is not the file that the recipe was made with",
-            f"a file whose SHA-256 is {sha256[:16]}...",
-        )
+        problem = "this is not the file that the recipe was made with"
+        expected = f"a file whose SHA-256 is {sha256[:16]}..."
         hint = "bring the file back; or remove sha256, and the file is taken as it is now"
         raise AssetError(problem, where=where, expected=expected, got=f"{path}: {found[path][:16]}...", hint=hint)
     return path

@@ -49,16 +49,16 @@ class Terrain(fields.PartSection, fields.GivenSection):
 class WetSoil(fields.Section):
     """How the water that a community has in its soil shows in the ground's colour."""
 
-    shown: fields.Flag = Field(default=True, description="Whether wet ground is darker.")
+    shown: fields.Flag = Field(True, description="Whether wet ground is darker.")
     depth_m: fields.Positive | None = Field(
-        default=None,
+        None,
         le=100,
         description="Depth of the soil that holds the water, metres: what makes a saturation of mm. Default: 1 in "
         "forest soil, 0.05 in a dryland's, whose rains wet little more than its crust.",
     )
-    porosity: fields.Fraction = Field(default=0.4, gt=0, description="Share of the soil that water can fill.")
+    porosity: fields.Fraction = Field(0.4, gt=0, description="Share of the soil that water can fill.")
     pond_mm: fields.Positive = Field(
-        default=25.0,
+        25.0,
         le=10_000,
         description="Water on the ground that begins to drown it, mm; twice as much makes it wholly wet. Less is what "
         "runs past in showers, in a month's mean.",
@@ -373,10 +373,8 @@ class Recipe(fields.Section):
         reserved = (*NO_SPECIES, *(one.kind for one in self.site.buildings))
         for name in self.species:
             if name.lower() in reserved:
-                expected, problem = (
-                    f"another name than {', '.join(reserved)}",
-                    "labels use this name for what is no plant",
-                )
+                expected = f"another name than {', '.join(reserved)}"
+                problem = "labels use this name for what is no plant"
                 raise fields.violation(expected, problem=problem, got=name, at=("species", name))
         wrong = None if self.labels.classes is None else wrong_classes(self.labels.classes, self.labelled_names)
         if wrong is not None:

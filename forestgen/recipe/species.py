@@ -46,7 +46,7 @@ class Ecology(Section):
     shade_tolerance: Fraction = Field(description="Probability that a dominated plant survives a step, 0 to 1.")
     old_age_survival: Fraction = Field(description="Probability that a mature plant survives a step, 0 to 1.")
     seedlings_per_ha_per_yr: NonNegative = Field(le=1e6, description="New plants per hectare (10,000 m²) and year.")
-    seedling_radius_m: Positive = Field(default=0.05, le=10, description="Radius of a new plant, metres.")
+    seedling_radius_m: Positive = Field(0.05, le=10, description="Radius of a new plant, metres.")
 
 
 class PowerLaw(Section):
@@ -93,31 +93,27 @@ class Bark(Section):
 
     pattern: BarkPattern = Field(description="What the bark looks like.")
     tile_m: tuple[TileSide, TileSide] = Field(
-        default=(0.5, 0.75), description="Width round the stem and height of the texture's one repeat, metres."
+        (0.5, 0.75), description="Width round the stem and height of the texture's one repeat, metres."
     )
     scale_m: Positive | None = Field(
-        default=None,
+        None,
         ge=0.0005,
         le=1,
         description="Width of a ridge, plate, scale, ring or mark, metres; null: the pattern's own.",
     )
-    depth_m: NonNegative | None = Field(
-        default=None, le=0.1, description="Deepest crack, metres; null: the pattern's own."
-    )
+    depth_m: NonNegative | None = Field(None, le=0.1, description="Deepest crack, metres; null: the pattern's own.")
     dark: Colour | None = Field(
-        default=None, description="Colour of cracks, linear Rec. 709, before the mean is set; null: chosen."
+        None, description="Colour of cracks, linear Rec. 709, before the mean is set; null: chosen."
     )
-    light: Colour | None = Field(
-        default=None, description="Colour of what stands out, before the mean is set; null: chosen."
-    )
+    light: Colour | None = Field(None, description="Colour of what stands out, before the mean is set; null: chosen.")
     marks: Fraction | None = Field(
-        default=None, le=0.5, description="Share of lenticels, checks or cracks, 0 to 0.5; null: the pattern's own."
+        None, le=0.5, description="Share of lenticels, checks or cracks, 0 to 0.5; null: the pattern's own."
     )
     mark_colour: Colour | None = Field(
-        default=None, description="Colour of the marks of smooth and papery bark; null: as dark."
+        None, description="Colour of the marks of smooth and papery bark; null: as dark."
     )
-    lichen: NonNegative = Field(default=0.0, le=0.9, description="Share of the surface that lichen covers.")
-    lichen_colour: Colour = Field(default=(0.3, 0.33, 0.24), description="Colour of lichen, before the mean is set.")
+    lichen: NonNegative = Field(0.0, le=0.9, description="Share of the surface that lichen covers.")
+    lichen_colour: Colour = Field((0.3, 0.33, 0.24), description="Colour of lichen, before the mean is set.")
 
     @model_validator(mode="after")
     def _repeats(self) -> Self:
@@ -135,7 +131,7 @@ class SpectrumFile(Section):
 
     name: Text = Field(min_length=1, max_length=1000, description="Such as leaves/birch, or a path.")
     text: Text | None = Field(
-        default=None, max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."
+        None, max_length=MOST_BYTES, description="The table itself, as drawn recipes keep a file of your own."
     )
 
 
@@ -143,28 +139,24 @@ class Material(Section):
     """What an organ's surface does with light: by a spectrum, or by a colour, linear Rec. 709."""
 
     spectrum: Annotated[SpectrumFile | None, *shorthand("name")] = Field(
-        default=None,
+        None,
         description="Table of reflectance and transmittance by wavelength, of which the colours follow: leaves/birch, "
         "bark/oak, ... or a path from the recipe's folder. In place of reflectance and transmittance.",
     )
-    season: Season | None = Field(
-        default=None, description="Of the spectrum, where it has seasons; null: plants.season."
-    )
-    reflectance: Colour | None = Field(
-        default=None, description="Reflected fraction of red, green, blue; linear Rec. 709."
-    )
+    season: Season | None = Field(None, description="Of the spectrum, where it has seasons; null: plants.season.")
+    reflectance: Colour | None = Field(None, description="Reflected fraction of red, green, blue; linear Rec. 709.")
     transmittance: Colour = Field(
-        default=(0.0, 0.0, 0.0), description="Fraction let through of red, green, blue; linear Rec. 709."
+        (0.0, 0.0, 0.0), description="Fraction let through of red, green, blue; linear Rec. 709."
     )
-    roughness: Fraction = Field(default=0.5, description="Roughness of the gloss, 0 to 1: 0.2 is waxy, 0.6 matt.")
+    roughness: Fraction = Field(0.5, description="Roughness of the gloss, 0 to 1: 0.2 is waxy, 0.6 matt.")
     gloss: NonNegative = Field(
-        default=0.0,
+        0.0,
         le=0.08,
         description="Share of light that the skin of a leaf or petal mirrors, part of its reflectance: 0 is matt, 0.04 "
         "smooth wax. Bark has none.",
     )
     bark: Bark | None = Field(
-        default=None, description="Pattern of an opaque surface; null: one colour. The reflectance is its mean."
+        None, description="Pattern of an opaque surface; null: one colour. The reflectance is its mean."
     )
 
     @model_validator(mode="after")
@@ -192,12 +184,8 @@ class Material(Section):
 class Tissue(Section):
     """What turns volume and area into mass, dry."""
 
-    wood_density_kg_per_m3: Positive = Field(
-        default=500.0, le=1500, description="Dry wood over its fresh volume, kg/m³."
-    )
-    leaf_mass_per_area_kg_per_m2: Positive = Field(
-        default=0.08, le=2, description="Dry leaf over one side's area, kg/m²."
-    )
+    wood_density_kg_per_m3: Positive = Field(500.0, le=1500, description="Dry wood over its fresh volume, kg/m³.")
+    leaf_mass_per_area_kg_per_m2: Positive = Field(0.08, le=2, description="Dry leaf over one side's area, kg/m².")
 
 
 class PlantType(Section):
@@ -212,90 +200,82 @@ class PlantType(Section):
         description="Share of main over lateral branches [lambda]: above 0.5 one stem leads."
     )
     determinacy: Fraction = Field(description="Place in the morphospace of prototypes [D].")
-    apical_control_mature: Fraction | None = Field(
-        default=None, description="The same once it flowers; null: as before."
-    )
-    determinacy_mature: Fraction | None = Field(default=None, description="The same once it flowers; null: as before.")
+    apical_control_mature: Fraction | None = Field(None, description="The same once it flowers; null: as before.")
+    determinacy_mature: Fraction | None = Field(None, description="The same once it flowers; null: as before.")
     prototypes: tuple[Text, ...] = Field(
-        default=(),
+        (),
         max_length=64,
         description="Module prototypes that it may have, by name; none: all. Palms have column.",
     )
     flowering_age_yr: NonNegative = Field(
-        default=0.0, le=10_000, description="Age at which the most vigorous plant flowers [F_age], years."
+        0.0, le=10_000, description="Age at which the most vigorous plant flowers [F_age], years."
     )
     flowering_delay_max: Number = Field(
-        default=1.2, ge=1, le=100, description="Plants of little vigour flower at most so many times later."
+        1.2, ge=1, le=100, description="Plants of little vigour flower at most so many times later."
     )
     tropism_angle_rad: Number = Field(
-        default=0.52,
+        0.52,
         ge=-1.57,
         le=3.15,
         description="Angle that branches turn to [alpha], radians from the vertical; if < 0, below the level.",
     )
-    tropism_weight: NonNegative = Field(
-        default=0.6, le=1e3, description="Of that angle in a module's turning [omega_2]."
-    )
-    collision_weight: NonNegative = Field(default=4.0, le=1e3, description="Of free space in it [omega_1].")
+    tropism_weight: NonNegative = Field(0.6, le=1e3, description="Of that angle in a module's turning [omega_2].")
+    collision_weight: NonNegative = Field(4.0, le=1e3, description="Of free space in it [omega_1].")
     tropism_strength: Number = Field(
-        default=0.0,
+        0.0,
         ge=-5,
         le=5,
         description="Bend of young segments: up above 0, down below [g_2; Table 1 prints it as g_1].",
     )
     tropism_decay: Positive = Field(
-        default=0.3, le=100, description="Physiological age at which the bend has fallen to half [g_1]."
+        0.3, le=100, description="Physiological age at which the bend has fallen to half [g_1]."
     )
-    thickening_cm: Positive = Field(default=2.0, le=50, description="Diameter of a grown terminal segment [phi], cm.")
+    thickening_cm: Positive = Field(2.0, le=50, description="Diameter of a grown terminal segment [phi], cm.")
     shoots_per_terminal: Number = Field(
-        default=1.0,
+        1.0,
         ge=1,
         le=1000,
         description="Shoots of that diameter that a terminal stands for: wood is so much thicker.",
     )
     length_per_age_m: Positive = Field(
-        default=1.0, le=50, description="Length of a segment per physiological age [beta], metres."
+        1.0, le=50, description="Length of a segment per physiological age [beta], metres."
     )
-    longest_segment_m: Positive = Field(default=0.8, le=20, description="Longest segment [l_max], metres.")
-    mature_age: Positive = Field(default=1.0, le=100, description="Physiological age of a grown module [a_mature].")
-    vigour_min: Positive = Field(
-        default=0.08, le=1, description="Modules of less vigour, over their size, are shed [v_min]."
-    )
+    longest_segment_m: Positive = Field(0.8, le=20, description="Longest segment [l_max], metres.")
+    mature_age: Positive = Field(1.0, le=100, description="Physiological age of a grown module [a_mature].")
+    vigour_min: Positive = Field(0.08, le=1, description="Modules of less vigour, over their size, are shed [v_min].")
     sprouting: Number = Field(
-        default=2.0, ge=1, le=20, description="A terminal bears a module at so many times that vigour; see the model."
+        2.0, ge=1, le=20, description="A terminal bears a module at so many times that vigour; see the model."
     )
     disused_share: Fraction = Field(
-        default=0.15, description="Share of the pipes of shed modules that stays in the wood below for good."
+        0.15, description="Share of the pipes of shed modules that stays in the wood below for good."
     )
     upkeep: NonNegative = Field(
-        default=0.01, le=0.9, description="Share of the vigour on its way up that a metre of the way takes, 1/m."
+        0.01, le=0.9, description="Share of the vigour on its way up that a metre of the way takes, 1/m."
     )
     reach_m: Positive = Field(
-        default=25.0, le=500, description="Way from the root at which a branch gets 1/e of what it would, metres."
+        25.0, le=500, description="Way from the root at which a branch gets 1/e of what it would, metres."
     )
     compensation: NonNegative = Field(
-        default=0.4, le=0.9, description="Light exposure of which a module can just live, and give nothing."
+        0.4, le=0.9, description="Light exposure of which a module can just live, and give nothing."
     )
-    vigour_max: Positive = Field(default=1.0, le=1e4, description="Vigour at which a module grows fastest [v_max].")
+    vigour_max: Positive = Field(1.0, le=1e4, description="Vigour at which a module grows fastest [v_max].")
     opacity: Fraction = Field(
-        default=0.5, description="Share of the light that a grown module's foliage takes, over its sphere's disc."
+        0.5, description="Share of the light that a grown module's foliage takes, over its sphere's disc."
     )
-    shade_tolerance: Fraction = Field(default=0.3, description="Light exposure in the deepest shade [s_tol].")
-    seeds_per_yr: NonNegative = Field(default=1.0, le=1000, description="Seeds of a flowering plant, 1/year.")
+    shade_tolerance: Fraction = Field(0.3, description="Light exposure in the deepest shade [s_tol].")
+    seeds_per_yr: NonNegative = Field(1.0, le=1000, description="Seeds of a flowering plant, 1/year.")
     seeding_radius_m: Positive = Field(
-        default=5.0, le=1000, description="Standard deviation of a seed's way, along x and y, metres."
+        5.0, le=1000, description="Standard deviation of a seed's way, along x and y, metres."
     )
-    temperature_c: Number = Field(default=12.0, ge=-20, le=40, description="Optimal mean temperature [T_A], deg C.")
-    temperature_width_c: Positive = Field(default=8.0, le=100, description="Standard deviation about it, K.")
-    precipitation_mm_per_yr: Number = Field(
-        default=800.0, ge=0, le=10_000, description="Optimal precipitation [P_A], mm/year."
-    )
+    temperature_c: Number = Field(12.0, ge=-20, le=40, description="Optimal mean temperature [T_A], deg C.")
+    temperature_width_c: Positive = Field(8.0, le=100, description="Standard deviation about it, K.")
+    precipitation_mm_per_yr: Number = Field(800.0, ge=0, le=10_000, description="Optimal precipitation [P_A], mm/year.")
     precipitation_width_mm_per_yr: Positive = Field(
-        default=500.0, le=10_000, description="Standard deviation about it, mm/year."
+        500.0, le=10_000, description="Standard deviation about it, mm/year."
     )
 
     in_biomes: Flag = Field(
-        default=True, description="Whether a recipe's biome chooses this species, where it is a shipped one."
+        True, description="Whether a recipe's biome chooses this species, where it is a shipped one."
     )
 
     @model_serializer(mode="wrap")
@@ -319,26 +299,26 @@ class PlantType(Section):
 class Species(Section):
     """One species of the recipe, complete: its file and the recipe's overrides merged."""
 
-    description: Text = Field(default="", max_length=2000, description="What the species is, for people.")
+    description: Text = Field("", max_length=2000, description="What the species is, for people.")
     height_m: Positive | None = Field(
-        default=None,
+        None,
         le=TALLEST_M,
         description="Mature height, metres: sets allometry.height_m.scale so that a plant of ecology.max_radius_m is "
         "this tall. Null leaves the allometry as it is.",
     )
     map_colour: Text | None = Field(
-        default=None, pattern="^#[0-9A-Fa-f]{6}$", description="Colour on maps, #RRGGBB; null: chosen."
+        None, pattern="^#[0-9A-Fa-f]{6}$", description="Colour on maps, #RRGGBB; null: chosen."
     )
     ecology: Ecology = Field(description="How the species grows, competes and spreads.")
     allometry: Allometry = Field(description="Size of a plant from its radius.")
-    tissue: Tissue = Field(default=Tissue(), description="Density of wood and leaves, for mass.")
+    tissue: Tissue = Field(Tissue(), description="Density of wood and leaves, for mass.")
     sources: tuple[Text, ...] = Field(
-        default=(), max_length=20, description="Where the proportions come from, one reference each."
+        (), max_length=20, description="Where the proportions come from, one reference each."
     )
     plant: Plant = Field(description="What makes its geometry.")
-    modules: PlantType | None = Field(default=None, description="How it grows as branch modules; null: it does not.")
+    modules: PlantType | None = Field(None, description="How it grows as branch modules; null: it does not.")
     modules_plant: Plant | None = Field(
-        default=None,
+        None,
         description="Plant generator of its branch modules, if `plant` serves other communities; null: `plant`.",
     )
     materials: dict[Name, Material] = Field(

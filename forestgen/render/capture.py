@@ -204,10 +204,8 @@ def _pooled(total: Floats, reach: int, *, wraps: bool) -> Floats:
 
 def _share_inside(camera: Camera, part: FilmWindow) -> Floats:
     """(H, W) share of each pixel in which the image shows anything: inside of a fisheye's circle."""
-    x, y = (
-        np.arange(part.offset_x, part.offset_x + part.width + 1.0),
-        np.arange(part.offset_y, part.offset_y + part.height + 1.0),
-    )
+    x = np.arange(part.offset_x, part.offset_x + part.width + 1.0)
+    y = np.arange(part.offset_y, part.offset_y + part.height + 1.0)
     corner = rays(camera, x, y[:, None]).valid
     centre = rays(camera, x[:-1] + 0.5, y[:-1, None] + 0.5).valid
     share = centre.astype(np.float64)

@@ -277,10 +277,8 @@ class _Parts:
                 light = np.zeros((len(paths.pixel), 3))
                 for walk in range(each):
                     light += self._walked(paths, sky, sun, (*name, walk), followed) / each
-                row, column = (
-                    window.offset_y + paths.pixel // window.width,
-                    window.offset_x + paths.pixel % window.width,
-                )
+                row = window.offset_y + paths.pixel // window.width
+                column = window.offset_x + paths.pixel % window.width
                 pixel = row // fine * width + column // fine
                 for channel in range(3):
                     weight = paths.throughput[:, channel] * light[:, channel] / count

@@ -14,15 +14,15 @@ Parameters: see below.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Self
+from typing import Annotated, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from forestgen.atmosphere.clouds import source
 from forestgen.atmosphere.grid import CloudGrid, Weather
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.assets import inside
-from forestgen.recipe.fields import spelled_out, violation
+from forestgen.recipe.fields import shorthand, violation
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.map_files import known_file
 from forestgen.recipe.sky import NamedFile
@@ -33,14 +33,9 @@ _WIDEST_M, _HIGHEST_M = 1e6, 1e5  # of a file's box
 class SavedKeys(source.PlacedKeys):
     """Keys of `clouds: {type: file}`."""
 
-    file: NamedFile | None = Field(
+    file: Annotated[NamedFile | None, *shorthand("file")] = Field(
         None, description="Of type file: a saved state of the air (.nc), or a volume of extinction per metre (.vol)."
     )
-
-    @field_validator("file", mode="before")
-    @classmethod
-    def _named(cls, value: Any) -> Any:
-        return spelled_out(value, "file")
 
     @model_validator(mode="after")
     def _is_a_sky(self) -> Self:

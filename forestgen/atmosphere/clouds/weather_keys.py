@@ -10,7 +10,7 @@ from typing import Annotated, Any, Self
 from pydantic import Field, field_validator, model_validator
 
 from forestgen.core.errors import RecipeError
-from forestgen.recipe.fields import Fraction, GivenSection, NonNegative, Number, Positive, Text, spelled_out, violation
+from forestgen.recipe.fields import Fraction, GivenSection, NonNegative, Number, Positive, Text, shorthand, violation
 from forestgen.recipe.registries import CLOUD_SOURCES
 from forestgen.recipe.sky import FileName, NamedFile, Sha256
 
@@ -72,16 +72,11 @@ class EmissionSection(GivenSection):
     )
     patch_m: Positive | None = _or_of_type("Size of warm and moist patches, metres.", le=100000)
     contrast: NonNegative | None = _or_of_type("How much patches differ: standard deviation over mean.", le=10)
-    map: NamedFile | None = Field(
+    map: Annotated[NamedFile | None, *shorthand("file")] = Field(
         None,
         description="A grey picture (or .npy array) of the emission over the domain, north up, whose mean is made "
         "1; instead of patches of noise. The domain is where the simulation is, not the site.",
     )
-
-    @field_validator("map", mode="before")
-    @classmethod
-    def _named(cls, value: Any) -> Any:
-        return spelled_out(value, "file")
 
     @model_validator(mode="after")
     def _vapour_once(self) -> Self:
@@ -103,7 +98,9 @@ class DomainSection(GivenSection):
 class WeatherKeys(GivenSection):
     """What makes one kind of weather another."""
 
-    sounding: SoundingSection | None = _or_of_type("The air at rest: a file's name, or its keys.")
+    sounding: Annotated[SoundingSection | None, *shorthand("file")] = _or_of_type(
+        "The air at rest: a file's name, or its keys."
+    )
     emission: EmissionSection | None = _or_of_type("What the ground gives off.")
     domain: DomainSection | None = _or_of_type("The box that is simulated.")
     cooling_k_per_h: Number | None = _or_of_type(
@@ -116,11 +113,6 @@ class WeatherKeys(GivenSection):
         le=360,
         description="Where it comes from, degrees clockwise from north: 270 is west. Default: site.wind_from_deg.",
     )
-
-    @field_validator("sounding", mode="before")
-    @classmethod
-    def _file_alone(cls, value: Any) -> Any:
-        return spelled_out(value, "file")
 
 
 class Phase(WeatherKeys):

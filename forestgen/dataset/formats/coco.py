@@ -58,9 +58,8 @@ from forestgen.dataset.formats.shards import (
 )
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.dataset.tables import STATUS_NAMES
-from forestgen.labels.labelled import LabelledFrame
+from forestgen.labels.labelled import KEYPOINTS, LabelledFrame
 from forestgen.labels.masks import AmodalMasks, rows_of
-from forestgen.labels.plants_table import KEYPOINTS
 
 SHARD_NAME = "annotations.json"
 FILE_NAME = "coco.json"

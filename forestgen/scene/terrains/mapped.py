@@ -206,10 +206,8 @@ def read_heights(path: Path, lowest_m: float | None = None, highest_m: float | N
     if holes.any():
         count = int(holes.sum())
         cells, which = ("1 cell", "") if count == 1 else (f"{count:,} cells of {holes.size:,}", "the first ")
-        got, hint = (
-            f"{name}: {cells} without a height, {which}{_first(holes)}",
-            "fill them, as `gdal_fillnodata.py` does",
-        )
+        got = f"{name}: {cells} without a height, {which}{_first(holes)}"
+        hint = "fill them, as `gdal_fillnodata.py` does"
         raise AssetError("the terrain has holes", expected="a height in every cell", got=got, hint=hint)
     values = picture.values.astype(np.float64)
     levels, given = picture.white != 1.0, lowest_m is not None or highest_m is not None
@@ -226,10 +224,8 @@ def read_heights(path: Path, lowest_m: float | None = None, highest_m: float | N
     wrong = (values < LOWEST_M) | (values > HIGHEST_M)
     if wrong.any():
         more = f", and {int(wrong.sum()) - 1:,} more" if wrong.sum() > 1 else ""
-        expected, got = (
-            f"values from {LOWEST_M:g} to {HIGHEST_M:g}",
-            f"{name}: {values[wrong][0]:g} {_first(wrong)}{more}",
-        )
+        expected = f"values from {LOWEST_M:g} to {HIGHEST_M:g}"
+        got = f"{name}: {values[wrong][0]:g} {_first(wrong)}{more}"
         raise AssetError("these are no heights in metres", expected=expected, got=got)
     return values
 

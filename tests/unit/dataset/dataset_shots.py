@@ -9,9 +9,8 @@ import numpy as np
 from forestgen.community.population import Population
 from forestgen.core.parts import Part
 from forestgen.dataset.settings import DatasetSettings
-from forestgen.labels.labelled import LabelledFrame, label_frame
+from forestgen.labels.labelled import LabelledFrame, label_frame, plant_views
 from forestgen.labels.masks import AmodalMasks
-from forestgen.labels.plants_table import plant_views
 from forestgen.recipe.classes import ClassMap
 from forestgen.render.frame import Frame, Identity, Radiance, Surface
 from forestgen.scene.plant_measures import PlantMeasures

@@ -9,7 +9,7 @@ import pytest
 
 from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.labels.channels.motion import motion_px
-from forestgen.labels.plants_table import project
+from forestgen.labels.labelled import project
 from forestgen.render.frame import Surface
 from forestgen.render.identity.surface import empty_surface
 from forestgen.scene import projection

@@ -7,8 +7,8 @@ import pytest
 
 from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
+from forestgen.labels.labelled import HIDDEN, OUTSIDE, VISIBLE, plant_views, project, truncation
 from forestgen.labels.masks import AmodalMasks, pixel_labels
-from forestgen.labels.plants_table import HIDDEN, OUTSIDE, VISIBLE, plant_views, project, truncation
 from forestgen.recipe.classes import ClassMap
 from forestgen.render.frame import Frame, Identity, Radiance, Surface
 from forestgen.scene.plant_measures import PlantMeasures

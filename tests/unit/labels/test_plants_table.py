@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from forestgen.labels.labelled import visible_plants
 from forestgen.labels.masks import instance_mask
-from forestgen.labels.plants_table import visible_plants
 
 POPULATION = np.array([2, 3, 70_000, 2**31 + 5, 2**32 - 1], np.uint32)
 
