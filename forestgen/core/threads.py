@@ -51,12 +51,9 @@ class _Pool:
             return
         with self._made:
             if self._threads is None or self._size != size:
-                self._threads, self._size = ThreadPoolExecutor(size, initializer=self._mark), size
+                self._threads, self._size = ThreadPoolExecutor(size, "", setattr, (self._inside, "yes", True)), size
             pool = self._threads
         yield pool
-
-    def _mark(self) -> None:
-        self._inside.yes = True
 
     def forget(self) -> None:
         """In a process that was forked: threads do not come along."""

@@ -24,7 +24,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, fields
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,17 +87,13 @@ class LightMeter:
 class LightMeterKeys(Section):
     """Keys of a light meter."""
 
-    at: Annotated[PointsKey, Field(min_length=1, max_length=MOST_POINTS, description="Points, metres, z above ground.")]
-    normals: Annotated[DirectionsKey, Field(min_length=1, description="Where the meter looks at each point.")] = (
-        (0.0, 0.0, 1.0),
+    at: PointsKey = Field(min_length=1, max_length=MOST_POINTS, description="Points, metres, z above ground.")
+    normals: DirectionsKey = Field(((0.0, 0.0, 1.0),), min_length=1, description="Where the meter looks at each point.")
+    samples: Whole = Field(16384, ge=512, le=100_000_000, description="Light paths of each light at each wavelength.")
+    absolute_z: Flag = Field(False, description="Count z from z = 0, not from the ground below.")
+    spectrum: Number | None = Field(
+        None, ge=1, le=1100, description="Steps of the reported spectra, nm. None: none are reported."
     )
-    samples: Annotated[
-        Whole, Field(ge=512, le=100_000_000, description="Light paths of each light at each wavelength.")
-    ] = 16384
-    absolute_z: Annotated[Flag, Field(description="Count z from z = 0, not from the ground below.")] = False
-    spectrum: Annotated[
-        Number | None, Field(ge=1, le=1100, description="Steps of the reported spectra, nm. None: none are reported.")
-    ] = None
 
 
 class LightReadings(list[LightMeter], Reading):

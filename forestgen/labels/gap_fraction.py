@@ -79,28 +79,15 @@ def looks_up(camera: Camera) -> bool:
 
 
 def gap_fraction_of(camera: Camera, identity: Identity) -> GapFraction:
-    """Gap fraction of a fisheye that looks up, by its identity pass."""
-    return gap_fraction(camera, identity.plant_id, identity.part, sample_offsets(identity.plant_id.shape[2]))
-
-
-def gap_fraction(
-    camera: Camera, plant_id: NDArray[np.uint32], part: NDArray[np.uint8], offset: NDArray[np.float64]
-) -> GapFraction:
-    """Gap fraction by zenith ring.
-
-    Parameters
-    ----------
-    camera : a fisheye that looks up; another one raises `ValueError`.
-    plant_id, part : (H, W, S) what each sample of the identity pass hit.
-    offset : (S, 2) sub-pixel positions of the samples, x and y.
-    """
+    """Gap fraction by zenith ring of a fisheye that looks up, another one raises `ValueError`, by its identity pass."""
     if not looks_up(camera):
         raise ValueError("gap fractions are those of a fisheye that looks straight up")
     edges = np.linspace(0.0, np.pi / 2, RINGS + 1)
     seen, gaps = np.zeros(RINGS, dtype=np.int64), np.zeros(RINGS, dtype=np.int64)
     seen_weight, gap_weight = np.zeros(RINGS), np.zeros(RINGS)
-    for sample in range(plant_id.shape[2]):
-        theta, exists = _zenith(camera, plant_id.shape[:2], offset[sample])
+    plant_id, part = identity.plant_id, identity.part
+    for sample, offset in enumerate(sample_offsets(plant_id.shape[2])):
+        theta, exists = _zenith(camera, plant_id.shape[:2], offset)
         is_gap = (part[..., sample] == Part.NOTHING) & exists
         counts = (is_gap | (plant_id[..., sample] != 0)) & (theta < np.pi / 2) & exists
         ring = np.minimum((theta / (np.pi / 2) * RINGS).astype(np.int64), RINGS - 1)

@@ -71,9 +71,8 @@ _BINARY: dict[type, Callable[[Any, Any], Any]] = {
 _SIGNS: dict[type, Callable[[Any], Any]] = {ast.UAdd: np.positive, ast.USub: np.negative}
 RESERVED = frozenset([VARIABLE, *_CONSTANTS, *_FUNCTIONS])  # what no variable may be called
 
-_points = TypeAdapter(
-    tuple[tuple[Annotated[float, Field(allow_inf_nan=False)], Annotated[float, Field(allow_inf_nan=False)]], ...]
-)
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
+_points = TypeAdapter(tuple[tuple[_Finite, _Finite], ...])
 
 
 def _read(value: Any) -> Any:

@@ -32,6 +32,7 @@ _NAMES_BELOW: dict[Keys, frozenset[str]] = {  # section -> keys anywhere below i
 _SINGLE: tuple[Keys, ...] = (("community", "soil"), ("sky", "clouds", "file"))
 _WITHOUT_FILES = ("species", "sampling", "dataset")  # sections; a species' own paths are relative to its file
 _PLAIN_FILE = frozenset({"file", "sha256"})  # keys of a mapping that can be nothing else
+Sha256 = Annotated[Text, Field(pattern="^[0-9a-f]{64}$")]
 MOST_BYTES = 2_000_000_000
 _SUFFIXES = (".png", ".tif", ".tiff", ".exr", ".npy", ".csv", ".nc", ".vol")
 _Slot = tuple[Keys, Any, str | int]  # key path, parent and key of a value that may be a file
@@ -84,9 +85,7 @@ class RecipeFile(Section):
     """A file that a part reads: a key of this type is written ``{file: wind.csv}``, relative to the recipe's folder."""
 
     file: Text = Field(min_length=1, description="Path of the file, relative to the recipe's folder.")
-    sha256: Annotated[Text, Field(pattern="^[0-9a-f]{64}$")] | None = Field(
-        None, description="SHA-256 of the file; no file of other content is taken."
-    )
+    sha256: Sha256 | None = Field(None, description="SHA-256 of the file; no file of other content is taken.")
 
     def path(self, folder: Path) -> Path:
         """Where the file is, of a recipe in `folder`; see `known_file`."""

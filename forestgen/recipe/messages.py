@@ -232,7 +232,11 @@ class Explainer:
 
     def _number_hint(self, keys: Keys, value: object) -> str | None:
         if isinstance(value, str):
-            return "remove the quotes" if _is_number(value) else _unit_hint(keys, value)
+            try:
+                float(value)
+            except ValueError:
+                return _unit_hint(keys, value)
+            return "remove the quotes"
         if not isinstance(value, Mapping):
             return None
         full = self.prefix + keys
@@ -278,14 +282,6 @@ def _unit_hint(keys: Keys, text: str) -> str | None:
         return None
     number = found[1] if found[2] in unit.split(", ") else "the number alone"
     return f"{number}: the unit is in the key's name, {unit.split(', ')[0]}"
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _entry(value: Any, key: str | int) -> Any:

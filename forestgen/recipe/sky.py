@@ -10,10 +10,10 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
 from forestgen.recipe.fields import GivenSection, Number, PartSection, Text, shorthand, violation
+from forestgen.recipe.map_files import Sha256
 from forestgen.recipe.registries import CLOUD_SOURCES, SKIES
 
 FileName = Annotated[Text, Field(min_length=1, max_length=4000)]
-Sha256 = Annotated[Text, Field(pattern="^[0-9a-f]{64}$")]
 YEARS = (1700, 2200)
 _ANGLES, _DATE = ("elevation_deg", "azimuth_deg"), ("date", "time", "utc_offset_h")
 _ELEVATION_DEG, _AZIMUTH_DEG = 40.0, 140.0

@@ -311,7 +311,7 @@ class Species(Section):
     )
     ecology: Ecology = Field(description="How the species grows, competes and spreads.")
     allometry: Allometry = Field(description="Size of a plant from its radius.")
-    tissue: Tissue = Field(Tissue(), description="Density of wood and leaves, for mass.")
+    tissue: Tissue = Field(Tissue.model_validate({}), description="Density of wood and leaves, for mass.")
     sources: tuple[Text, ...] = Field(
         (), max_length=20, description="Where the proportions come from, one reference each."
     )

@@ -102,21 +102,6 @@ def render_frame(
         )
     if check is not None:
         check(identity)
-    radiance = _radiance(tracer, camera, recipe, seed, surface, progress, timings, key)
-    return Frame(camera=camera, radiance=radiance, identity=identity, surface=surface)
-
-
-def _radiance(
-    tracer: SceneTracer,
-    camera: Camera,
-    recipe: Recipe,
-    seed: int,
-    surface: Surface,
-    progress: Progress,
-    timings: Timings,
-    key: str | None,
-) -> Radiance:
-    """With its denoised copy where that is asked for."""
     settings = recipe.render
     shot = RenderJob(
         spec=tracer.spec,
@@ -146,7 +131,7 @@ def _radiance(
         with timings("denoise"):
             clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)
-    return radiance
+    return Frame(camera=camera, radiance=radiance, identity=identity, surface=surface)
 
 
 @dataclass(frozen=True)

@@ -48,8 +48,6 @@ class BuiltScene:
 
     def at(self, time_s: float) -> SceneSpec:
         """The scene as the wind holds its plants at a time; in still air `spec` itself, and one object for one time."""
-        if self.sway is None:
-            return self.spec
         if time_s not in self._posed:
             while len(self._posed) > 1:  # a frame and the next one, for its motion
                 del self._posed[next(iter(self._posed))]
@@ -105,7 +103,16 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             *plan.views.check_outside_of_buildings(),
             *infrared_notes(materials, plan.views.all_cameras),
         ]
-        sway = None if recipe.wind.speed_m_per_s == 0 else _sway(plan, spec)
+        wind, sway = recipe.wind, None
+        if wind.speed_m_per_s > 0:
+            sway = sway_in(
+                instances,
+                exemplars,
+                speed_m_per_s=wind.speed_m_per_s,
+                gustiness=wind.gustiness,
+                from_deg=recipe.site.wind_from_deg,
+                seed=drawn.image_seed,
+            )
     errors = errors_of_sizes(plan, population, chosen, exemplars)
     return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)))
 
@@ -117,18 +124,6 @@ def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Mate
     for (kind, key), one in building_materials(plan.community.obstacles.entries).items():
         materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
     return materials
-
-
-def _sway(plan: Plan, spec: SceneSpec) -> Sway:
-    recipe = plan.drawn.recipe
-    return sway_in(
-        spec.instances,
-        spec.exemplars,
-        speed_m_per_s=recipe.wind.speed_m_per_s,
-        gustiness=recipe.wind.gustiness,
-        from_deg=recipe.site.wind_from_deg,
-        seed=plan.drawn.image_seed,
-    )
 
 
 def stand_on(population: Population, height: HeightField) -> Population:
@@ -171,11 +166,8 @@ def place_instances(
         scale, angle = np.where(own, 1.0, scale), np.where(own, 0.0, angle)
     cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
     zero = np.zeros_like(cos)
-    rows = [[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]]
     transform = np.empty((len(population), 3, 4))
-    for r in range(3):
-        for c in range(3):
-            transform[:, r, c] = rows[r][c]
+    transform[:, :, :3] = np.moveaxis([[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]], -1, 0)
     transform[:, :, 3] = population.position_m
     return Instances(
         exemplar=exemplar_of_plant.astype(np.uint32), transform=transform, plant_id=population.plant_id.copy()

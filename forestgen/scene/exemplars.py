@@ -166,7 +166,10 @@ def plan_exemplars(
         has a species' plants alone.
     library : variants of each size that all images share, instead of clusters; `variants` of these are shown.
     """
-    columns = [np.asarray(_column(population, trait), dtype=np.float64) for trait in traits]
+    columns = [
+        np.asarray(getattr(population, trait) if trait in _OWN_TRAITS else population.columns[trait], dtype=np.float64)
+        for trait in traits
+    ]
     own = np.array([child_seed(seed, "variant", int(i)) % variants for i in population.plant_id], dtype=np.int64)
     parts: list[ExemplarPlan] = []
     for index, name in enumerate(population.species_names):
@@ -178,7 +181,8 @@ def plan_exemplars(
             continue
         if library is not None:
             rungs, label = np.unique(rungs_of(population.radius_m[rows], per_species), return_inverse=True)
-            shown = np.array([_shown(library, variants, name, int(rung), seed) for rung in rungs])
+            # By rung, the variants of a size that the image has, of as many as the library has.
+            shown = np.array([child_rng(seed, "library", name, int(rung)).permutation(library) for rung in rungs])
             radius = SIZE_STEP ** rungs.astype(np.float64)
             part = ExemplarPlan.of_species(index, radius, label.reshape(-1), rank=rungs)
             parts.append(part.split("variant", shown[label.reshape(-1), own[rows]]))
@@ -200,13 +204,6 @@ def _joined(parts: Sequence[ExemplarPlan], species: NDArray[np.uint16]) -> Exemp
     none = ExemplarPlan.of_species(0, np.zeros(0), assignment)
     columns = {name: np.concatenate([getattr(part, name) for part in (none, *parts)]) for name in _OF_EXEMPLARS}
     return ExemplarPlan(**columns, exemplar_of_plant=assignment)
-
-
-def _column(population: Population, trait: str) -> NDArray[np.generic]:
-    column: NDArray[np.generic] = (
-        getattr(population, trait) if trait in _OWN_TRAITS else np.asarray(population.columns[trait])
-    )
-    return column
 
 
 def _features(radius_m: Floats, traits: Sequence[Floats]) -> Floats:
@@ -287,11 +284,6 @@ def rungs_of(radius_m: Floats, most: int) -> Ints:
     chosen = np.rint(low - 0.5 + (np.arange(count) + 0.5) * (high - low + 1) / count).astype(np.int64)
     place = np.searchsorted((chosen[:-1] + chosen[1:]) / 2, own)
     return np.asarray(chosen[place], dtype=np.int64)
-
-
-def _shown(library: int, shown: int, name: str, rung: int, seed: int) -> Ints:
-    """(shown,) the variants of a size that an image has, of as many as the library has."""
-    return np.asarray(child_rng(seed, "library", name, rung).permutation(library)[:shown], dtype=np.int64)
 
 
 def modelled_species(drawn: DrawnRecipe, name: str) -> Species:

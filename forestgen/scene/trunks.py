@@ -143,8 +143,7 @@ def _turns(corners: Floats, point: Floats) -> float:
     a, b, c = (corners[:, k] - point for k in range(3))
     la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
     volume = np.einsum("fc,fc->f", a, np.cross(b, c))
-    dots = (np.einsum("fc,fc->f", u, v) for u, v in ((a, b), (b, c), (c, a)))
-    ab, bc, ca = dots
+    ab, bc, ca = (np.einsum("fc,fc->f", u, v) for u, v in ((a, b), (b, c), (c, a)))
     angle = 2 * np.arctan2(volume, la * lb * lc + ab * lc + bc * la + ca * lb)
     return abs(float(angle.sum())) / (4 * np.pi)
 

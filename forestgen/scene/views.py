@@ -200,7 +200,8 @@ def expand(
     cameras = []
     for index, name in enumerate(section.frame_names):
         position, target = poses.position_m[index], poses.target_m[index]
-        axes = _axes(section, position, target)
+        aim = np.array([target[0], target[1], position[2]]) if section.is_level else target
+        axes = look_at(position.tolist(), aim.tolist())
         if poses.right_m is not None:
             position = position + poses.right_m[index] * axes[:, 0]
         x, y, z = (float(value) for value in position)
@@ -222,11 +223,6 @@ def expand(
             )
         )
     return cameras
-
-
-def _axes(section: CameraSection, position_m: Floats, target_m: Floats) -> Floats:
-    target = np.array([target_m[0], target_m[1], position_m[2]]) if section.is_level else target_m
-    return look_at(position_m.tolist(), target.tolist())
 
 
 def _sequence(section: CameraSection, index: int) -> str | None:

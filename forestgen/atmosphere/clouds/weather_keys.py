@@ -11,8 +11,9 @@ from pydantic import Field, field_validator, model_validator
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Fraction, GivenSection, NonNegative, Number, Positive, Text, shorthand, violation
+from forestgen.recipe.map_files import Sha256
 from forestgen.recipe.registries import CLOUD_SOURCES
-from forestgen.recipe.sky import FileName, NamedFile, Sha256
+from forestgen.recipe.sky import FileName, NamedFile
 
 
 def _or_of_type(description: str, **bounds: Any) -> Any:

@@ -166,7 +166,9 @@ def refuse_more_seeds(seeds: float, where: str = "community.step_yr") -> None:
 
 
 #: What stands in the arrays for a species that does not grow, such as a building.
-STAND_IN = PlantType(life_span_yr=1.0, root_vigour_max=1.0, growth_rate_per_yr=1.0, apical_control=0.5, determinacy=0.5)
+STAND_IN = PlantType.model_validate(
+    {"life_span_yr": 1, "root_vigour_max": 1, "growth_rate_per_yr": 1, "apical_control": 0.5, "determinacy": 0.5}
+)
 
 
 class Traits:

@@ -25,7 +25,7 @@ from pydantic import Field, field_validator, model_validator
 from forestgen.core.errors import AssetError
 from forestgen.core.raster import kind_of, read_raster
 from forestgen.recipe.fields import Number, Section, Text, spelled_out, violation
-from forestgen.recipe.map_files import known_file
+from forestgen.recipe.map_files import Sha256, known_file
 from forestgen.scene.terrain import HeightField, TerrainShape, smooth_step
 from forestgen.scene.terrains.rolling import RollingKeys
 
@@ -43,9 +43,7 @@ class HeightMap(Section):
     file: Text | None = Field(
         None, description="Path of a GeoTIFF, TIFF, PNG, OpenEXR or .npy file, relative to the recipe's folder."
     )
-    sha256: Annotated[Text, Field(pattern="^[0-9a-f]{64}$")] | None = Field(
-        None, description="SHA-256 of the file; no file of other content is taken."
-    )
+    sha256: Sha256 | None = Field(None, description="SHA-256 of the file; no file of other content is taken.")
     rows: tuple[tuple[Annotated[Number, Field(ge=LOWEST_M, le=HIGHEST_M)], ...], ...] | None = Field(
         None, description="Instead of a file: heights, metres, row by row from north to south."
     )
@@ -121,17 +119,13 @@ class MapTerrain(TerrainShape[MapKeys]):
         assert keys.map is not None
         heights_m = keys.map.heights(folder, keys.lowest_m, keys.highest_m)
         if (keys.fit or ("exact" if keys.map.file else "stretch")) == "exact":
-            _check_shape(heights_m.shape, size_m)
+            (rows, cols), (width, depth) = heights_m.shape, size_m
+            # Cells that are square on the site, but for rounding one side to whole cells.
+            if abs(cols - rows * width / depth) >= 1 and abs(rows - cols * depth / width) >= 1:
+                expected, got = f"as wide to high as the site's {width:g} x {depth:g} m", f"{cols} x {rows} cells"
+                hint = "fit: stretch, or another site.size_m"
+                raise AssetError("the map's shape is not the site's", expected=expected, got=got, hint=hint)
         return mapped(size_m, heights_m)
-
-
-def _check_shape(shape: tuple[int, ...], size_m: tuple[float, float]) -> None:
-    """Cells that are square on the site, but for rounding one side to whole cells."""
-    (rows, cols), (width, depth) = shape, size_m
-    if abs(cols - rows * width / depth) >= 1 and abs(rows - cols * depth / width) >= 1:
-        expected, got = f"as wide to high as the site's {width:g} x {depth:g} m", f"{cols} x {rows} cells"
-        hint = "fit: stretch, or another site.size_m"
-        raise AssetError("the map's shape is not the site's", expected=expected, got=got, hint=hint)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,12 +158,9 @@ class MappedHeight(HeightField):
 
 def mapped(size_m: tuple[float, float], heights_m: NDArray[np.float64]) -> MappedHeight:
     """The ground of (rows, cols) heights in metres, at least 2 each way, row 0 in the north, over the whole site."""
-    south_first = np.asarray(heights_m, dtype=np.float64)[::-1]
-    padded = np.pad(south_first, _PAD, mode="reflect", reflect_type="odd") if min(south_first.shape) > _PAD else None
-    if padded is None:  # two cells have no second neighbour to reflect
-        padded = south_first
-        for _ in range(_PAD):
-            padded = np.pad(padded, 1, mode="reflect", reflect_type="odd")
+    padded = np.asarray(heights_m, dtype=np.float64)[::-1]
+    for cells in (_PAD,) if min(padded.shape) > _PAD else (1,) * _PAD:  # two cells have no second neighbour to reflect
+        padded = np.pad(padded, cells, mode="reflect", reflect_type="odd")
     field = MappedHeight(size_m, padded, 0.0)
     x, y = (np.linspace(0.0, side, 101) for side in size_m)
     edge = np.concatenate([field(x, 0 * x), field(x, 0 * x + size_m[1]), field(0 * y, y), field(0 * y + size_m[0], y)])
