@@ -284,7 +284,7 @@ class Recipe(Rendering):
             community=drawn.community.model,
             steps=plan.community.steps,
             species=tuple(drawn.species),
-            drawn=tuple(dotted(keys) for keys in loaded.draws.distributions),
+            drawn=tuple(dotted(keys) for keys in loaded.distributions),
             sampling=None if loaded.draws.sampler is None else loaded.draws.sampler.describe(),
             render_bytes=render_bytes,
             simulate_bytes=simulate_bytes,

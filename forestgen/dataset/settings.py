@@ -82,7 +82,7 @@ def check_stands(plan: CommunityPlan, loaded: LoadedRecipe, splits: Sequence[str
     stands_differ = (
         plan.parameters.is_random
         or bool(plan.parameters.disturbances)
-        or any(keys[0] == "community" for keys in loaded.draws.distributions)
+        or any(keys[0] == "community" for keys in loaded.distributions)
     )
     nobody = plan.model.expected_plants(plan.parameters, plan.site, plan.ecologies) == 0
     if len(splits) > 1 and not stands_differ and not nobody:

@@ -23,7 +23,7 @@ from forestgen.recipe.assemble import apply_override, embed_files, merge_species
 from forestgen.recipe.assets import find_asset, list_assets, recipes_dir
 from forestgen.recipe.biome import forget_drawn_biome, settle_biome
 from forestgen.recipe.dataset import NUMBERS_END, split_of
-from forestgen.recipe.distributions import Scalar
+from forestgen.recipe.distributions import Distribution, Scalar
 from forestgen.recipe.draws import Draws, find_written, get, make_draws, mentions, put, splits_of, whole_number
 from forestgen.recipe.map_files import embed_maps, recipe_hash
 from forestgen.recipe.messages import Explainer, distribution_of, show
@@ -107,6 +107,11 @@ class LoadedRecipe:
     def seed(self) -> int:
         """The root seed."""
         return whole_number(self.data, "seed", 0)
+
+    @property
+    def distributions(self) -> Mapping[Keys, Distribution]:
+        """What is drawn, by key path."""
+        return self.draws.distributions
 
     @property
     def written(self) -> Mapping[Keys, Any]:
