@@ -167,7 +167,7 @@ def place_instances(
     cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
     zero = np.zeros_like(cos)
     transform = np.empty((len(population), 3, 4))
-    transform[:, :, :3] = np.moveaxis([[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]], -1, 0)
+    transform[:, :, :3] = np.array([[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]]).transpose(2, 0, 1)
     transform[:, :, 3] = population.position_m
     return Instances(
         exemplar=exemplar_of_plant.astype(np.uint32), transform=transform, plant_id=population.plant_id.copy()

@@ -112,7 +112,7 @@ def check_wet_soil(plan: CommunityPlan) -> None:
 
 def wetness_of(plan: CommunityPlan, population: Population) -> Wetness | None:
     """Saturation of the site's soil by the maps of a snapshot; None: unknown, or not to be shown."""
-    section, water = plan.drawn.recipe.site.wet_soil or WetSoil(), capability(plan.model, SoilWater)
+    section, water = plan.drawn.recipe.site.wet_soil or WetSoil.model_validate({}), capability(plan.model, SoilWater)
     if not section.shown or water is None:
         return None
     soil_mm, surface_mm, depth_m = water.soil_water(plan.parameters, population)

@@ -7,7 +7,7 @@ first sweep and after the last) is carried along, and ratios are masses over it 
 even, no value passes those of the neighbourhood, none becomes negative, and mass is conserved to rounding, as long as
 less air leaves a cell in a step than is in it.
 
-All fields have two ghost cells on each side (see `pressure`).
+All fields have two ghost cells on each side (see `momentum`).
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.fluid.momentum import fill_sides
 from forestgen.atmosphere.fluid.parameters import Velocity
-from forestgen.atmosphere.fluid.pressure import fill_sides
 from forestgen.core.compiled import unchecked, unowned_view
 from forestgen.core.threads import over_slabs
 
@@ -26,7 +26,7 @@ _HALF, _SIXTH = np.float32(0.5), np.float32(1 / 6)
 
 
 class Transport:
-    """Carries ratios by a velocity for a step, in (Z, Y, X) cells; `openness` as of `pressure.Pressure`."""
+    """Carries ratios by a velocity for a step, in (Z, Y, X) cells; `openness` as of `momentum.Pressure`."""
 
     def __init__(self, shape: tuple[int, int, int], openness: Velocity | None) -> None:
         self.shape, self.openness = shape, openness

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.advection import Transport
 from forestgen.atmosphere.fluid.microphysics import carry_rest, change_phases, fall, lift
-from forestgen.atmosphere.fluid.momentum import Confinement, advance_velocity
+from forestgen.atmosphere.fluid.momentum import Confinement, Pressure, advance_velocity, solid_cells
 from forestgen.atmosphere.fluid.parameters import (
     HEAT_CAPACITY_J_PER_KG_K,
     Background,
@@ -47,7 +47,6 @@ from forestgen.atmosphere.fluid.parameters import (
     fixed_limit_s,
     moving_limit_s,
 )
-from forestgen.atmosphere.fluid.pressure import Pressure, solid_cells
 from forestgen.atmosphere.grid import AirGrid, Weather
 from forestgen.atmosphere.sounding import Sounding, saturation_ratio
 from forestgen.core.threads import at_once

@@ -76,7 +76,7 @@ _COLOURS = {
     "door": (0.05, 0.11, 0.07),
     "chimney": (0.21, 0.09, 0.06),
 }
-_MATERIALS = {part: Material(reflectance=colour) for part, colour in _COLOURS.items()}
+_MATERIALS = {part: Material.model_validate({"reflectance": colour}) for part, colour in _COLOURS.items()}
 
 
 @dataclass

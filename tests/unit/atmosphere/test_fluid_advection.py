@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from forestgen.atmosphere.fluid.advection import Transport
-from forestgen.atmosphere.fluid.momentum import advance_velocity
-from forestgen.atmosphere.fluid.pressure import fill_sides
+from forestgen.atmosphere.fluid.momentum import advance_velocity, fill_sides
 
 CELL_M = (1.0, 1.0, 1.0)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from forestgen.atmosphere.fluid import pressure
+from forestgen.atmosphere.fluid.momentum import Pressure
 from forestgen.atmosphere.fluid.parameters import UnstableError
-from forestgen.atmosphere.fluid.pressure import Pressure
 from forestgen.atmosphere.grid import AirGrid
 
 CELLS, CELL_M = (16, 12, 10), (50.0, 40.0, 30.0)
