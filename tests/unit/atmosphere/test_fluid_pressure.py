@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from forestgen.atmosphere.fluid import pressure
+from forestgen.atmosphere.fluid import momentum
 from forestgen.atmosphere.fluid.momentum import Pressure
 from forestgen.atmosphere.fluid.parameters import UnstableError
 from forestgen.atmosphere.grid import AirGrid
@@ -77,7 +77,7 @@ def test_ghosts_of_ground_and_ceiling():
 
 def test_what_does_not_converge_is_told(monkeypatch):
     projected(hill())
-    monkeypatch.setattr(pressure, "_MOST_ITERATIONS", 2)
+    monkeypatch.setattr(momentum, "_MOST_ITERATIONS", 2)
     with pytest.raises(UnstableError, match=r"after 2 iterations a divergence of \S+ 1/s is left"):
         projected(hill())
     projected()  # over flat ground there is nothing to iterate
