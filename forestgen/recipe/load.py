@@ -259,11 +259,9 @@ def load_recipe(path: Path | str, overrides: Sequence[str] = ()) -> LoadedRecipe
     return read_recipe(path, overrides).whole()
 
 
-def load_recipe_data(
-    data: Mapping[str, Any], name: str, folder: Path = Path(), overrides: Sequence[str] = ()
-) -> LoadedRecipe:
+def load_recipe_data(data: Mapping[str, Any], name: str, folder: Path = Path()) -> LoadedRecipe:
     """A recipe that is no file; errors name it `name`, and its paths are relative to `folder`."""
-    return read_recipe(data, overrides, name=name, folder=folder).whole()
+    return read_recipe(data, name=name, folder=folder).whole()
 
 
 @dataclass(frozen=True)

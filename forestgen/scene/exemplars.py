@@ -177,20 +177,19 @@ def plan_exemplars(
         if not len(rows):
             continue
         if given is not None and index in given:
-            parts.append(given[index])
-            continue
-        if library is not None:
+            part = given[index]
+        elif library is not None:
             rungs, label = np.unique(rungs_of(population.radius_m[rows], per_species), return_inverse=True)
             # By rung, the variants of a size that the image has, of as many as the library has.
             shown = np.array([child_rng(seed, "library", name, int(rung)).permutation(library) for rung in rungs])
             radius = SIZE_STEP ** rungs.astype(np.float64)
             part = ExemplarPlan.of_species(index, radius, label.reshape(-1), rank=rungs)
-            parts.append(part.split("variant", shown[label.reshape(-1), own[rows]]))
-            continue
-        features = _features(population.radius_m[rows], [column[rows] for column in columns])
-        centres, labels = cluster(features, per_species, child_seed(seed, "k-means", name))
-        part = ExemplarPlan.of_species(index, np.exp(centres[:, 0]), labels)
-        parts.append(part.split("variant", own[rows]))
+            part = part.split("variant", shown[label.reshape(-1), own[rows]])
+        else:
+            features = _features(population.radius_m[rows], [column[rows] for column in columns])
+            centres, labels = cluster(features, per_species, child_seed(seed, "k-means", name))
+            part = ExemplarPlan.of_species(index, np.exp(centres[:, 0]), labels).split("variant", own[rows])
+        parts.append(part)
     return _joined(parts, population.species)
 
 
