@@ -18,7 +18,7 @@ from forestgen.dataset.exr import read_exr_attributes
 from forestgen.dataset.formats import coco, panoptic, yolo
 from forestgen.dataset.writer import write_dataset, write_frame
 from forestgen.recipe.classes import PLANT_PARTS, ClassMap
-from support.cases import few
+from support.tiers import few
 
 MASK = np.array([[1, 1, 0, 2], [3, 3, 0, 2]])  # plants 1 and 3 are oaks, 2 is a poplar
 ODD = 'herb "x", {é}: #1 \\ 🌲'
