@@ -181,9 +181,8 @@ def place(drawn: DrawnRecipe, point: Point, *, above_ground: bool) -> tuple[Poin
         raise RecipeError(problem, parameter="at", expected=expected, got=said, hint=hint)
     base_m = cloud_source_of(drawn).known_base_m(drawn)
     if base_m is not None and z >= base_m:
-        raise RecipeError(
-            "this point lies in or above the clouds", parameter="at", expected=f"z below {base_m:g} m", got=said
-        )
+        expected = f"z below {base_m:g} m"
+        raise RecipeError("this point lies in or above the clouds", parameter="at", expected=expected, got=said)
     return (point[0], point[1], z), z - ground_m
 
 

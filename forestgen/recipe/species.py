@@ -119,10 +119,8 @@ class Bark(Section):
     def _repeats(self) -> Self:
         most = 0.5 * min(self.tile_m)
         if self.scale_m is not None and self.scale_m > most:
-            problem = "the texture's repeat is too small for features of this size"
-            raise violation(
-                f"at most half of tile_m: {most:g} m", problem=problem, got=f"{self.scale_m:g} m", at="scale_m"
-            )
+            problem, got = "the texture's repeat is too small for features of this size", f"{self.scale_m:g} m"
+            raise violation(f"at most half of tile_m: {most:g} m", problem=problem, got=got, at="scale_m")
         return self
 
 
@@ -290,9 +288,8 @@ class PlantType(Section):
         if self.sprouting * self.vigour_min >= 1.0:
             most = 1.0 / self.vigour_min
             expected = f"below {most:g}, so that sprouting x vigour_min is less than the 1 of full light"
-            raise violation(
-                expected, problem="no light lets a seed germinate", got=f"{self.sprouting:g}", at="sprouting"
-            )
+            problem, got = "no light lets a seed germinate", f"{self.sprouting:g}"
+            raise violation(expected, problem=problem, got=got, at="sprouting")
         return self
 
 

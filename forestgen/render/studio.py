@@ -160,9 +160,8 @@ def _close(exemplar: Exemplar, settings: PictureSettings) -> Camera:
     height = float(exemplar.bounds_m()[1, 2])
     level = 0.6 * height if settings.look_at_m is None else settings.look_at_m
     if not 0 <= level <= height:
-        raise RecipeError(
-            "the plant is not so tall", parameter="look_at_m", expected=f"0 to {height:.4g} m", got=f"{level:g}"
-        )
+        expected, got = f"0 to {height:.4g} m", f"{level:g}"
+        raise RecipeError("the plant is not so tall", parameter="look_at_m", expected=expected, got=got)
     size_m, points = size_of_m(exemplar), _points(exemplar)
     off = np.abs(points[:, 2] - level)
     near = points[off <= max(0.03 * size_m, float(off.min()))]

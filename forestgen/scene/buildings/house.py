@@ -61,9 +61,8 @@ class House(Building):
     def _of_its_parts(cls, materials: dict[str, Material]) -> dict[str, Material]:
         for part in materials:
             if part not in _MATERIALS:
-                raise violation(
-                    "one of " + ", ".join(_MATERIALS), problem="a house has no such part", got=part, at=(part,)
-                )
+                expected = "one of " + ", ".join(_MATERIALS)
+                raise violation(expected, problem="a house has no such part", got=part, at=(part,))
         return materials
 
 

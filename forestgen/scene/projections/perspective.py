@@ -98,9 +98,8 @@ class PerspectiveCamera(CameraSection):
             has, lacks = ("f_number", "focus_m") if self.focus_m is None else ("focus_m", "f_number")
             expected = "both, or neither for a pinhole, which is sharp everywhere"
             hint = "exposure.f_number makes a picture brighter and blurs nothing" if lacks == "focus_m" else None
-            return violation(
-                expected, problem=f"a lens with {has} needs {lacks} too", got=f"no {lacks}", hint=hint, at=has
-            )
+            problem = f"a lens with {has} needs {lacks} too"
+            return violation(expected, problem=problem, got=f"no {lacks}", hint=hint, at=has)
         if lens is not None and self.focus_m is not None and self.focus_m * 1000 <= lens[1]:
             expected, got = f"more than its focal length, {lens[1]:.4g} mm", f"{self.focus_m:g} m"
             return violation(expected, problem="no lens focuses so near", got=got, at="focus_m")
