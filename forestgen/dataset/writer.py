@@ -59,11 +59,7 @@ def frame_bytes(size_px: tuple[int, int], plants: int, formats: Sequence[str] = 
 
 
 def write_frame(
-    folder: Path,
-    labelled: LabelledFrame,
-    recipe_yaml: str,
-    attributes: Mapping[str, str],
-    settings: DatasetSettings,
+    folder: Path, labelled: LabelledFrame, recipe_yaml: str, attributes: Mapping[str, str], settings: DatasetSettings
 ) -> None:
     """Write a frame's files and its shards of the data set's formats into its own folder, made if it is missing.
 
