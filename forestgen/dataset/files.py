@@ -25,20 +25,25 @@ def disk_errors() -> Iterator[None]:
         raise output_error(error) from error
 
 
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """In this block, any `OSError` becomes an `OutputError` that names `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise output_error(error, path) from error
+
+
 def make_folder(folder: Path) -> None:
     """Make a folder and those above it, if they are missing; a failure raises `OutputError`."""
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise output_error(error, folder) from error
 
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file; a failure raises `OutputError`."""
-    try:
+    with writing(path):
         path.write_bytes(content)
-    except OSError as error:
-        raise output_error(error, path) from error
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -54,7 +59,7 @@ def check_writable(paths: Iterable[Path], *, overwrite: bool) -> None:
     """
     for path in paths:
         other = "choose another name"
-        try:
+        with writing(path):
             if path.is_dir():
                 raise OutputError("the output is a folder", where=str(path), expected="a file", hint=other)
             if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
@@ -63,8 +68,6 @@ def check_writable(paths: Iterable[Path], *, overwrite: bool) -> None:
             if path.exists() and not overwrite:
                 raise OutputError("the file exists", where=str(path), hint=f"{other}, or `overwrite=True`")
             folder = next(parent for parent in path.absolute().parents if parent.exists())
-        except OSError as error:
-            raise output_error(error, path) from error
         if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
             reason = errno.EACCES if folder.is_dir() else errno.ENOTDIR
             raise output_error(OSError(reason, os.strerror(reason)), path)
@@ -93,12 +96,10 @@ class FileSet:
         """
         check_writable([path], overwrite=self._overwrite)
         self._made = [folder for folder in path.parents if not folder.exists()] + self._made
-        try:
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._hidden[path] = path.with_name(f".{path.name}.partial-{os.getpid()}")
             self._hidden[path].write_bytes(content)
-        except OSError as error:
-            raise output_error(error, path) from error
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
@@ -118,10 +119,8 @@ class FileSet:
         with ExitStack() as undo:
             for path, hidden in self._hidden.items():
                 new = not path.exists()
-                try:
+                with writing(path):
                     hidden.replace(path)
-                except OSError as error:
-                    raise output_error(error, path) from error
                 if new:
                     undo.callback(path.unlink, missing_ok=True)
             undo.pop_all()

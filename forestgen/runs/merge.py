@@ -12,18 +12,18 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import DatasetError, OutputError, RecipeError, output_error
+from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.files import make_folder
+from forestgen.dataset.files import make_folder, writing
 from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
 from forestgen.dataset.manifest import file_sum, is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
-from forestgen.dataset.settings import DatasetSettings
+from forestgen.dataset.settings import DatasetSettings, first_difference
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.runs.contract import HIDDEN, JobRecord
@@ -34,7 +34,7 @@ from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import JOBS, record_bytes, record_path, records_of
 from forestgen.runs.replace import foreign_files, named
 from forestgen.runs.storage import LocalStorage
-from forestgen.runs.verify import open_data_set, refuse_address
+from forestgen.runs.verify import open_data_set
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,6 @@ def _is_data_set(folder: Path) -> bool:
 def _check_target(target: Path, sources: Sequence[Path], *, overwrite: bool) -> None:
     if not sources:
         raise RecipeError("no data set is named", expected="at least one to merge")
-    refuse_address(target)
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         problem = "the output is a file"
         if target.is_dir():  # in the words of `OutputFolder`
@@ -147,30 +146,15 @@ def _check_settings(pieces: Sequence[Piece]) -> None:
             hint="install the package that has the format, or register it with `fg.register`",
         )
     for other in pieces[1:]:
-        for field in fields(DatasetSettings):
-            expected, got = getattr(first.settings, field.name), getattr(other.settings, field.name)
-            if expected != got:
-                raise RecipeError(
-                    f"these data sets differ in {_KEYS.get(field.name, f'dataset.{field.name}')}: they cannot be one",
-                    where=str(other.root),
-                    expected=f"{_shown(expected)}, as in {first.root}",
-                    got=_shown(got),
-                    hint="make one of them with the other's value; or train on both, each by its own",
-                )
-
-
-_KEYS = {
-    "species_names": "species",
-    "class_names": "labels.classes",
-    "category_names": "labels.classes",
-    "species_category": "labels.classes",
-    "licence_name": "dataset.licence.name",
-    "licence_url": "dataset.licence.url",
-}
-
-
-def _shown(value: object) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, tuple) else repr(value)
+        if (difference := first_difference(first.settings, other.settings)) is not None:
+            keys, expected, got = difference
+            raise RecipeError(
+                f"these data sets differ in {'.'.join(keys)}: they cannot be one",
+                where=str(other.root),
+                expected=f"{expected}, as in {first.root}",
+                got=got,
+                hint="make one of them with the other's value; or train on both, each by its own",
+            )
 
 
 def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
@@ -309,11 +293,8 @@ def _linked(source: SafePath, target: Path) -> bool:
 
 def _copied(source: SafePath, target: Path) -> str:
     """SHA-256 of the copy."""
-    with source.open() as stream:
-        try:
-            with target.open("wb") as copy:
-                shutil.copyfileobj(stream, copy)
-            shutil.copystat(source.located(), target)
-        except OSError as error:
-            raise output_error(error, target) from error
+    with source.open() as stream, writing(target):
+        with target.open("wb") as copy:
+            shutil.copyfileobj(stream, copy)
+        shutil.copystat(source.located(), target)
     return file_sum(target)

@@ -17,7 +17,7 @@ their order:
 | labels SPLIT | the split's labels are true to each other and to its files |
 | renders | images that are rendered again have the same bytes |
 
-Files that other tools leave in the folder (forestgen/dataset/foreign.py) are a note.
+Files that other tools leave in the folder (`folder.tool_of`) are a note.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from forestgen.core.arguments import MOST_SEEDS, whole_of
+from forestgen.core.arguments import MOST_SEEDS, is_address, whole_of
 from forestgen.core.errors import ForestgenError, RecipeError
 from forestgen.core.figures import count, seconds
 from forestgen.core.progress import Progress, Silent
@@ -211,7 +211,10 @@ def open_data_set(root: Path) -> dict[str, Any]:
     Raises `RecipeError`: the folder holds something else: what it seems to be, and what to do.
     Raises `DatasetError`: dataset.json is damaged.
     """
-    refuse_address(root)
+    if is_address(root):
+        problem, where = "this is the address of an object store", str(root).replace(":/", "://", 1)
+        hint = "copy the data set here, with what is hidden in it"
+        raise RecipeError(problem, where=where, expected="a folder of this machine", hint=hint)
     check_folder(root, "a folder that forestgen render or batch made")
     content, hint = root / DATASET_NAME, None
     if os.path.lexists(content):
@@ -232,15 +235,6 @@ def open_data_set(root: Path) -> dict[str, Any]:
         hint = f"name {root / inside[0]}" if inside else None
     hint = "; ".join(filter(None, [hint, previous_note(root)])) or None
     raise RecipeError("this is no data set of forestgen", where=str(root), expected=DATASET_NAME, got=got, hint=hint)
-
-
-def refuse_address(path: Path) -> None:
-    """Raise `RecipeError` for the address of an object store, which is no folder of this machine."""
-    scheme, separator, _ = str(path).partition(":/")
-    if separator and scheme.isalnum() and len(scheme) > 1:  # one letter is a drive of Windows
-        problem, where = "this is the address of an object store", str(path).replace(":/", "://", 1)
-        hint = "copy the data set here, with what is hidden in it"
-        raise RecipeError(problem, where=where, expected="a folder of this machine", hint=hint)
 
 
 def _check_files(verifier: _Verifier, hashes: bool) -> None:

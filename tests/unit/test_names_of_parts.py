@@ -58,7 +58,7 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "dataset/formats/bop.py": {"amodal"},  # a channel that it needs
     "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
     "dataset/pack/source.py": {"albedo", "motion"},  # the same
-    "dataset/report/content_sections.py": {"sun"},  # a key of the recipe
+    "dataset/report/sections.py": {"sun"},  # a key of the recipe
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statements.py": {"points"},  # the same
     "recipe/schema.py": {"flat", "litter"},  # defaults
