@@ -40,7 +40,7 @@ def path_of(value: Any, parameter: str, *, output: bool = False) -> Path:
     OutputError : the name of an output is not UTF-8, has control characters or is the address of an object store.
     """
     text = _checked(value, parameter, OutputError if output else RecipeError, output=output)
-    if output and is_address(text):
+    if output and isinstance(value, str) and is_address(text):
         expected = "a path on this machine: `render` and `batch` alone write to object stores"
         raise OutputError("this is an address", parameter=parameter, expected=expected, got=text[:60])
     return Path(text)

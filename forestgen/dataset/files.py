@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import STORAGE_ERRNOS, OutputError, output_error
+from forestgen.core.errors import STORAGE_ERRNOS, OutputError, output_error, writing
 
 
 @contextmanager
@@ -23,15 +23,6 @@ def disk_errors() -> Iterator[None]:
         if error.errno not in STORAGE_ERRNOS:
             raise
         raise output_error(error) from error
-
-
-@contextmanager
-def writing(path: Path) -> Iterator[None]:
-    """In this block, any `OSError` becomes an `OutputError` that names `path`."""
-    try:
-        yield
-    except OSError as error:
-        raise output_error(error, path) from error
 
 
 def make_folder(folder: Path) -> None:

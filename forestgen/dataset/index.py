@@ -67,8 +67,8 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.core.errors import DatasetError
-from forestgen.dataset.files import make_folder, writing
+from forestgen.core.errors import DatasetError, writing
+from forestgen.dataset.files import make_folder
 from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split, one_line
 from forestgen.dataset.settings import DRAW
 

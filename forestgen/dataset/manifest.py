@@ -14,8 +14,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import DatasetError
-from forestgen.dataset.files import write_json, writing
+from forestgen.core.errors import DatasetError, writing
+from forestgen.dataset.files import write_json
 from forestgen.dataset.safe_path import SafePath, is_inside
 
 MANIFEST_NAME, SUMS_NAME = "manifest.json", "SHA256SUMS"

@@ -17,10 +17,10 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import DatasetError, OutputError, RecipeError
+from forestgen.core.errors import DatasetError, OutputError, RecipeError, writing
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.files import make_folder, writing
-from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
+from forestgen.dataset.files import make_folder
+from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.manifest import file_sum, is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
 from forestgen.dataset.settings import DatasetSettings, first_difference
@@ -34,7 +34,7 @@ from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import JOBS, record_bytes, record_path, records_of
 from forestgen.runs.replace import foreign_files, named
 from forestgen.runs.storage import LocalStorage
-from forestgen.runs.verify import open_data_set
+from forestgen.runs.verify import open_data_set, refuse_address
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,8 @@ def _is_data_set(folder: Path) -> bool:
 def _check_target(target: Path, sources: Sequence[Path], *, overwrite: bool) -> None:
     if not sources:
         raise RecipeError("no data set is named", expected="at least one to merge")
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        problem = "the output is a file"
-        if target.is_dir():  # in the words of `OutputFolder`
-            problem = OURS if _is_data_set(target) else NO_OUTPUT
-        if problem != OURS or not overwrite:
-            hint = "choose another folder, or `overwrite=True` to replace it" if problem == OURS else None
-            raise OutputError(problem, where=str(target), expected="a new or empty folder", hint=hint)
+    refuse_address(target)
+    if overwrite and _is_data_set(target):  # what else may lie there, `OutputFolder` refuses
         with LocalStorage(target).lock(lambda _: None):  # `OutputError` while a run writes there
             if strange := foreign_files(target):
                 problem, got = "files that forestgen has not written lie in the data set", named(strange)

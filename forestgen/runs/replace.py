@@ -22,7 +22,7 @@ from itertools import chain, count
 from pathlib import Path
 
 from forestgen.core.errors import ForestgenError, OutputError, output_error
-from forestgen.dataset.check import Finding
+from forestgen.dataset.check.files import Finding
 from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.recipe.assets import MAPS

@@ -22,8 +22,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import DatasetError, OutputError, output_error
-from forestgen.dataset.files import make_folder, write_bytes, writing
+from forestgen.core.errors import DatasetError, OutputError, output_error, writing
+from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.dataset.safe_path import RefusedFileError, SafePath, is_inside, unreadable
 from forestgen.runs.contract import HIDDEN
 

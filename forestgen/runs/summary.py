@@ -23,9 +23,10 @@ from typing import IO, Any, Protocol
 
 from pydantic import ValidationError
 
+from forestgen.core.errors import writing
 from forestgen.core.figures import count, seconds, table_lines
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.files import make_folder, writing
+from forestgen.dataset.files import make_folder
 from forestgen.dataset.safe_path import load_json
 from forestgen.runs.contract import RUN, Count, Done, Failed, JobRecord, Outcome, StorageBackend, Stored
 from forestgen.runs.storage import LocalStorage

@@ -35,7 +35,8 @@ from forestgen.core.arguments import MOST_SEEDS, is_address, whole_of
 from forestgen.core.errors import ForestgenError, RecipeError
 from forestgen.core.figures import count, seconds
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.check import MOST_NAMED, Finding, check_dataset
+from forestgen.dataset.check.files import Finding
+from forestgen.dataset.check.run import MOST_NAMED, check_dataset
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, check_folder, unreadable
 from forestgen.recipe.registries import DATASET_FORMATS
@@ -211,10 +212,7 @@ def open_data_set(root: Path) -> dict[str, Any]:
     Raises `RecipeError`: the folder holds something else: what it seems to be, and what to do.
     Raises `DatasetError`: dataset.json is damaged.
     """
-    if is_address(root):
-        problem, where = "this is the address of an object store", str(root).replace(":/", "://", 1)
-        hint = "copy the data set here, with what is hidden in it"
-        raise RecipeError(problem, where=where, expected="a folder of this machine", hint=hint)
+    refuse_address(root)
     check_folder(root, "a folder that forestgen render or batch made")
     content, hint = root / DATASET_NAME, None
     if os.path.lexists(content):
@@ -235,6 +233,14 @@ def open_data_set(root: Path) -> dict[str, Any]:
         hint = f"name {root / inside[0]}" if inside else None
     hint = "; ".join(filter(None, [hint, previous_note(root)])) or None
     raise RecipeError("this is no data set of forestgen", where=str(root), expected=DATASET_NAME, got=got, hint=hint)
+
+
+def refuse_address(path: Path) -> None:
+    """Raise `RecipeError` for the address of an object store, which is no folder of this machine."""
+    if is_address(path):
+        problem, where = "this is the address of an object store", str(path).replace(":/", "://", 1)
+        hint = "copy the data set here, with what is hidden in it"
+        raise RecipeError(problem, where=where, expected="a folder of this machine", hint=hint)
 
 
 def _check_files(verifier: _Verifier, hashes: bool) -> None:

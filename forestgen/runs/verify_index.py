@@ -15,8 +15,7 @@ from typing import Any
 from forestgen.core.errors import DatasetError, ForestgenError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.dataset.card import CARD_NAME
-from forestgen.dataset.check import Finding
-from forestgen.dataset.check.files import MISUNDERSTOOD, UnreadableError, misunderstood, read_json, read_text
+from forestgen.dataset.check.files import MISUNDERSTOOD, Finding, UnreadableError, misunderstood, read_json, read_text
 from forestgen.dataset.index import COLUMNS, INDEX_NAME, open_index, read_index
 from forestgen.dataset.manifest import MANIFEST_NAME, SUMS_NAME, file_sum, read_sums
 from forestgen.dataset.png import thumbnail_name

@@ -9,7 +9,7 @@ from batch_pieces import copied, shown
 from batch_runs import SerialEngine
 from command_line import run
 
-from forestgen.dataset.check import check_dataset
+from forestgen.dataset.check.run import check_dataset
 from forestgen.dataset.settings import data_set_of
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, Outcome, RunOptions, Work

@@ -20,8 +20,8 @@ from typing import IO, TYPE_CHECKING, Any, cast, get_args, get_origin
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import OutputError, RecipeError, output_error
-from forestgen.dataset.files import write_bytes, writing
+from forestgen.core.errors import OutputError, RecipeError, output_error, writing
+from forestgen.dataset.files import write_bytes
 from forestgen.dataset.safe_path import SafePath, load_json
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
