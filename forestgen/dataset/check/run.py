@@ -84,15 +84,11 @@ def check_dataset(root: Path, *, jobs: int | None = None, progress: Progress | N
 
 
 def _frame_checks() -> Iterator[FrameCheck]:
-    yield from _FRAME_CHECKS
-    for one in known_formats():
-        yield from one.frame_checks()
+    return chain(_FRAME_CHECKS, *(one.frame_checks() for one in known_formats()))
 
 
 def _dataset_checks() -> Iterator[DatasetCheck]:
-    yield from _DATASET_CHECKS
-    for one in known_formats():
-        yield from one.dataset_checks()
+    return chain(_DATASET_CHECKS, *(one.dataset_checks() for one in known_formats()))
 
 
 def check_frame(data: FrameData) -> dict[str, Named]:
