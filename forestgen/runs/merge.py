@@ -17,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from forestgen.core.arguments import flag_of
 from forestgen.core.errors import DatasetError, OutputError, RecipeError, writing
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import make_folder
@@ -107,7 +108,7 @@ def _check_target(target: Path, sources: Sequence[Path], *, overwrite: bool) -> 
     if not sources:
         raise RecipeError("no data set is named", expected="at least one to merge")
     refuse_address(target)
-    if overwrite and _is_data_set(target):  # what else may lie there, `OutputFolder` refuses
+    if flag_of(overwrite, "overwrite") and _is_data_set(target):  # what else may lie there, `OutputFolder` refuses
         with LocalStorage(target).lock(lambda _: None):  # `OutputError` while a run writes there
             if strange := foreign_files(target):
                 problem, got = "files that forestgen has not written lie in the data set", named(strange)
