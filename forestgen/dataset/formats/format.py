@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from forestgen.dataset.check.frame_data import FrameCheck
     from forestgen.dataset.check.merged import DatasetCheck, Merged
 
+_REMEDY = "a worker may have stopped early: make this frame again"
+
 
 class DatasetFormat:
     """A format: what it writes, what it needs, how it is checked. Each method does nothing unless it is overridden.
@@ -138,9 +140,6 @@ def check_ids(names: Iterable[str], camera_name: str, identity: Identity) -> Non
 def known_formats() -> Iterator[DatasetFormat]:
     """All formats, without other packages' that are broken."""
     return (one for _, one in DATASET_FORMATS.parts())
-
-
-_REMEDY = "a worker may have stopped early: make this frame again"
 
 
 def json_text(content: Any) -> str:
