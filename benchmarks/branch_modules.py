@@ -27,8 +27,7 @@ from typing import Any
 import numpy as np
 
 from forestgen.community.branch_modules.state import State
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
+from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.models.branch_modules import MODEL
 from forestgen.recipe.species import PlantType
 

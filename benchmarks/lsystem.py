@@ -20,8 +20,7 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
+from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.models.multiset_lsystem import MODEL, State
 from forestgen.lsystem.compiler import Program, compile_program
 from forestgen.lsystem.derivation import derive

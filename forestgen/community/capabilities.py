@@ -16,8 +16,7 @@ from forestgen.community.registry import COMMUNITY_MODELS
 if TYPE_CHECKING:
     from forestgen.architecture.prototypes import Tables
     from forestgen.atmosphere.grid import AirGrid, Weather
-    from forestgen.community.ecology import Ecologies
-    from forestgen.community.model import Site
+    from forestgen.community.model import Ecologies, Site
     from forestgen.community.placement.model import Densities
     from forestgen.community.plan import CommunityPlan
     from forestgen.community.population import Population

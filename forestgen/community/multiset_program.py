@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, WithJsonSchema, model_validator
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.model import CommunityParameters, Ecologies, Site
 from forestgen.community.population import Floats
 from forestgen.community.registry import COMPETITION_MODELS, DEFAULT_COMPETITION_MODEL
 from forestgen.core.errors import LsystemError

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.community.ecology import SpeciesEcology, ecology_of
-from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.model import CommunityParameters, Site, SpeciesEcology, ecology_of
 from forestgen.community.population import Population
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Building

@@ -13,10 +13,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.history import open_history
 from forestgen.community.history_tables import MODULES_NAME, readable
-from forestgen.community.model import CommunityParameters
+from forestgen.community.model import CommunityParameters, SpeciesEcology
 from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population
 from forestgen.community.simulation import simulation_code

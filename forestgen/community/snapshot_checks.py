@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.population import Population, Status
 
 _MOST_IDS = 2**32  # one more than the largest

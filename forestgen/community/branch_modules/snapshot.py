@@ -10,8 +10,7 @@ from forestgen.architecture.modules import Modules
 from forestgen.community.arrivals import on_the_ground
 from forestgen.community.branch_modules.parameters import BranchModulesParameters
 from forestgen.community.branch_modules.state import Plants, Snags, State, ground_at, step_parameters
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.population import Floats, Floats32, Population, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns, place_of
 from forestgen.core.errors import RecipeError

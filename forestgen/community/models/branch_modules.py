@@ -106,8 +106,7 @@ from forestgen.community.branch_modules.snapshot import check_resumable, populat
 from forestgen.community.branch_modules.state import State, refuse_more_modules, step_parameters
 from forestgen.community.branch_modules.step import initial_state, new_seedlings, step_forest
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import Ecologies, SpeciesEcology
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site, SpeciesEcology
 from forestgen.community.population import Population
 
 # Peak bytes: of a module in a step with the state before and after, and a snapshot; of a plant with its arrays.

@@ -104,9 +104,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import Conditions
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.placement import clustering
 from forestgen.community.placement import kernels as placement_kernels
 from forestgen.community.placement import model as placement

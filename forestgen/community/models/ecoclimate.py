@@ -44,8 +44,7 @@ from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate import months
 from forestgen.community.ecoclimate.air import grid_of
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
 from forestgen.community.plan import CommunityPlan

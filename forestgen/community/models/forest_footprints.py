@@ -69,8 +69,7 @@ from forestgen.community.arrivals import (
 )
 from forestgen.community.competition.domination import dominated
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import Ecologies, SpeciesEcology
-from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.model import CommunityParameters, Ecologies, Site, SpeciesEcology
 from forestgen.community.population import Floats, Population, Status
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng

@@ -52,8 +52,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.placement import densities
 from forestgen.community.placement.model import PlacementModel
 from forestgen.community.population import Floats

@@ -48,8 +48,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.placement import model as placement
 from forestgen.community.placement.labelling import assign, label, lattice_shape
 from forestgen.community.population import Floats

@@ -41,8 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.placement.densities import COUNTING_CELLS, PlacementParameters
 from forestgen.community.placement.labelling import Lattice, assign, choose, label, lattice, lattice_shape
 from forestgen.community.placement.model import PlacementModel, PlantingTargets

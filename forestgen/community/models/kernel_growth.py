@@ -76,7 +76,6 @@ from pydantic import Field, field_validator
 
 from forestgen.community import arrivals
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.kernel_interactions import (
     Ground,
     GroundSection,
@@ -87,7 +86,7 @@ from forestgen.community.kernel_interactions import (
     quality,
     seed_rain,
 )
-from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.model import CommunityParameters, Ecologies, Site, SpeciesEcology
 from forestgen.community.placement import kernels as placement_kernels
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.population import Floats, Population

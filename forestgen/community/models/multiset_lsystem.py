@@ -72,8 +72,7 @@ from numpy.typing import NDArray
 from forestgen.community.arrivals import CirclePlants, heights_m, new_ids, upper_number
 from forestgen.community.competition.contract import Circles
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import Ecologies, SpeciesEcology
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site, SpeciesEcology
 from forestgen.community.multiset_program import (
     ORDER,
     OWN,

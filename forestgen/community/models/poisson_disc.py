@@ -44,8 +44,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.placement import model as placement
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.labelling import assign, choose, label

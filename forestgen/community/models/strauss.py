@@ -41,8 +41,7 @@ import math
 import numpy as np
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.model import GriddedModel, GriddedParameters, stays_apart

@@ -38,8 +38,7 @@ import math
 import numpy as np
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.placement.model import GriddedModel, GriddedParameters, density_at
 from forestgen.community.population import Floats
 from forestgen.core.errors import RecipeError

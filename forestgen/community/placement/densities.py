@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtr, ndtri
 
-from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions, suitability
-from forestgen.community.model import Site, none_is
+from forestgen.community.model import Ecologies, Site, SpeciesEcology, none_is
 from forestgen.community.placement.density_map import LEAST, DensityMap, MapSection
 from forestgen.community.population import Floats
 from forestgen.community.static_model import StaticParameters

@@ -25,8 +25,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.placement.densities import COUNTING_CELLS, PlacementParameters, species_density
 from forestgen.community.placement.model import PlantingTargets
 from forestgen.community.population import Floats

@@ -18,9 +18,8 @@ from pydantic import Field
 from scipy.special import chdtrc
 
 from forestgen.community.disturbance import planted
-from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import why_barred
-from forestgen.community.model import Site
+from forestgen.community.model import Ecologies, Site
 from forestgen.community.placement.densities import (
     COUNTING_CELLS,
     PlacementParameters,

@@ -180,8 +180,7 @@ class BranchModulesGenerator:
 
     def wood_alone(self, species_name: str, species: Species, size_m: tuple[float, float], seed: int) -> ModuleWood:
         """The wood of a plant that grows without a community; see `plants.parameters.ClothesModules`."""
-        from forestgen.community.ecology import ecology_of
-        from forestgen.community.model import Site, simulate
+        from forestgen.community.model import Site, ecology_of, simulate
         from forestgen.community.models.branch_modules import MODEL  # rarely needed
 
         assert species.modules is not None  # checked with the recipe

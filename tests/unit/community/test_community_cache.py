@@ -16,8 +16,7 @@ from pydantic_core import PydanticUndefined
 
 from forestgen.architecture.modules import Modules
 from forestgen.community import simulation
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
+from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.placement.density_map import MapSection
 from forestgen.community.population import Population
 from forestgen.community.registry import COMMUNITY_MODELS

@@ -11,8 +11,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import binom, kstest, poisson
 
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import Site, SpeciesEcology, simulate
 from forestgen.community.models.multiset_lsystem import MODEL
 from forestgen.community.population import Population, Status
 from forestgen.community.registry import COMMUNITY_MODELS

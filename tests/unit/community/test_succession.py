@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import Site, SpeciesEcology, simulate
 from forestgen.community.models.multiset_lsystem import MODEL
 from forestgen.community.point_patterns import hopkins_index
 from forestgen.community.population import count_by_species, cover_by_species
