@@ -10,8 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.model import Ecologies, Site
-from forestgen.community.population import Floats, Population, Status
+from forestgen.community.population import Ecologies, Floats, Population, Site, Status
 from forestgen.core.errors import ResourceError
 
 _LARGEST_ID = 2**32 - 1

@@ -16,10 +16,9 @@ from forestgen.community.registry import COMMUNITY_MODELS
 if TYPE_CHECKING:
     from forestgen.architecture.prototypes import Tables
     from forestgen.atmosphere.grid import AirGrid, Weather
-    from forestgen.community.model import Ecologies, Site
     from forestgen.community.placement.model import Densities
     from forestgen.community.plan import CommunityPlan
-    from forestgen.community.population import Population
+    from forestgen.community.population import Ecologies, Population, Site
     from forestgen.core.progress import Progress
     from forestgen.recipe.load import DrawnRecipe
 

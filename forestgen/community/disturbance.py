@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.community.population import Floats, Population, Status
+from forestgen.community.population import Ecologies, Floats, Population, Status
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Coordinate, Fraction, Name, NonNegative, Number, Positive, Section, Whole, violation
 from forestgen.recipe.sources import Keys
@@ -245,6 +245,19 @@ class Plant(Region):
     def number(self) -> int:
         """How many plants there will be."""
         return len(self.positions_m) if self.positions_m is not None else int(self.count or 0)
+
+    def planting(self, ground: Ground, species: Ecologies, rng: np.random.Generator) -> Planting:
+        """The plants, with their places drawn."""
+        index = [one.name for one in species].index(self.species)
+        n = self.number
+        if self.positions_m is None:
+            position_m = self.random_places(n, ground, rng)
+        else:
+            position_m = np.array(self.positions_m, dtype=np.float64).reshape(-1, 2)
+        radius_m = species[index].seedling_radius_m if self.radius_m is None else self.radius_m
+        radius_m = min(radius_m, species[index].max_radius_m)
+        columns = {} if self.vigour is None else {"vigour": np.full(n, self.vigour)}
+        return Planting(np.full(n, index, dtype=np.uint16), position_m, np.full(n, radius_m), columns)
 
 
 KINDS = ("fell", "burn", "plant")

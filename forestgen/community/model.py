@@ -2,78 +2,19 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
-from forestgen.community.disturbance import Disturbance, Ground, Plant, Planting
-from forestgen.community.population import Floats, Population
+from forestgen.community.disturbance import Disturbance, Ground, Planting
+from forestgen.community.population import Ecologies, Population, Site
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole, violation
 from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
-from forestgen.recipe.species import Building, PlantType, Species
-
-GroundHeight = Callable[[Floats, Floats], Floats]
-
-
-@dataclass(frozen=True)
-class Site:
-    """The ground of a community: the rectangle [0, W] x [0, H] in world x and y, metres."""
-
-    size_m: tuple[float, float]
-    height: GroundHeight | None = None  # of the ground at x and y of any shape, metres; None: flat
-    altitude_m: float = 0.0  # of z = 0 above sea level
-    latitude_deg: float = 50.0  # north is positive
-    wind_from_deg: float = 270.0  # where the prevailing wind comes from, clockwise from north
-    buildings: tuple[Building, ...] = field(default=(), hash=False)
-
-    def __post_init__(self) -> None:
-        if len(self.size_m) != 2 or not all(math.isfinite(side) and side > 0 for side in self.size_m):
-            raise ValueError(f"size_m must be two positive lengths in metres, got {self.size_m!r}")
-
-    @property
-    def area_m2(self) -> float:
-        return self.size_m[0] * self.size_m[1]
-
-    @property
-    def area_ha(self) -> float:
-        return self.area_m2 / 1e4
-
-
-@dataclass(frozen=True)
-class SpeciesEcology:
-    """How a species lives, as far as a community model cares; the recipe's section checks the numbers.
-
-    References
-    ----------
-    B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, chapters 4 and 6.
-    """
-
-    name: str  # as in the recipe
-    growth_m_per_yr: float  # radial growth of an undominated plant, m/yr, >= 0
-    max_radius_m: float  # R, m, > 0: a plant that reaches it is mature
-    shade_tolerance: float  # shaded[sp]: probability in [0, 1] that a dominated plant survives a step
-    old_age_survival: float  # oldage[sp]: probability in [0, 1] that a mature plant survives a step
-    seedlings_per_ha_per_yr: float  # mean number of seedlings that arrive, 1/(ha yr), >= 0
-    seedling_radius_m: float  # mean radius of an arriving seedling, m, > 0
-    height_scale: float  # A_H of H = A_H r^c_H, metres of height at r = 1 m, > 0
-    height_exponent: float  # c_H of H = A_H r^c_H, >= 0
-    modules: PlantType | None = None  # how it grows as a graph of branch modules; None: not at all
-
-
-Ecologies = Sequence[SpeciesEcology]  # the recipe's species, in its order: a species index counts them
-
-
-def ecology_of(name: str, species: Species) -> SpeciesEcology:
-    """The ecology of a recipe's species."""
-    law, own = species.allometry.height_m, species.ecology.model_dump()
-    return SpeciesEcology(name, height_scale=law.scale, height_exponent=law.exponent, modules=species.modules, **own)
 
 
 def none_is(empty: object) -> BeforeValidator:
@@ -208,7 +149,7 @@ def simulate(
                 continue
             rng = child_rng(seed, "disturbance", index)
             if one.plant is not None:
-                state = model.plant(state, planting_of(one.plant, ground, species, rng))
+                state = model.plant(state, one.plant.planting(ground, species, rng))
             else:
                 state = model.remove(state, one.affected_plants(model.population(state), ground, rng))
         return state
@@ -221,16 +162,3 @@ def simulate(
     for step in range(first + 1, steps + 1):
         state = disturbed(model.step(state), step)
         yield model.population(state)
-
-
-def planting_of(plant: Plant, ground: Ground, species: Ecologies, rng: np.random.Generator) -> Planting:
-    """The plants that a disturbance adds, with their places drawn."""
-    index, n = [one.name for one in species].index(plant.species), plant.number
-    if plant.positions_m is None:
-        position_m = plant.random_places(n, ground, rng)
-    else:
-        position_m = np.array(plant.positions_m, dtype=np.float64).reshape(-1, 2)
-    radius_m = species[index].seedling_radius_m if plant.radius_m is None else plant.radius_m
-    radius_m = min(radius_m, species[index].max_radius_m)
-    columns = {} if plant.vigour is None else {"vigour": np.full(n, plant.vigour)}
-    return Planting(np.full(n, index, dtype=np.uint16), position_m, np.full(n, radius_m), columns)

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, WithJsonSchema, model_validator
 
-from forestgen.community.model import CommunityParameters, Ecologies, Site
-from forestgen.community.population import Floats
+from forestgen.community.model import CommunityParameters
+from forestgen.community.population import Ecologies, Floats, Site
 from forestgen.community.registry import COMPETITION_MODELS, DEFAULT_COMPETITION_MODEL
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import Program, Value, compile_program, settable, with_values

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.community.model import CommunityParameters, Site, SpeciesEcology, ecology_of
-from forestgen.community.population import Population
+from forestgen.community.model import CommunityParameters
+from forestgen.community.population import Population, Site, SpeciesEcology, ecology_of
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Building
 

@@ -11,9 +11,9 @@ import numpy as np
 from forestgen.atmosphere.clouds.source import GAP_OF_SITE, LEAST_GAP_M, cloud_source_of
 from forestgen.community.capabilities import HasObstacles, OwnSkeletons, PlanChecks, capability, models_with
 from forestgen.community.disturbance import Ground
-from forestgen.community.model import Site
 from forestgen.community.placement.density_map import check_maps
 from forestgen.community.plan import CommunityPlan
+from forestgen.community.population import Site
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import ErrorList, RecipeError, ResourceError
 from forestgen.core.figures import show_bytes

@@ -26,8 +26,7 @@ from forestgen.community.arrivals import Rows
 from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes, SphereGrid, overlap_volumes
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, cells_at, parameters_at
 from forestgen.community.branch_modules.shade import Shade, ShadowGrid, shade
-from forestgen.community.model import Site, SpeciesEcology
-from forestgen.community.population import Floats, Floats32, Mask, SpeciesIndex
+from forestgen.community.population import Floats, Floats32, Mask, Site, SpeciesEcology, SpeciesIndex
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.species import PlantType
 from forestgen.recipe.suggestions import did_you_mean

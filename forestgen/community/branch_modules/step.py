@@ -38,8 +38,7 @@ from forestgen.community.branch_modules.state import (
     surroundings_of,
     uniform,
 )
-from forestgen.community.model import Site, SpeciesEcology
-from forestgen.community.population import Floats, Indices, Mask, SpeciesIndex
+from forestgen.community.population import Floats, Indices, Mask, Site, SpeciesEcology, SpeciesIndex
 from forestgen.core.compiled import compiled
 from forestgen.core.randomness import child_rng
 

@@ -25,13 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import grid_shape
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.point_patterns import Window, pair_correlation
 from forestgen.community.point_statistics import PointTable
-from forestgen.community.population import Floats
+from forestgen.community.population import Floats, Site
 from forestgen.core.errors import AssetError, ResourceError
 from forestgen.core.randomness import child_rng
 

@@ -114,8 +114,7 @@ from forestgen.community.branch_modules.state import (
 )
 from forestgen.community.branch_modules.step import initial_state, new_seedlings, step_forest
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.model import Ecologies, Site, SpeciesEcology
-from forestgen.community.population import Floats, Floats32, Population, Status
+from forestgen.community.population import Ecologies, Floats, Floats32, Population, Site, SpeciesEcology, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns, place_of
 from forestgen.core.errors import RecipeError
 

@@ -69,8 +69,8 @@ from forestgen.community.arrivals import (
 )
 from forestgen.community.competition.domination import dominated
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.model import CommunityParameters, Ecologies, Site, SpeciesEcology
-from forestgen.community.population import Floats, Population, Status
+from forestgen.community.model import CommunityParameters
+from forestgen.community.population import Ecologies, Floats, Population, Site, SpeciesEcology, Status
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Name, NonNegative, Number, Whole

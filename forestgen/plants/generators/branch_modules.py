@@ -180,8 +180,9 @@ class BranchModulesGenerator:
 
     def wood_alone(self, species_name: str, species: Species, size_m: tuple[float, float], seed: int) -> ModuleWood:
         """The wood of a plant that grows without a community; see `plants.parameters.ClothesModules`."""
-        from forestgen.community.model import Site, ecology_of, simulate
+        from forestgen.community.model import simulate
         from forestgen.community.models.branch_modules import MODEL  # rarely needed
+        from forestgen.community.population import Site, ecology_of
 
         assert species.modules is not None  # checked with the recipe
         modules = species.modules.model_copy(update={"seeds_per_yr": 0.0})

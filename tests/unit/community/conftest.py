@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from forestgen.community.model import Site, SpeciesEcology
+from forestgen.community.population import Site, SpeciesEcology
 
 _TREE = {
     "name": "tree",

@@ -16,9 +16,8 @@ from pydantic_core import PydanticUndefined
 
 from forestgen.architecture.modules import Modules
 from forestgen.community import simulation
-from forestgen.community.model import Site, SpeciesEcology
 from forestgen.community.placement.density_map import MapSection
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Site, SpeciesEcology
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.community.simulation import _content, as_kept, community_key, final_population
 from forestgen.core.array_serialization import pack, read_packed

@@ -6,7 +6,6 @@ from pydantic import ValidationError
 from scipy.stats import binom, kstest
 
 from forestgen.community.disturbance import Disturbance, Ground, planted
-from forestgen.community.model import planting_of
 from forestgen.community.population import Population, Status
 from forestgen.core.errors import RecipeError
 
@@ -108,7 +107,7 @@ def test_a_fire_spares_each_plant_with_its_probability(survival):
 )
 def test_random_places_are_uniform_in_the_region(tree, ground, region, area_m2):
     plant = Disturbance(at_step=0, plant={"species": "tree", "count": 4000, **region}).plant
-    xy = planting_of(plant, ground, [tree()], np.random.default_rng(5)).position_m
+    xy = plant.planting(ground, [tree()], np.random.default_rng(5)).position_m
     assert xy.shape == (4000, 2)
     assert np.all(plant.inside(xy, ground))
     assert np.all((xy >= 0) & (xy <= ground.size_m))
@@ -124,13 +123,13 @@ def test_random_places_are_uniform_in_the_region(tree, ground, region, area_m2):
 def test_planted_plants(tree):
     species = [tree(), tree(name="b", max_radius_m=1.5)]
     plant = Disturbance(at_step=0, plant={"species": "b", "positions_m": [[1, 2], [3, 4]], "vigour": 100}).plant
-    made = planting_of(plant, GROUND, species, np.random.default_rng(1))
+    made = plant.planting(GROUND, species, np.random.default_rng(1))
     assert made.species.tolist() == [1, 1]
     assert made.position_m.tolist() == [[1, 2], [3, 4]]
     assert made.radius_m.tolist() == [0.1, 0.1]
     assert made.columns["vigour"].tolist() == [100, 100]
     large = Disturbance(at_step=0, plant={"species": "b", "count": 5, "radius_m": 1.5})
-    assert planting_of(large.plant, GROUND, species, np.random.default_rng(1)).radius_m.tolist() == [1.5] * 5
+    assert large.plant.planting(GROUND, species, np.random.default_rng(1)).radius_m.tolist() == [1.5] * 5
     assert planted([large, large, Disturbance(at_step=0, fell={})]) == 10
 
 
@@ -139,7 +138,7 @@ def test_a_sliver_has_no_room_and_says_so(tree, monkeypatch):
     sliver = {"polygon": {"corners_m": [[0, 0], [40, 20], [40, 19.9999]]}}
     plant = Disturbance(at_step=0, plant={"species": "tree", "count": 50, **sliver}).plant
     with pytest.raises(RecipeError, match="no room"):
-        planting_of(plant, GROUND, [tree()], np.random.default_rng(1))
+        plant.planting(GROUND, [tree()], np.random.default_rng(1))
 
 
 @pytest.mark.parametrize(
