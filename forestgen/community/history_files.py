@@ -19,11 +19,11 @@ from forestgen.architecture.graph_files import GRAPH_FORMATS, write_graph
 from forestgen.community.capabilities import AskedDensities, OwnSkeletons, capability, models_with
 from forestgen.community.history import write_history
 from forestgen.community.placement.model import describe_densities
-from forestgen.community.plan import NO_OBSTACLES, CommunityPlan, Obstacles
 from forestgen.community.plot_series import WaterSeries, plot_curves, plot_sizes, plot_thinning, plot_water
 from forestgen.community.plots import OBSTACLE, colours_of, map_figure, plot_densities, save_figure
 from forestgen.community.population import Population, Site, Status, plant_mass
 from forestgen.community.resume import origin
+from forestgen.community.simulation import NO_OBSTACLES, CommunityPlan, Obstacles
 from forestgen.community.trajectory import Moment, Trajectory, describe_step, describe_thinning, moment, thinning_slope
 from forestgen.core.errors import OutputError, RecipeError, writing
 

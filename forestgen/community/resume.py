@@ -16,9 +16,8 @@ from typing import Any, NamedTuple
 from forestgen.community.history import open_history
 from forestgen.community.history_tables import MODULES_NAME, readable
 from forestgen.community.model import CommunityParameters
-from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population, SpeciesEcology
-from forestgen.community.simulation import simulation_code
+from forestgen.community.simulation import CommunityPlan, simulation_code
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
 from forestgen.core import __version__
 from forestgen.core.errors import AssetError, RecipeError

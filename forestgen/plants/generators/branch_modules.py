@@ -63,10 +63,9 @@ from pydantic import Field, model_validator
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.mesh import Ints, unit
 from forestgen.plants.branching import Assembly, Grown, Order, Shoots, around, grow, lateral_sites
-from forestgen.plants.budget import check_budget
 from forestgen.plants.grown import ClothedWood, ModuleWood, wood_skeleton, woods_of
 from forestgen.plants.parameters import Fit, PlantParameters
-from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.skeleton import Skeleton, check_budget
 from forestgen.recipe.curves import PositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 

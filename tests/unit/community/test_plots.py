@@ -10,10 +10,10 @@ from PIL import Image
 
 from forestgen.community import history_files
 from forestgen.community.history_files import Film
-from forestgen.community.plan import NO_OBSTACLES, Obstacles
 from forestgen.community.plot_series import plot_curves, plot_sizes, plot_thinning
 from forestgen.community.plots import CONIFER, OBSTACLE, map_figure, save_figure
 from forestgen.community.population import Population, Site, Status
+from forestgen.community.simulation import NO_OBSTACLES, Obstacles
 from forestgen.community.trajectory import Trajectory, moment, thinning_slope
 from forestgen.core.errors import OutputError
 from forestgen.recipe.species import Building
