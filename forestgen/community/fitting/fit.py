@@ -169,7 +169,7 @@ def climb(matcher: Matcher, start: Floats, one: Round, advance: Callable[[int], 
     return best
 
 
-def _refined(matcher: Matcher, first: Look, advance: Callable[[int], None]) -> Matched:
+def refine(matcher: Matcher, first: Look, advance: Callable[[int], None]) -> Matched:
     """What the second round makes of the first."""
     best = climb(matcher, first.log_kappa, ROUNDS[1], advance)
     return Matched(best.log_kappa.reshape(matcher.shapes.free), best.z, best.loss, first.loss)
@@ -194,7 +194,7 @@ def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], Non
     matcher, first = min(found, key=lambda pair: pair[1].loss)
     if first.loss > _BETTER * of_one.rough_loss:
         return None
-    matched = _refined(matcher, first, advance)
+    matched = refine(matcher, first, advance)
     return (matcher, matched) if matched.loss <= _BETTER * of_one.loss else None
 
 
@@ -292,7 +292,7 @@ def fit_stand(
 
     with listener.stage("new stands", LOOKS * number) as advance:
         more = counted(advance)
-        plain = matched = _refined(matcher, climb(matcher, start, ROUNDS[0], more), more)
+        plain = matched = refine(matcher, climb(matcher, start, ROUNDS[0], more), more)
     if founders and _wants_founders(matcher, plain):
         with listener.stage("founders", FOUNDERS_LOOKS * number) as advance:
             founded = match_founders(matcher, plain, counted(advance))
