@@ -155,7 +155,7 @@ def community_key(plan: CommunityPlan) -> str | None:
     """Hash of everything that the community at the recipe's last step depends on; None if that cannot be hashed."""
     about = (plan.parameters, plan.site, plan.ecologies, plan.steps, plan.drawn.image_seed)
     try:
-        content = _content((type(plan.model).__module__, type(plan.model).__qualname__, *about))
+        content = pack(_plain((type(plan.model).__module__, type(plan.model).__qualname__, *about)))
     except TypeError:
         return None
     return hashlib.blake2b(simulation_code().encode() + content, digest_size=20).hexdigest()
@@ -188,17 +188,12 @@ def as_kept(one: Kept) -> Kept:
     return one
 
 
-def _content(value: Any) -> bytes:
-    """Plain and complete, for a hash: arrays and maps by their content.
-
-    Raises `TypeError` for what is, or holds, something without a content to hash, such as a function or a file without
-    a hash.
-    """
-    return pack(_plain(value))
-
-
 def _plain(value: Any) -> Any:
-    """What `pack` knows: sections as their keys, mappings as pairs, whose order may count."""
+    """What `pack` knows, complete, for a hash: sections as their keys, mappings as pairs, whose order may count.
+
+    It, or `pack`, raises `TypeError` for what holds something without a content to hash, such as a function or a file
+    without a hash.
+    """
     if isinstance(value, BaseModel):
         return type(value).__qualname__, _plain({**_keys_of(value), **(value.model_extra or {})})
     if is_dataclass(value) and not isinstance(value, type):

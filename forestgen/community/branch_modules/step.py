@@ -169,9 +169,8 @@ def _with_room(
 
 @compiled
 def _cell(x, y, width, height, cells):  # type: ignore[no-untyped-def]
-    return min(max(floor(x / width * cells[0]), 0), cells[0] - 1), min(
-        max(floor(y / height * cells[1]), 0), cells[1] - 1
-    )
+    a, b = floor(x / width * cells[0]), floor(y / height * cells[1])
+    return min(max(a, 0), cells[0] - 1), min(max(b, 0), cells[1] - 1)
 
 
 @compiled

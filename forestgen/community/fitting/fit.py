@@ -266,17 +266,18 @@ def fit_stand(
     seed: int = 0,
     checks: int = 1,
     reach_m: float | None = None,
+    stands: int | None = None,
     founders: bool = True,
 ) -> Fit:
     """Fit, then test with new random numbers against so many sets of 39 new stands.
 
     `reach_m` is that of the kernels, by default that of `default_reach_m`, and a `RecipeError` if it does not suit the
-    window. `founders` may be tried or not.
+    window; `stands` are the new ones of a look, by default by the stand's size; `founders` may be tried or not.
     """
     began, listener = time.perf_counter(), progress or Silent()
     _check_reach(stand, reach_m)
     shapes = likelihood.kernel_shapes(stand, reach_m)
-    number = int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
+    number = stands or int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
     start = likelihood.likeliest(stand, shapes, child_rng(seed, "fit", "orders"))
     nursery = measured.Nursery(stand, measured.fitting_cells(stand))
     matcher = Matcher(nursery, shapes, measured.summaries_for(stand, shapes.reach_m), number, seed)

@@ -141,14 +141,10 @@ def _check_points(table: PointTable, where: str) -> None:
         raise AssetError("too few plants for a fit", where=where, expected=f"{FEWEST} at least", got=str(n))
     if n > MOST:
         share = math.sqrt(0.9 * MOST / n)
-        raise ResourceError(
-            "too many plants for a fit",
-            where=where,
-            expected=f"at most {MOST:,}: time grows with their number, and a part of the window tells as much",
-            got=f"{n:,}",
-            hint=f"keep the plants of a part of the window, such as {share:.2f} of its width and of its height, "
-            "and state that part as the window",
-        )
+        expected = f"at most {MOST:,}: time grows with their number, and a part of the window tells as much"
+        part = f"such as {share:.2f} of its width and of its height"
+        hint = f"keep the plants of a part of the window, {part}, and state that part as the window"
+        raise ResourceError("too many plants for a fit", where=where, expected=expected, got=f"{n:,}", hint=hint)
     if max(table.window.size_m) > LARGEST_M:
         expected = f"sides up to {LARGEST_M:,} m, those of a recipe's site; coordinates in metres"
         raise AssetError("the window is too large", where=where, expected=expected, got=str(table.window))
