@@ -39,8 +39,10 @@ for _number, _handler in (
     if signal.getsignal(_number) == signal.SIG_IGN:
         signal.signal(_number, _handler)
 
-# A first call compiles kernels, and machines are shared: the time of one example says nothing.
-settings.register_profile("forestgen", deadline=None)
+# A first call compiles kernels, and machines are shared: the time of one example says nothing. Examples are the same in
+# every run; `--hypothesis-profile explore` draws new ones.
+settings.register_profile("forestgen", deadline=None, derandomize=True)
+settings.register_profile("explore", deadline=None)
 settings.load_profile("forestgen")
 
 

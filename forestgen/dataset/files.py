@@ -11,6 +11,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from forestgen.core.arguments import flag_of
 from forestgen.core.errors import STORAGE_ERRNOS, OutputError, output_error
 
 
@@ -60,7 +61,7 @@ def check_writable(paths: Iterable[Path], *, overwrite: bool) -> None:
             if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
                 expected = "a new name, or a regular file: no link, pipe or device"
                 raise OutputError("the output is no regular file", where=str(path), expected=expected, hint=other)
-            if path.exists() and not overwrite:
+            if not flag_of(overwrite, "overwrite") and path.exists():
                 raise OutputError("the file exists", where=str(path), hint=f"{other}, or `overwrite=True`")
             folder = next(parent for parent in path.absolute().parents if parent.exists())
         except OSError as error:

@@ -18,6 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
+from forestgen.core.arguments import flag_of
 from forestgen.core.errors import STORAGE_ERRNOS, OutputError, output_error
 from forestgen.dataset.manifest import is_run_folder
 
@@ -108,7 +109,7 @@ class OutputFolder:
             expected = "a new or empty folder, or a previous forestgen output"
             hint = "choose another folder; forestgen replaces only its own, with `overwrite=True`"
             raise OutputError(NO_OUTPUT, where=str(self.target), expected=expected, hint=hint)
-        if not self.overwrite:
+        if not flag_of(self.overwrite, "overwrite"):
             hint = "choose another folder, or `overwrite=True` to replace it"
             raise OutputError(OURS, where=str(self.target), hint=hint)
 

@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.arguments import path_of
+from forestgen.core.arguments import flag_of, path_of
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.dataset.png import instance_of, overlay, rgb_of, semantic_of
@@ -178,7 +178,7 @@ class Frame(ABC):
         """
         try:
             return self.parts[part][name]
-        except KeyError:
+        except (KeyError, TypeError):
             known = ", ".join(f"{one} ({', '.join(self.parts[one])})" for one in self.parts)
             raise RecipeError(
                 "the frame has no such channel", where=self.name, expected=f"one of {known}", got=f"{part}, {name}"
@@ -198,7 +198,7 @@ class Frame(ABC):
         from forestgen.dataset.folder import OutputFolder
 
         target = path_of(folder, "folder", output=True) / self.name
-        if not overwrite and _is_frame_folder(target):
+        if not flag_of(overwrite, "overwrite") and _is_frame_folder(target):
             hint = "choose another folder, or `overwrite=True`"
             raise OutputError("the frame is there already", where=str(target), hint=hint)
         with OutputFolder(target, overwrite=overwrite, is_ours=_is_frame_folder) as staging:

@@ -17,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from forestgen.core.arguments import flag_of
 from forestgen.core.errors import DatasetError, OutputError, RecipeError, output_error
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import make_folder
@@ -111,7 +112,7 @@ def _check_target(target: Path, sources: Sequence[Path], *, overwrite: bool) -> 
         problem = "the output is a file"
         if target.is_dir():  # in the words of `OutputFolder`
             problem = OURS if _is_data_set(target) else NO_OUTPUT
-        if problem != OURS or not overwrite:
+        if problem != OURS or not flag_of(overwrite, "overwrite"):
             hint = "choose another folder, or `overwrite=True` to replace it" if problem == OURS else None
             raise OutputError(problem, where=str(target), expected="a new or empty folder", hint=hint)
         with LocalStorage(target).lock(lambda _: None):  # `OutputError` while a run writes there

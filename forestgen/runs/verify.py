@@ -31,7 +31,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from forestgen.core.arguments import MOST_SEEDS, whole_of
+from forestgen.core.arguments import MOST_SEEDS, flag_of, whole_of
 from forestgen.core.errors import ForestgenError, RecipeError
 from forestgen.core.figures import count, seconds
 from forestgen.core.progress import Progress, Silent
@@ -175,6 +175,7 @@ def verify(
     """
     whole_of(rerender, "rerender", 0, 10**9)
     whole_of(seed, "seed", 0, MOST_SEEDS)
+    flag_of(hashes, "hashes")
     if workers is not None:
         whole_of(workers, "workers", 1, 1024)
     start = perf_counter()

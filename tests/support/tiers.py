@@ -13,6 +13,11 @@ def sampled(cases: Iterable[Any], every: int = 4) -> list[Any]:
     return [one if number % every == 0 else _slow(one) for number, one in enumerate(cases)]
 
 
+def few(cases: Iterable[Any], number: int = 1) -> list[Any]:
+    """The first `number` cases by default, the others with the slow tests."""
+    return [one if i < number else _slow(one) for i, one in enumerate(cases)]
+
+
 def slow_but(cases: Iterable[Any], *kept: Any) -> list[Any]:
     """Some cases by default, the others with the slow tests."""
     return [one if one in kept else _slow(one) for one in cases]

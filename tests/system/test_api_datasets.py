@@ -124,6 +124,8 @@ def test_the_arrays_are_those_of_the_files(data_set: fg.Dataset) -> None:
     assert set(np.unique(frame.instance)) - {0} <= set(frame.plants["plant_id"].to_pylist())
     with pytest.raises(fg.RecipeError, match="no such channel") as refused:
         frame.channel("radiance", "X")
+    with pytest.raises(fg.ForestgenError, match="no such channel"):
+        frame.channel(["radiance"], "R")  # type: ignore[arg-type]
     assert "radiance.variance (" in str(refused.value)
 
 

@@ -70,6 +70,7 @@ def test_the_threads_of_a_worker_change_no_byte_under_clouds(tmp_path: Path) -> 
     assert_same(tmp_path / "by1", tmp_path / "by2")
 
 
+@pytest.mark.slow
 def test_a_batch_is_the_images_that_render_makes(tmp_path: Path) -> None:
     """A batch has the bytes of the data set that `forestgen render` makes, its records too."""
     path = recipe(tmp_path, WITH_LABELS)

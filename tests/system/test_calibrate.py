@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import json
 
-import colour
 import numpy as np
 import pytest
 from command_line import TINY, run
@@ -23,8 +22,8 @@ from forestgen.instruments.calibration import Calibration
 from forestgen.instruments.light_meter import Quantity, with_error
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
-from support.cases import few
 from support.radiometry import under_uniform_sky
+from support.tiers import few
 
 
 def level(half_m: float, z_m: float) -> Mesh:
@@ -66,6 +65,8 @@ def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> Calibrati
 
 
 def illuminant(name: str) -> Spectrum:
+    import colour  # takes seconds
+
     found = colour.SDS_ILLUMINANTS[name]
     return Spectrum(np.asarray(found.wavelengths), 0.01 * np.asarray(found.values))
 

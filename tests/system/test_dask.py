@@ -24,7 +24,7 @@ from forestgen.runs.contract import Done, Failed, Job, Outcome, Work
 from forestgen.runs.engines.dask import DaskEngine
 from forestgen.runs.records import versions_hash
 from forestgen.runs.storage import LocalStorage
-from support.cases import few
+from support.tiers import few
 
 _BOUND_S = 240.0  # of anything here
 _STRANGE_PYTHON = "import platform\nplatform.python_version = lambda: '3.10.99'\n"

@@ -34,10 +34,10 @@ from forestgen.render.wavelengths import ColourAtOnce, Pass, quadrature_of
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.projection import rays, world_rays
 from forestgen.scene.spec import Camera, Lens, Sky
-from support.cases import few
 from support.guides import seen_through_haze, trace_guides, trace_seen
 from support.radiometry import lights
 from support.scenes import camera_at, plain_ground, scattered_scene
+from support.tiers import few
 
 LAYER_M = 1.0  # so low that the wall blocks hardly any of the light that the haze scatters
 GREEN = Channels((550.0, 550.0, 550.0))

@@ -19,8 +19,8 @@ from forestgen.core.parts import Part
 from forestgen.labels.masks import instance_mask, part_mask
 from forestgen.render.identity import sample_offsets
 from forestgen.scene.spec import SceneSpec
-from support.cases import few
 from support.scenes import camera_at, dyadic_scene, plain_ground, scattered_scene, shifted
+from support.tiers import few
 from support.twins import Oracle, trace_twin
 
 SIZE_PX = (192, 108)

@@ -14,6 +14,7 @@ from label_mutations import MUTATIONS
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.check import check_dataset
 from forestgen.dataset.check.run import _dataset_checks, _frame_checks
+from support.tiers import slow_but
 
 RECIPE = """\
 forestgen: 1
@@ -123,7 +124,10 @@ def test_classes_are_categories(name, tmp_path):
         assert check in {finding.check for finding in found}, check
 
 
-@pytest.mark.parametrize("name", MUTATIONS)
+FIRST_OF_ITS_CHECK = {check: name for name, (check, *_) in reversed(MUTATIONS.items())}
+
+
+@pytest.mark.parametrize("name", slow_but(MUTATIONS, *FIRST_OF_ITS_CHECK.values()))
 def test_a_single_break_is_named(name, data_set, tmp_path):
     check, file, make, place = MUTATIONS[name]
     broken = tmp_path / "broken"

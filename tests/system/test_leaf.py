@@ -20,7 +20,7 @@ from forestgen.render.variant import LLVM, drjit, mitsuba, using
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import materials_of
-from support.cases import few
+from support.tiers import few
 
 
 def spectrum(wavelength_nm, value) -> Spectrum:

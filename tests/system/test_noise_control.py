@@ -13,8 +13,8 @@ from forestgen.render import rendering as radiance_module
 from forestgen.render.frame import RenderJob, StoppingCriterion
 from forestgen.render.rendering import Estimate, Noise, Schedule, SliceSum, noise_of, render_radiance, unfinished
 from forestgen.scene.spec import SceneSpec
-from support.cases import few
 from support.scenes import plain_ground, scattered_scene
+from support.tiers import few
 
 EVERYWHERE = np.ones((30, 40), dtype=bool)
 

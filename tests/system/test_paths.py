@@ -32,8 +32,8 @@ from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Lens, Material, SceneSpec, Sky, WetGround
 from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
-from support.cases import few
 from support.scenes import camera_at, plain_ground, scattered_scene, shifted
+from support.tiers import few
 
 UP = (0.0, 0.0, 1.0)
 

@@ -51,6 +51,7 @@ def test_a_run(recipe: Path, whole: Path, tmp_path: Path) -> None:
     assert "4 of 4 images done" in str(summary)
 
 
+@pytest.mark.slow
 def test_an_estimate(recipe: Path, tmp_path: Path) -> None:
     answer = run("batch", recipe, "--count", "3", "--out", tmp_path / "set", "--workers", "1", "--dry-run")
     expected = fg.load(recipe).estimate(tmp_path / "set", 3, workers=1, progress=False)
@@ -68,6 +69,7 @@ def test_a_verification(whole: Path, tmp_path: Path) -> None:
     assert "finding" in repr(report)
 
 
+@pytest.mark.slow
 def test_light(recipe: Path) -> None:
     answer = run("light", recipe, "--at", "3", "3", "1", "--samples", "512")
     readings = fg.load(recipe).light([(3, 3, 1)], samples=512, progress=False)

@@ -54,6 +54,7 @@ def assert_equal_runs(recipe_text: str, folder, threads: tuple[int, ...]) -> Non
         assert [name for name in sorted(first) if first[name] != other[name]] == []
 
 
+@pytest.mark.slow
 def test_the_same_recipe_gives_the_same_bytes_with_one_and_two_threads(tmp_path):
     assert_equal_runs(RECIPE, tmp_path, (1, 2))
 

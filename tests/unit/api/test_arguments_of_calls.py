@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,10 @@ from api_recipe import STAND
 import forestgen as fg
 from forestgen.api.plants import grow_files
 from forestgen.community.models.uniform import MODEL as UNIFORM
+from forestgen.dataset.files import check_writable
 from forestgen.render.studio import PictureSettings
 from forestgen.runs.contract import RunOptions
+from forestgen.runs.verify import verify
 
 Call = Callable[[Any], Any]
 
@@ -81,6 +84,8 @@ def recipe() -> Any:
         ("resume", lambda r: r.render("x", resume="no")),
         ("discard", lambda r: r.batch("x", discard=1)),
         ("overwrite", lambda r: r.batch("x", overwrite=None)),
+        ("overwrite", lambda _: check_writable([Path(__file__)], overwrite="no")),  # type: ignore[arg-type]
+        ("hashes", lambda _: verify(Path("x"), hashes="no")),  # type: ignore[arg-type]
         ("retries", lambda r: r.batch("x", retries=None)),
         ("workers", lambda r: r.batch("x", workers=2.0)),
         ("count", lambda r: r.frames(-1)),

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from forestgen.api.display import display_of
 from forestgen.cli import app
-from support.cases import few
+from support.tiers import few
 
 FULL = Path("/dev/full")
 

@@ -19,7 +19,7 @@ from forestgen.dataset.formats import coco, panoptic, yolo
 from forestgen.dataset.writer import write_dataset, write_frame
 from forestgen.labels.classes import ClassMap
 from forestgen.recipe.classes import PLANT_PARTS
-from support.cases import few
+from support.tiers import few
 
 MASK = np.array([[1, 1, 0, 2], [3, 3, 0, 2]])  # plants 1 and 3 are oaks, 2 is a poplar
 ODD = 'herb "x", {é}: #1 \\ 🌲'

@@ -294,12 +294,12 @@ def test_any_polyline_gives_a_sound_mesh_or_none(
 @given(st.integers(0, 2**32 - 1), st.sampled_from([3, 4, 6, 12]))
 def test_a_random_gently_bent_tube_has_the_volume_of_its_frusta(seed: int, sides: int) -> None:
     rng = np.random.default_rng(seed)
-    step = rng.normal([0, 0, 1.0], 0.25, size=(12, 3))
+    step = rng.normal([0, 0, 1.0], 0.15, size=(12, 3))  # bends of at most about 50 degrees
     points = np.cumsum(step, axis=0)
     lines = one(points, np.sort(rng.uniform(0.02, 0.12, 12))[::-1].copy())
     mesh = sweep(lines, np.array([sides]), pointed=False)
     assert_sound(mesh)
-    assert volume(mesh) == pytest.approx(volume_m3(lines), rel=0.02)
+    assert volume(mesh) == pytest.approx(volume_m3(lines), rel=0.01)
 
 
 def test_repeated_points_change_nothing() -> None:

@@ -10,7 +10,7 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import DrawnRecipe, dump_yaml, load_recipe
-from support.cases import few
+from support.tiers import few
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 GOOD = [

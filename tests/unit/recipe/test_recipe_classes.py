@@ -9,7 +9,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.dataset.pack.pack import readme_body
 from forestgen.recipe.json_schema import recipe_json_schema
 from forestgen.recipe.load import load_recipe_data
-from support.cases import few
+from support.tiers import few
 
 BAD = [
     "",

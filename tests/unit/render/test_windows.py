@@ -10,8 +10,8 @@ from forestgen.render.amodal import BEYOND, outlines
 from forestgen.scene.projection import project
 from forestgen.scene.spec import Camera
 from support.cameras import camera_of
-from support.cases import few
 from support.scenes import camera_at, random_transforms, simple_tree
+from support.tiers import few
 
 SIZE_PX = (64, 36)
 NEAR_M = 1e-3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import colour
 import numpy as np
 import pytest
 
@@ -13,6 +12,8 @@ from forestgen.scene.projection import project
 
 
 def illuminant(name: str) -> Spectrum:
+    import colour  # takes seconds
+
     found = colour.SDS_ILLUMINANTS[name]
     return Spectrum(np.asarray(found.wavelengths), np.asarray(found.values))
 
@@ -92,6 +93,8 @@ def test_expected_colours_are_the_tables(name: str) -> None:
 
 def test_delta_e_is_ciede2000() -> None:
     """Sharma, Wu and Dalal (2005), table 1, pairs 1 and 20."""
+    import colour
+
     white = np.array([0.31270, 0.32900])
     pairs = [((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425), ((50, 2.5, 0), (61, -5, 29), 22.8977)]
     for one, other, difference in pairs:
