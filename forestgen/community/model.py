@@ -1,4 +1,4 @@
-"""What every community model offers, and what it gets: parameters, the site, the species' ecology."""
+"""What every community model offers: parameters, methods and what they promise; and a simulation, step by step."""
 
 from __future__ import annotations
 
