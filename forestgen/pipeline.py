@@ -19,7 +19,7 @@ from forestgen.community.summary import SimulationSummary
 from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.formats.format import check_ids
-from forestgen.dataset.manifest import build_manifest, write_manifest
+from forestgen.dataset.manifest import write_manifest
 from forestgen.dataset.settings import DatasetSettings, class_map
 from forestgen.dataset.writer import frame_folder_name, frame_row, write_frame, write_maps
 from forestgen.labels.channels.channel import ChannelView, add_channels
@@ -246,7 +246,7 @@ def simulate(
         with timings("community"):
             last = write_community(folder, plan, snapshots(plan, progress, start), map_steps)
         summary = finished(last)
-        manifest = build_manifest(
+        write_manifest(
             folder,
             recipe_hash=loaded.hash,
             root_seed=loaded.seed,
@@ -254,5 +254,4 @@ def simulate(
             timings_s=summary.timings_s,
             extra={"notes": list(summary.notes), "total_s": summary.total_s},
         )
-        write_manifest(folder, manifest)
     return summary

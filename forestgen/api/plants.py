@@ -192,7 +192,7 @@ class Plant:
     @cached_property
     def meshes(self) -> Mapping[str, Mesh]:
         """Part and material, such as ``leaf-leaf`` -> its triangles: vertices_m, faces, normals, uv."""
-        return {piece.name: piece.mesh for piece in mesh_model(self._plan, self._exemplar, self.seed).pieces}
+        return {piece.name: piece.mesh for piece in self._model().pieces}
 
     @property
     def vertices(self) -> NDArray[np.float32]:
@@ -237,10 +237,10 @@ class Plant:
         model = None
         for path in paths:
             if path.suffix.lower() == PICTURE:
-                yield path, png(picture_of(self._plan, self._exemplar, camera, samples, self.seed, progress))
+                yield path, png(self._photograph(camera, samples, progress))
                 continue
             if model is None:
-                model = mesh_model(self._plan, self._exemplar, self.seed, wood_triangles)
+                model = self._model(wood_triangles)
             for name, content in exporter_of(path.name).files(model, path.name).items():
                 yield path.with_name(name), content
 
@@ -265,7 +265,7 @@ class Plant:
         settings = PictureSettings(size_px, samples, distance_m, look_at_m).check()
         camera, display = camera_of(self._exemplar, settings), display_of(progress)
         with display.running():
-            return picture_of(self._plan, self._exemplar, camera, settings.samples, self.seed, display)
+            return self._photograph(camera, settings.samples, display)
 
     def sway(self, frames: int, frames_per_s: float = 12.0) -> list[Plant]:
         """The plant's poses in the wind; `RecipeError` unless its species' generator is strands."""
@@ -273,6 +273,25 @@ class Plant:
         check_sways(self.species, self._plan.generators[self.species])
         posed = sway(self._plan, self.species, self._exemplar.radius_m, self.seed, frames, frames_per_s)
         return [Plant(self._plan, one, self.seed) for one in posed]
+
+    def _model(self, wood_triangles: int | None = None) -> Model:
+        """For mesh files, with wood of about `wood_triangles` and one baked texture, or as grown."""
+        name, materials = self.species, self._materials
+        model = model_of(self._exemplar, self._plan.drawn.species[name], materials, self.seed)
+        if wood_triangles is None:
+            return model
+        textures = {key: one.texture.colour for (owner, key), one in materials.items() if owner == name and one.texture}
+        return replace(model, pieces=with_light_wood(model.pieces, textures, wood_triangles))
+
+    def _photograph(self, camera: Camera, samples: int, progress: Progress) -> NDArray[np.uint8]:
+        """(H, W, 3) sRGB picture in the studio."""
+        recipe = self._plan.drawn.recipe
+        radiance = photograph(self._exemplar, self._materials, camera, recipe, samples, self.seed, progress)
+        return tone_map(radiance, EXPOSURE)
+
+    @property
+    def _materials(self) -> dict[tuple[str, str], Material]:
+        return materials_of(self._plan.drawn.species, self._plan.drawn.recipe.plants.season)
 
     def _repr_png_(self) -> bytes:
         return png(self.picture((360, 480), samples=_REPR_SAMPLES, progress=False))
@@ -379,26 +398,6 @@ def radius_of_m(species: Species, height_m: float | None) -> float:
         problem, hint = "plants of this species are all of one height", "leave `height_m` out"
         raise RecipeError(problem, parameter="height_m", expected=f"{law.scale:g} m", got=f"{height_m:g} m", hint=hint)
     return mature_m
-
-
-def picture_of(
-    plan: PlantPlan, exemplar: Exemplar, camera: Camera, samples: int, seed: int, progress: Progress
-) -> NDArray[np.uint8]:
-    """(H, W, 3) sRGB picture of a plant in the studio."""
-    materials = materials_of(plan.drawn.species, plan.drawn.recipe.plants.season)
-    radiance = photograph(exemplar, materials, camera, plan.drawn.recipe, samples, seed, progress)
-    return tone_map(radiance, EXPOSURE)
-
-
-def mesh_model(plan: PlantPlan, exemplar: Exemplar, seed: int, wood_triangles: int | None = None) -> Model:
-    """A plant for mesh files, its wood of about `wood_triangles` with one baked texture, or as grown."""
-    materials = materials_of(plan.drawn.species, plan.drawn.recipe.plants.season)
-    name = exemplar.species
-    model = model_of(exemplar, plan.drawn.species[name], materials, seed)
-    if wood_triangles is None:
-        return model
-    textures = {key: one.texture.colour for (owner, key), one in materials.items() if owner == name and one.texture}
-    return replace(model, pieces=with_light_wood(model.pieces, textures, wood_triangles))
 
 
 def model_of(exemplar: Exemplar, species: Species, materials: Mapping[tuple[str, str], Material], seed: int) -> Model:

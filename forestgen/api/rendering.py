@@ -322,7 +322,7 @@ class Rendering:
         `calibration`, what was measured, whose `holds` tells whether the bounds hold; and `folder`.
         """
         from forestgen.dataset.folder import OutputFolder
-        from forestgen.dataset.manifest import build_manifest, write_manifest
+        from forestgen.dataset.manifest import write_manifest
         from forestgen.instruments.calibration import write_calibration
         from forestgen.instruments.colour_chart import INSTRUMENT
         from forestgen.instruments.instrument import read_keys
@@ -336,7 +336,7 @@ class Rendering:
         with display.running(), OutputFolder(folder, overwrite=overwrite) as staging:
             found = measure(loaded, INSTRUMENT, section, display, timings)
             write_calibration(staging, found, loaded)
-            manifest = build_manifest(
+            write_manifest(
                 staging,
                 recipe_hash=loaded.hash,
                 root_seed=loaded.seed,
@@ -344,7 +344,6 @@ class Rendering:
                 timings_s=timings.seconds,
                 extra={"calibration_holds": found.holds},
             )
-            write_manifest(staging, manifest)
         return Calibrated(found, folder)
 
 

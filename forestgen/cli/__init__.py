@@ -8,12 +8,11 @@ from typing import Annotated, Any
 
 import typer
 
-from forestgen.cli.arguments import with_options
 from forestgen.cli.communities import fit_kernel, lsystem, simulate, stats
 from forestgen.cli.console import errors_for_people, names_of
 from forestgen.cli.datasets import doctor, merge, models, pack, report, schema, validate, verify
 from forestgen.cli.instruments import calibrate, light, measure, weather
-from forestgen.cli.parsing import NumbersCommand, add_completion, options_suggested, show_plainly
+from forestgen.cli.parsing import NumbersCommand, add_completion, options_suggested, show_plainly, with_options
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
 from forestgen.core import __version__

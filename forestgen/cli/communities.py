@@ -6,7 +6,6 @@ import json
 import sys
 from pathlib import Path
 
-from forestgen.cli.arguments import progress_of
 from forestgen.cli.console import Printer
 
 Window = tuple[float, float, float, float]
@@ -43,7 +42,7 @@ def simulate(
         from_step=from_step,
         graphs=graphs or (),
         overwrite=overwrite,
-        progress=progress_of(quiet),
+        progress=not quiet,
     )
     say, folder = Printer(quiet), stand.folder
     say("\n".join(stand.summary.lines(verbose=verbose)))
@@ -101,7 +100,7 @@ def fit_kernel(
         checks=checks,
         founders=founders,
         overwrite=overwrite,
-        progress=progress_of(quiet),
+        progress=not quiet,
     )
     Printer(quiet)(str(fitted))
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import typer
 
-from forestgen.cli.arguments import listed_names, progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import count
 
@@ -39,9 +38,7 @@ def verify(
     from forestgen import verify as check
     from forestgen.core.errors import DatasetError
 
-    report = check(
-        folder, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=progress_of(quiet or json_)
-    )
+    report = check(folder, rerender=rerender, seed=seed, workers=workers, hashes=hashes, progress=not (quiet or json_))
     if json_:
         Printer().json(report.as_dict())
     else:
@@ -53,13 +50,7 @@ def verify(
         raise DatasetError(problem, where=str(folder / first.file), expected=first.expected or None, got=got, hint=hint)
 
 
-def merge(
-    sources: list[Path],
-    out: Path,
-    link: bool = False,
-    overwrite: bool = False,
-    quiet: bool = False,
-) -> None:
+def merge(sources: list[Path], out: Path, link: bool = False, overwrite: bool = False, quiet: bool = False) -> None:
     """Make one data set of several.
 
     Pieces of one recipe, made on several machines with --first, become what one run would have made, to the last byte.
@@ -72,7 +63,7 @@ def merge(
     """
     import forestgen
 
-    merged = forestgen.merge(sources, out, link=link, overwrite=overwrite, progress=progress_of(quiet))
+    merged = forestgen.merge(sources, out, link=link, overwrite=overwrite, progress=not quiet)
     say = Printer(quiet)
     for note in merged.notes:
         say(f"note: {note}")
@@ -113,12 +104,12 @@ def pack(
         out,
         format_,
         shard_size=shard_size,
-        channels=listed_names(channels) if channels else None,
-        splits=listed_names(splits),
+        channels=_names(channels) if channels else None,
+        splits=_names(splits),
         seed=seed,
         by_name=by_name,
         overwrite=overwrite,
-        progress=progress_of(quiet),
+        progress=not quiet,
     )
     say, width = Printer(quiet), max(len(name) for name in packed.splits)
     for name, shards in packed.splits.items():
@@ -131,11 +122,12 @@ def pack(
         say(f"  {line}")
 
 
-def report(
-    folder: Path,
-    out: Path | None = None,
-    overwrite: bool = False,
-) -> None:
+def _names(values: list[str] | None) -> list[str]:
+    """The names of an option that may be repeated, and takes several at a time: ``A,B``."""
+    return [name for value in values or () for one in value.split(",") if (name := one.strip())]
+
+
+def report(folder: Path, out: Path | None = None, overwrite: bool = False) -> None:
     """Show a data set on one HTML page: gallery, balance, coverage, failures, timings.
 
     The page holds all it needs: it can be sent by mail and opened without a network. A run that has not ended can be

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from forestgen.cli.arguments import progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import seconds, table_lines
 
@@ -47,7 +46,7 @@ def _measure(
 
     started, say = time.perf_counter(), Printer(quiet)
     loaded = load(recipe, set=overrides)
-    say(str(loaded.measure(instrument, keys, out=out, overwrite=overwrite, progress=progress_of(quiet))))
+    say(str(loaded.measure(instrument, keys, out=out, overwrite=overwrite, progress=not quiet)))
     say(f"measured in {seconds(time.perf_counter() - started)}")
     if out is not None:
         say(f"files: {out}")
@@ -127,7 +126,7 @@ def calibrate(
         samples=samples,
         absolute_z=absolute_z,
         overwrite=overwrite,
-        progress=progress_of(quiet),
+        progress=not quiet,
     )
     say(str(found))
     say(f"calibrated in {seconds(time.perf_counter() - started)}")
@@ -159,7 +158,7 @@ def weather(
 
     started, say = time.perf_counter(), Printer(quiet)
     reports = load(recipe, set=set_).weather(
-        count_, out=out or (), picture=picture, overwrite=overwrite, progress=progress_of(quiet)
+        count_, out=out or (), picture=picture, overwrite=overwrite, progress=not quiet
     )
     _print_weather(reports, say)
     if all(report.statistics.cover == 0 for report in reports):

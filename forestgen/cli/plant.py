@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from forestgen.cli.arguments import progress_of
 from forestgen.cli.console import Printer
 from forestgen.core.figures import count, show_bytes, table_lines, three_digits
 
@@ -68,7 +67,7 @@ def plant(
     from forestgen.api.plants import grow_files
 
     given = {name: value for name, value in locals().items() if name in _OPTIONS}
-    made = grow_files(species, out or None, count=count_, progress=progress_of(quiet), **given)
+    made = grow_files(species, out or None, count=count_, progress=not quiet, **given)
     _print(made, Printer(quiet), json_, frames is not None)
 
 

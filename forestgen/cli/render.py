@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from forestgen.cli.arguments import progress_of
 from forestgen.cli.console import NOTHING_WRITTEN, Printer, stops_keep
 from forestgen.core.figures import count
 
@@ -105,7 +104,7 @@ def _run(
 
     quiet, count_ = given["quiet"], given["count_"]
     options = {name: given[name] for name in _OPTIONS if name in given}
-    display = display_of(progress_of(quiet))
+    display = display_of(not quiet)
     if given["dry_run"]:
         Printer(quiet)(str(loaded.estimate(target, count_, progress=display, **{"workers": 1, **options})))
         return

@@ -16,7 +16,7 @@ from forestgen.core.errors import AssetError, ForestgenError, OutputError, Recip
 
 PathLike = str | os.PathLike[str]
 MOST_SEEDS = 2**63 - 1
-_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*://")
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:/")  # a `Path` keeps one of two slashes; one letter is a drive of Windows
 _LONGEST_NAME = 255  # bytes of a file's name, on all common file systems
 _MOST_LEVELS = 40  # of lists and mappings within one another; a recipe's file has no more
 _MOST_VALUES = 10_000_000
@@ -39,10 +39,16 @@ def path_of(value: Any, parameter: str, *, output: bool = False) -> Path:
     RecipeError : this is no path, or no system can have a file there.
     OutputError : the name of an output is not UTF-8, has control characters or is the address of an object store.
     """
-    if output and isinstance(value, str) and _ADDRESS.match(value):
+    text = _checked(value, parameter, OutputError if output else RecipeError, output=output)
+    if output and isinstance(value, str) and is_address(text):
         expected = "a path on this machine: `render` and `batch` alone write to object stores"
-        raise OutputError("this is an address", parameter=parameter, expected=expected, got=value[:60])
-    return Path(_checked(value, parameter, OutputError if output else RecipeError, output=output))
+        raise OutputError("this is an address", parameter=parameter, expected=expected, got=text[:60])
+    return Path(text)
+
+
+def is_address(path: PathLike) -> bool:
+    """Whether a path is the address of an object store, such as s3://bucket/forests, which is no folder here."""
+    return _ADDRESS.match(os.fspath(path)) is not None
 
 
 def paths_of(values: Any, parameter: str, *, output: bool = False) -> list[Path]:

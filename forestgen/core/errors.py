@@ -179,11 +179,13 @@ def output_error(error: OSError, path: Path | None = None) -> OutputError:
 
 
 @contextmanager
-def writing(path: Path, problem: str, hint: str | None = None) -> Iterator[None]:
-    """In this block, an `OSError` becomes an `OutputError` that names the path and what to do."""
+def writing(path: Path, problem: str = "", hint: str | None = None) -> Iterator[None]:
+    """In this block, an `OSError` becomes an `OutputError` that names the path and what to do; see `output_error`."""
     try:
         yield
     except OSError as error:
+        if not problem:
+            raise output_error(error, path) from error
         remedy = hint or _REMEDIES.get(error.errno or 0)
         raise OutputError(problem, where=str(path), got=error.strerror or str(error), hint=remedy) from error
 

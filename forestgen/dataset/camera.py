@@ -21,13 +21,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.files import write_json
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
@@ -52,7 +50,7 @@ def world_from_camera(camera: Camera) -> NDArray[np.float64]:
 
 
 def camera_model(camera: Camera) -> dict[str, Any]:
-    """The camera as plain values for JSON."""
+    """The content of camera.json, plain values."""
     projection = projection_of(camera)
     return {
         "name": camera.name,
@@ -66,11 +64,6 @@ def camera_model(camera: Camera) -> dict[str, Any]:
         "sequence": camera.sequence,
         "time_s": float(camera.time_s),
     }
-
-
-def write_camera(path: Path, camera: Camera) -> None:
-    """Write camera.json; a failure raises `OutputError`."""
-    write_json(path, camera_model(camera))
 
 
 def world_to_camera(camera: Camera) -> NDArray[np.float32]:

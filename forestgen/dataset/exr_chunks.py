@@ -49,26 +49,22 @@ def check_chunks(content: bytes, *, unpack: bool = True) -> int:
     that is cut short, damaged, of another kind than forestgen writes, or larger than the free memory, is a ValueError.
     """
     try:
-        return _check_chunks(content, unpack)
+        magic, version = struct.unpack_from("<4sI", content)
+        if magic != _MAGIC or version & ~(_LONG_NAMES | _MULTIPART) != _VERSION:
+            raise ValueError("this is no OpenEXR file of scan lines")
+        several = bool(version & _MULTIPART)
+        parts, at = _parts(content, 8, several)
+        need = sum(part.height * part.line_bytes for part in parts)
+        if need > _SHARE_OF_MEMORY * free_bytes():
+            raise ValueError(f"its pixels take more than the free memory: {need / 1e6:,.0f} MB")
+        for number, part in enumerate(parts):
+            offsets = struct.unpack_from(f"<{-(-part.height // part.lines)}Q", content, at)
+            at += 8 * len(offsets)
+            for block, offset in enumerate(offsets):
+                _check_block(content, min(offset, len(content)), part, block, (number,) if several else (), unpack)
+        return len(parts)
     except (struct.error, IndexError, KeyError) as error:
         raise ValueError("the file is cut short, damaged, or of another kind than forestgen's") from error
-
-
-def _check_chunks(content: bytes, unpack: bool) -> int:
-    magic, version = struct.unpack_from("<4sI", content)
-    if magic != _MAGIC or version & ~(_LONG_NAMES | _MULTIPART) != _VERSION:
-        raise ValueError("this is no OpenEXR file of scan lines")
-    several = bool(version & _MULTIPART)
-    parts, at = _parts(content, 8, several)
-    need = sum(part.height * part.line_bytes for part in parts)
-    if need > _SHARE_OF_MEMORY * free_bytes():
-        raise ValueError(f"its pixels take more than the free memory: {need / 1e6:,.0f} MB")
-    for number, part in enumerate(parts):
-        offsets = struct.unpack_from(f"<{-(-part.height // part.lines)}Q", content, at)
-        at += 8 * len(offsets)
-        for block, offset in enumerate(offsets):
-            _check_block(content, min(offset, len(content)), part, block, (number,) if several else (), unpack)
-    return len(parts)
 
 
 def read_whole(path: SafePath, *, unpack: bool = True) -> tuple[dict[str, dict[str, NDArray[Any]]], dict[str, Any]]:

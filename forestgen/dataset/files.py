@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from forestgen.core.arguments import flag_of
-from forestgen.core.errors import STORAGE_ERRNOS, OutputError, output_error
+from forestgen.core.errors import STORAGE_ERRNOS, OutputError, output_error, writing
 
 
 @contextmanager
@@ -28,18 +28,14 @@ def disk_errors() -> Iterator[None]:
 
 def make_folder(folder: Path) -> None:
     """Make a folder and those above it, if they are missing; a failure raises `OutputError`."""
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise output_error(error, folder) from error
 
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a file; a failure raises `OutputError`."""
-    try:
+    with writing(path):
         path.write_bytes(content)
-    except OSError as error:
-        raise output_error(error, path) from error
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -55,7 +51,7 @@ def check_writable(paths: Iterable[Path], *, overwrite: bool) -> None:
     """
     for path in paths:
         other = "choose another name"
-        try:
+        with writing(path):
             if path.is_dir():
                 raise OutputError("the output is a folder", where=str(path), expected="a file", hint=other)
             if os.path.lexists(path) and not stat.S_ISREG(path.lstat().st_mode):
@@ -64,8 +60,6 @@ def check_writable(paths: Iterable[Path], *, overwrite: bool) -> None:
             if not flag_of(overwrite, "overwrite") and path.exists():
                 raise OutputError("the file exists", where=str(path), hint=f"{other}, or `overwrite=True`")
             folder = next(parent for parent in path.absolute().parents if parent.exists())
-        except OSError as error:
-            raise output_error(error, path) from error
         if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
             reason = errno.EACCES if folder.is_dir() else errno.ENOTDIR
             raise output_error(OSError(reason, os.strerror(reason)), path)
@@ -94,12 +88,10 @@ class FileSet:
         """
         check_writable([path], overwrite=self._overwrite)
         self._made = [folder for folder in path.parents if not folder.exists()] + self._made
-        try:
+        with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)
             self._hidden[path] = path.with_name(f".{path.name}.partial-{os.getpid()}")
             self._hidden[path].write_bytes(content)
-        except OSError as error:
-            raise output_error(error, path) from error
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         try:
@@ -119,10 +111,8 @@ class FileSet:
         with ExitStack() as undo:
             for path, hidden in self._hidden.items():
                 new = not path.exists()
-                try:
+                with writing(path):
                     hidden.replace(path)
-                except OSError as error:
-                    raise output_error(error, path) from error
                 if new:
                     undo.callback(path.unlink, missing_ok=True)
             undo.pop_all()

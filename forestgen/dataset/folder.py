@@ -22,8 +22,6 @@ from forestgen.core.arguments import flag_of
 from forestgen.core.errors import STORAGE_ERRNOS, OutputError, output_error
 from forestgen.dataset.manifest import is_run_folder
 
-OURS = "the folder already holds a forestgen output"
-NO_OUTPUT = "the folder is not empty and holds no forestgen output"
 _LONGEST_STEM = 160  # bytes: leaves room for the suffix in a file system's usual 255
 
 
@@ -106,12 +104,14 @@ class OutputFolder:
         if not any(target.iterdir()):
             return
         if not self.is_ours(target):
+            problem = "the folder is not empty and holds no forestgen output"
             expected = "a new or empty folder, or a previous forestgen output"
             hint = "choose another folder; forestgen replaces only its own, with `overwrite=True`"
-            raise OutputError(NO_OUTPUT, where=str(self.target), expected=expected, hint=hint)
+            raise OutputError(problem, where=str(self.target), expected=expected, hint=hint)
         if not flag_of(self.overwrite, "overwrite"):
+            problem = "the folder already holds a forestgen output"
             hint = "choose another folder, or `overwrite=True` to replace it"
-            raise OutputError(OURS, where=str(self.target), hint=hint)
+            raise OutputError(problem, where=str(self.target), hint=hint)
 
     def _make_parents(self) -> None:
         for folder in reversed(self._final.parents):

@@ -67,7 +67,7 @@ from typing import Any
 
 import numpy as np
 
-from forestgen.core.errors import DatasetError, output_error
+from forestgen.core.errors import DatasetError, writing
 from forestgen.dataset.files import make_folder
 from forestgen.dataset.safe_path import SafePath, check_cells, is_frame, is_split, one_line
 from forestgen.dataset.settings import DRAW
@@ -151,21 +151,18 @@ def write_index(path: Path, rows: Iterable[Mapping[str, Any]], draws: Mapping[st
     columns = {**COLUMNS, **draws}
     schema = pa.schema([(name, _arrow_type(kind)) for name, kind in columns.items()])
     make_folder(path.parent)
-    try:
-        with pq.ParquetWriter(path, schema, compression="zstd") as writer:
-            remaining = iter(rows)
-            while group := list(islice(remaining, _ROWS_A_GROUP)):
-                strangers = {name for row in group for name in row} - set(columns)
-                if strangers:
-                    raise ValueError(f"the index has no columns {sorted(strangers)}")
-                cells = [
-                    pa.array([_cell(row.get(name), kind) for row in group], _arrow_type(kind))
-                    for name, kind in columns.items()
-                ]
-                writer.write_table(pa.Table.from_arrays(cells, schema=schema))
-                del group, cells  # before the next group is read
-    except OSError as error:
-        raise output_error(error, path) from error
+    with writing(path), pq.ParquetWriter(path, schema, compression="zstd") as writer:
+        remaining = iter(rows)
+        while group := list(islice(remaining, _ROWS_A_GROUP)):
+            strangers = {name for row in group for name in row} - set(columns)
+            if strangers:
+                raise ValueError(f"the index has no columns {sorted(strangers)}")
+            cells = [
+                pa.array([_cell(row.get(name), kind) for row in group], _arrow_type(kind))
+                for name, kind in columns.items()
+            ]
+            writer.write_table(pa.Table.from_arrays(cells, schema=schema))
+            del group, cells  # before the next group is read
 
 
 def read_index(path: Path) -> Iterator[dict[str, Any]]:

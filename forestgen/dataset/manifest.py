@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import DatasetError, output_error
+from forestgen.core.errors import DatasetError, writing
 from forestgen.dataset.files import write_json
 from forestgen.dataset.safe_path import SafePath, is_inside
 
@@ -28,7 +28,7 @@ PACKAGES = (
 )  # fmt: skip
 
 
-def build_manifest(
+def write_manifest(
     root: Path,
     *,
     recipe_hash: str,
@@ -36,9 +36,9 @@ def build_manifest(
     image_seeds: Sequence[int],
     timings_s: Mapping[str, float],
     extra: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
-    """Describe a run after all of its other files in `root` are written; `extra` is stored under ``run``."""
-    return {
+) -> None:
+    """Describe a run, when all of its other files in `root` are written; `extra` is stored under ``run``."""
+    content = {
         "schema": SCHEMA,
         "recipe_hash": recipe_hash,
         "root_seed": int(root_seed),
@@ -51,11 +51,7 @@ def build_manifest(
         "files": list_files(root),
         "run": dict(extra or {}),
     }
-
-
-def write_manifest(root: Path, manifest: Mapping[str, Any]) -> None:
-    """Write manifest.json into a run's folder."""
-    write_json(root / MANIFEST_NAME, manifest)
+    write_json(root / MANIFEST_NAME, content)
 
 
 def is_run_folder(folder: Path) -> bool:
@@ -102,11 +98,8 @@ def list_files(root: Path) -> dict[str, dict[str, Any]]:
 
 def write_sums(path: Path, sums: Iterable[tuple[str, str]]) -> None:
     """Write path and SHA-256, hexadecimal, of each file, in the order given; a failure raises `OutputError`."""
-    try:
-        with path.open("w", encoding="utf-8", newline="\n") as stream:
-            stream.writelines(f"{digest}  {name}\n" for name, digest in sums)
-    except OSError as error:
-        raise output_error(error, path) from error
+    with writing(path), path.open("w", encoding="utf-8", newline="\n") as stream:
+        stream.writelines(f"{digest}  {name}\n" for name, digest in sums)
 
 
 def read_sums(path: Path, refused: Callable[[DatasetError], None] | None = None) -> Iterator[tuple[str, str]]:

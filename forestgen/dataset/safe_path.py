@@ -250,14 +250,7 @@ def reading(path: SafePath, failed: Callable[[SafePath, Exception], Exception] =
     import pyarrow as pa
     from PIL.Image import DecompressionBombError
 
-    kinds = (
-        OSError,
-        ValueError,
-        TypeError,
-        SyntaxError,
-        RuntimeError,
-        MemoryError,
-    )  # Pillow's and OpenEXR's among them
+    kinds = (OSError, ValueError, TypeError, SyntaxError, RuntimeError, MemoryError)  # of Pillow and OpenEXR too
     try:
         yield path
     except (*kinds, pa.ArrowException, DecompressionBombError) as error:

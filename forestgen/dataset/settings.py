@@ -66,14 +66,23 @@ def data_set_of(drawn: DrawnRecipe) -> DatasetSettings:
 
 def check_one_data_set(drawn: DrawnRecipe, settings: DatasetSettings) -> None:
     """Refuse an image of other settings than the data set's, with a `RecipeError`: one file describes all images."""
-    own = data_set_of(drawn)
+    if (difference := first_difference(settings, data_set_of(drawn))) is not None:
+        keys, common, got = difference
+        problem, expected = "images of one data set must agree on this", f"{common}, as in the first image"
+        hint = "give a value, not a distribution"
+        raise RecipeError(problem, where=drawn.where(*keys), expected=expected, got=got, hint=hint)
+
+
+def first_difference(one: DatasetSettings, other: DatasetSettings) -> tuple[tuple[str, ...], str, str] | None:
+    """The recipe's key of the first setting that differs, and its two values, for people; None: all are the same."""
     for field in fields(DatasetSettings):
-        mine, common = getattr(own, field.name), getattr(settings, field.name)
-        if mine != common:
-            keys = _KEYS.get(field.name, ("dataset", field.name))
-            problem, expected = "images of one data set must agree on this", f"{_show(common)}, as in the first image"
-            hint = "give a value, not a distribution"
-            raise RecipeError(problem, where=drawn.where(*keys), expected=expected, got=_show(mine), hint=hint)
+        values = getattr(one, field.name), getattr(other, field.name)
+        if values[0] != values[1]:
+            first, second = (
+                ", ".join(map(str, value)) if isinstance(value, tuple) else repr(value) for value in values
+            )
+            return _KEYS.get(field.name, ("dataset", field.name)), first, second
+    return None
 
 
 def check_stands(plan: CommunityPlan, loaded: LoadedRecipe, splits: Sequence[str]) -> None:
@@ -91,10 +100,6 @@ def check_stands(plan: CommunityPlan, loaded: LoadedRecipe, splits: Sequence[str
         got = f"{community.model}, with the splits {', '.join(splits)}"
         hint = "`set='dataset.splits={train: 1}'`; merge data sets of several stands, each of its own split"
         raise RecipeError(problem, where=plan.drawn.where("community", "model"), expected=expected, got=got, hint=hint)
-
-
-def _show(value: object) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, tuple) else repr(value)
 
 
 def check_splits(loaded: LoadedRecipe, splits: Sequence[str]) -> None:

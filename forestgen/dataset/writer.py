@@ -20,11 +20,10 @@ from forestgen.core.errors import AssetError
 from forestgen.core.parts import Part
 from forestgen.core.raster import kind_of
 from forestgen.dataset import png
-from forestgen.dataset.camera import write_camera
+from forestgen.dataset.camera import camera_model
 from forestgen.dataset.exr import write_exr
 from forestgen.dataset.files import make_folder, write_bytes, write_json
-from forestgen.dataset.formats.format import load_formats
-from forestgen.dataset.formats.shards import finite
+from forestgen.dataset.formats.format import finite, load_formats
 from forestgen.dataset.settings import DRAW, DatasetSettings
 from forestgen.dataset.tables import write_plants
 from forestgen.dataset.tonemap import preview_of
@@ -59,11 +58,7 @@ def frame_bytes(size_px: tuple[int, int], plants: int, formats: Sequence[str] = 
 
 
 def write_frame(
-    folder: Path,
-    labelled: LabelledFrame,
-    recipe_yaml: str,
-    attributes: Mapping[str, str],
-    settings: DatasetSettings,
+    folder: Path, labelled: LabelledFrame, recipe_yaml: str, attributes: Mapping[str, str], settings: DatasetSettings
 ) -> None:
     """Write a frame's files and its shards of the data set's formats into its own folder, made if it is missing.
 
@@ -83,7 +78,7 @@ def write_frame(
 
         write_raw(folder, raw_image(radiance, camera, camera.exposure, int(attributes.get("image_seed", "0"))))
     write_plants(folder / "plants.parquet", labelled)
-    write_camera(folder / "camera.json", camera)
+    write_json(folder / "camera.json", camera_model(camera))
     if projection_of(camera).is_equidistant:
         from forestgen.labels.gap_fraction import gap_fraction_of, looks_up
 

@@ -269,19 +269,17 @@ class RunOptions:
 
     @property
     def timeout_s(self) -> float | None:
-        return None if self.timeout is None else seconds_of(self.timeout, "timeout")
-
-
-def seconds_of(duration: float | str, option: str) -> float:
-    """Seconds of a number, or of a text such as 90s, 30min or 1.5h. Raises `RecipeError`."""
-    if isinstance(duration, int | float) and not isinstance(duration, bool) and 0 < duration < sys.maxsize:
-        return float(duration)
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", duration if isinstance(duration, str) else "")
-    if found is None or not float(found[1]):
-        raise RecipeError(
-            "no such duration", parameter=option, expected="such as 90s, 30min or 2h", got=shown(duration)
-        )
-    return float(found[1]) * {"s": 1, "min": 60, "h": 3600}[found[2]]
+        """Seconds, of a number or of a text such as 90s, 30min or 1.5h. Raises `RecipeError`."""
+        given = self.timeout
+        if given is None:
+            return None
+        if isinstance(given, int | float) and not isinstance(given, bool) and 0 < given < sys.maxsize:
+            return float(given)
+        found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h)\s*", given if isinstance(given, str) else "")
+        if found is None or not float(found[1]):
+            expected = "such as 90s, 30min or 2h"
+            raise RecipeError("no such duration", parameter="timeout", expected=expected, got=shown(given))
+        return float(found[1]) * {"s": 1, "min": 60, "h": 3600}[found[2]]
 
 
 @dataclass(frozen=True)

@@ -166,18 +166,12 @@ def check_fits(expected: Estimate, storage: StorageBackend, *, workers_here: boo
     Raises `ResourceError`: too little memory for a worker, or for the workers that were asked for.
     Raises `OutputError`: the disk is too small.
     """
-    if workers_here:
-        _check_memory(expected)
-    check_disk(storage, expected.counts.images, expected.disk_bytes.mean)
-
-
-def _check_memory(expected: Estimate) -> None:
     free, need = SHARE_OF_MEMORY * free_bytes(), expected.worker_bytes
-    if need > free:
+    if workers_here and need > free:
         problem = "one worker would need more memory than is free"
         hint = "make the images or the site smaller, or lower plants.exemplars_per_species"
         raise ResourceError(problem, expected=f"at most {show_bytes(free)}", got=f"about {show_bytes(need)}", hint=hint)
-    if expected.wanted is not None and need * expected.wanted > free:
+    if workers_here and expected.wanted is not None and need * expected.wanted > free:
         fits = max(1, int(free / need))
         raise ResourceError(
             "so many workers would need more memory than is free",
@@ -186,6 +180,7 @@ def _check_memory(expected: Estimate) -> None:
             got=f"about {show_bytes(need * expected.wanted)}: {show_bytes(need)} for each",
             hint=f"`workers={fits}`, or leave it out",
         )
+    check_disk(storage, expected.counts.images, expected.disk_bytes.mean)
 
 
 def count_images(loaded: LoadedRecipe, count: int) -> Counts:

@@ -25,9 +25,7 @@ from typing import IO, Any
 from forestgen.core.errors import DatasetError
 from forestgen.dataset.card import CARD_NAME, CardCounts, card_text
 from forestgen.dataset.files import disk_errors
-from forestgen.dataset.foreign import tool_of
-from forestgen.dataset.formats.format import known_formats, load_formats
-from forestgen.dataset.formats.shards import json_text, whole_file
+from forestgen.dataset.formats.format import json_text, known_formats, load_formats, whole_file
 from forestgen.dataset.index import INDEX_NAME, DrawTypes, write_index
 from forestgen.dataset.manifest import MANIFEST_NAME, SUMS_NAME, file_sum, write_sums
 from forestgen.dataset.manifest import SCHEMA as MANIFEST_SCHEMA
@@ -52,7 +50,7 @@ from forestgen.runs.description import (
     settings_of,
     this_version,
 )
-from forestgen.runs.folder import note_written
+from forestgen.runs.folder import note_written, tool_of
 from forestgen.runs.record_index import FileSum, RecordIndex
 from forestgen.runs.records import JOBS, record_path
 from forestgen.runs.storage import LocalStorage

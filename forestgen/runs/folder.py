@@ -1,4 +1,7 @@
-"""The data set's folder as a run finds it: ours or not, which images are done, what does not belong any more."""
+"""The data set's folder as a run finds it: ours or not, which images are done, what does not belong any more.
+
+Files that other tools leave in it (`tool_of`) are no part of the data set, and no damage.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Collection, Iterable
+from fnmatch import fnmatchcase
 
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.png import THUMBNAILS
@@ -197,3 +201,32 @@ def _state(storage: StorageBackend) -> dict[str, object] | None:
     except ValueError:
         return None
     return state if isinstance(state, dict) and state.get("schema") == _SCHEMA else None
+
+
+# Patterns match the name of a file, or of a folder with all that is in it.
+_TOOLS: dict[str, tuple[str, ...]] = {
+    "Ultralytics": ("*.cache",),  # what it has read of the labels
+    "Hugging Face": (".cache", ".huggingface"),
+    "FiftyOne": (".fiftyone*", "fiftyone.yml"),
+    "macOS": (".DS_Store", "._*"),
+    "Windows": ("Thumbs.db", "desktop.ini"),
+    "a Linux desktop": (".directory", ".Trash-*"),
+    "Jupyter": (".ipynb_checkpoints",),
+    "Python": ("__pycache__",),
+    "Git": (".git*",),
+    "DVC": (".dvc*", "*.dvc"),
+    "a network file system": (".nfs*",),  # files that were removed while in use
+    "an editor": ("*~", ".*.swp", ".*.swo", ".#*", "#*#", ".idea", ".vscode"),
+}
+# Names before patterns: ".cache" is a folder of Hugging Face's.
+_PATTERNS = sorted(
+    ((one, tool) for tool, several in _TOOLS.items() for one in several), key=lambda pair: "*" in pair[0]
+)
+
+
+def tool_of(path: str) -> str | None:
+    """The tool that makes files of this path below the data set's folder; None if forestgen knows none.
+
+    A file that `SHA256SUMS` lists belongs to the data set, whatever its name.
+    """
+    return next((tool for name in path.split("/") for pattern, tool in _PATTERNS if fnmatchcase(name, pattern)), None)

@@ -12,19 +12,19 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from forestgen.core.arguments import flag_of
-from forestgen.core.errors import DatasetError, OutputError, RecipeError, output_error
+from forestgen.core.errors import DatasetError, OutputError, RecipeError, writing
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import make_folder
-from forestgen.dataset.folder import NO_OUTPUT, OURS, OutputFolder
+from forestgen.dataset.folder import OutputFolder
 from forestgen.dataset.manifest import file_sum, is_run_folder
 from forestgen.dataset.safe_path import SafePath, unreadable
-from forestgen.dataset.settings import DatasetSettings
+from forestgen.dataset.settings import DatasetSettings, first_difference
 from forestgen.recipe.assets import MAPS
 from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.runs.contract import HIDDEN, JobRecord
@@ -108,13 +108,7 @@ def _check_target(target: Path, sources: Sequence[Path], *, overwrite: bool) -> 
     if not sources:
         raise RecipeError("no data set is named", expected="at least one to merge")
     refuse_address(target)
-    if target.exists() and (not target.is_dir() or any(target.iterdir())):
-        problem = "the output is a file"
-        if target.is_dir():  # in the words of `OutputFolder`
-            problem = OURS if _is_data_set(target) else NO_OUTPUT
-        if problem != OURS or not flag_of(overwrite, "overwrite"):
-            hint = "choose another folder, or `overwrite=True` to replace it" if problem == OURS else None
-            raise OutputError(problem, where=str(target), expected="a new or empty folder", hint=hint)
+    if flag_of(overwrite, "overwrite") and _is_data_set(target):  # what else may lie there, `OutputFolder` refuses
         with LocalStorage(target).lock(lambda _: None):  # `OutputError` while a run writes there
             if strange := foreign_files(target):
                 problem, got = "files that forestgen has not written lie in the data set", named(strange)
@@ -148,30 +142,15 @@ def _check_settings(pieces: Sequence[Piece]) -> None:
             hint="install the package that has the format, or register it with `fg.register`",
         )
     for other in pieces[1:]:
-        for field in fields(DatasetSettings):
-            expected, got = getattr(first.settings, field.name), getattr(other.settings, field.name)
-            if expected != got:
-                raise RecipeError(
-                    f"these data sets differ in {_KEYS.get(field.name, f'dataset.{field.name}')}: they cannot be one",
-                    where=str(other.root),
-                    expected=f"{_shown(expected)}, as in {first.root}",
-                    got=_shown(got),
-                    hint="make one of them with the other's value; or train on both, each by its own",
-                )
-
-
-_KEYS = {
-    "species_names": "species",
-    "class_names": "labels.classes",
-    "category_names": "labels.classes",
-    "species_category": "labels.classes",
-    "licence_name": "dataset.licence.name",
-    "licence_url": "dataset.licence.url",
-}
-
-
-def _shown(value: object) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, tuple) else repr(value)
+        if (difference := first_difference(first.settings, other.settings)) is not None:
+            keys, expected, got = difference
+            raise RecipeError(
+                f"these data sets differ in {'.'.join(keys)}: they cannot be one",
+                where=str(other.root),
+                expected=f"{expected}, as in {first.root}",
+                got=got,
+                hint="make one of them with the other's value; or train on both, each by its own",
+            )
 
 
 def _parts(pieces: Sequence[Piece]) -> list[RecipePart]:
@@ -310,11 +289,8 @@ def _linked(source: SafePath, target: Path) -> bool:
 
 def _copied(source: SafePath, target: Path) -> str:
     """SHA-256 of the copy."""
-    with source.open() as stream:
-        try:
-            with target.open("wb") as copy:
-                shutil.copyfileobj(stream, copy)
-            shutil.copystat(source.located(), target)
-        except OSError as error:
-            raise output_error(error, target) from error
+    with source.open() as stream, writing(target):
+        with target.open("wb") as copy:
+            shutil.copyfileobj(stream, copy)
+        shutil.copystat(source.located(), target)
     return file_sum(target)

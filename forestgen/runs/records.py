@@ -137,8 +137,9 @@ def read_record(content: bytes, where: str) -> JobRecord:
 
 
 def done_keys(storage: StorageBackend) -> set[str]:
-    """Keys of the jobs whose records are there."""
-    return set(_keys(storage))
+    """Keys of the jobs whose records are there, by the records' names; other files that lie there are no records."""
+    keys = {name.removesuffix(_ENDING) for name in storage.names(JOBS) if name.endswith(_ENDING)}
+    return {key for key in keys if image_of_key(key) >= 0}
 
 
 def records_of(storage: StorageBackend, note: Callable[[str], None] | None = None) -> Iterator[JobRecord]:
@@ -146,7 +147,7 @@ def records_of(storage: StorageBackend, note: Callable[[str], None] | None = Non
 
     `note`: called with a message for each damaged record, which is left out.
     """
-    keys = sorted(_keys(storage), key=lambda key: (image_of_key(key), key))
+    keys = sorted(done_keys(storage), key=lambda key: (image_of_key(key), key))
 
     def read(path: str) -> tuple[str, bytes]:
         return path, storage.read(path) or b""
@@ -172,11 +173,3 @@ def in_order(pool: Executor, work: Callable[[TaskT], ResultT], tasks: Iterable[T
             yield waiting.popleft().result()
     while waiting:
         yield waiting.popleft().result()
-
-
-def _keys(storage: StorageBackend) -> Iterator[str]:
-    """Keys by the records' names; other files that lie there are no records."""
-    for name in storage.names(JOBS):
-        key = name.removesuffix(_ENDING)
-        if key != name and image_of_key(key) >= 0:
-            yield key

@@ -16,12 +16,7 @@ from forestgen.core.errors import OutputError
 T = TypeVar("T")
 
 # Scheme -> what pip installs for it; "" where fsspec alone does it.
-SCHEMES = {
-    "s3": "forestgen[s3]",
-    "gs": "gcsfs",
-    "az": "adlfs",
-    "abfs": "adlfs",
-}
+SCHEMES = {"s3": "forestgen[s3]", "gs": "gcsfs", "az": "adlfs", "abfs": "adlfs"}
 _IN_PROCESS = "memory"  # fsspec's own, which ends with its process: for tests
 CONNECTIONS = 16  # transfers at once
 PAUSES_S = (0.0, 1.0, 4.0, 15.0)  # before each try of a transfer; the store's own library tries again as well

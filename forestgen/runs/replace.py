@@ -22,13 +22,12 @@ from itertools import chain, count
 from pathlib import Path
 
 from forestgen.core.errors import ForestgenError, OutputError, output_error
-from forestgen.dataset.check import Finding
-from forestgen.dataset.foreign import tool_of
+from forestgen.dataset.check.files import Finding
 from forestgen.dataset.png import THUMBNAILS
 from forestgen.dataset.safe_path import SafePath, is_frame
 from forestgen.recipe.assets import MAPS
 from forestgen.runs.contract import HIDDEN, RUN, StorageBackend
-from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS, splits_before, written_paths
+from forestgen.runs.folder import BEGUN, MOVING, PREVIOUS, splits_before, tool_of, written_paths
 from forestgen.runs.record_index import RecordIndex
 from forestgen.runs.records import done_keys
 from forestgen.runs.storage import LOCK_FILES, STAGING, LocalStorage, unreadable_storage

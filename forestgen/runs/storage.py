@@ -22,7 +22,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from forestgen.core.errors import DatasetError, OutputError, output_error
+from forestgen.core.errors import DatasetError, OutputError, output_error, writing
 from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.dataset.safe_path import RefusedFileError, SafePath, is_inside, unreadable
 from forestgen.runs.contract import HIDDEN
@@ -49,7 +49,7 @@ class LocalStorage:
 
     def staging(self) -> Path:
         folder = self._hidden("job")
-        with _writing(folder):
+        with writing(folder):
             folder.mkdir()
         return folder
 
@@ -58,7 +58,7 @@ class LocalStorage:
 
     def put_folder(self, source: Path, target: str) -> None:
         final = self._path(target)
-        with _writing(final):
+        with writing(final):
             _sync([path for path in source.rglob("*") if path.is_file()])
             final.parent.mkdir(parents=True, exist_ok=True)
             self.remove(target)
@@ -66,7 +66,7 @@ class LocalStorage:
 
     def put_file(self, source: Path, target: str) -> None:
         final = self._path(target)
-        with _writing(final):
+        with writing(final):
             _sync([source])
             final.parent.mkdir(parents=True, exist_ok=True)
             source.replace(final)
@@ -74,7 +74,7 @@ class LocalStorage:
     def write(self, target: str, content: bytes) -> None:
         staged = self._hidden("file")
         try:
-            with _writing(self._path(target)):
+            with writing(self._path(target)):
                 staged.write_bytes(content)
                 self.put_file(staged, target)
         finally:
@@ -106,7 +106,7 @@ class LocalStorage:
         found = self._path(path)
         if not os.path.lexists(found):
             return
-        with _writing(found):
+        with writing(found):
             if not found.is_dir() or found.is_symlink():
                 found.unlink()
                 return
@@ -132,7 +132,7 @@ class LocalStorage:
     def _hidden(self, kind: str) -> Path:
         """A name for work in progress that nothing has."""
         folder = self._path(f"{STAGING}/x").parent
-        with _writing(folder):
+        with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
         return folder / f"{kind}-{os.getpid()}-{secrets.token_hex(6)}"
 
@@ -150,15 +150,6 @@ def files_below(root: Path, folder: str = "") -> Iterator[tuple[str, int, int]]:
                 else:
                     status = entry.stat(follow_symlinks=False)
                     yield path, status.st_size if stat.S_ISREG(status.st_mode) else -1, status.st_ino
-
-
-@contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Storage that fails, as an `OutputError` that names `path`."""
-    try:
-        yield
-    except OSError as error:
-        raise output_error(error, path) from error
 
 
 @contextmanager

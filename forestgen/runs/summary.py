@@ -23,7 +23,7 @@ from typing import IO, Any, Protocol
 
 from pydantic import ValidationError
 
-from forestgen.core.errors import output_error
+from forestgen.core.errors import writing
 from forestgen.core.figures import count, seconds, table_lines
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import make_folder
@@ -153,7 +153,7 @@ class Log:
             make_folder(self._path.parent)
         else:
             self._path = Path(tempfile.mkdtemp(prefix="forestgen-log-")) / "log.jsonl"
-        try:
+        with writing(self._path):
             # To follow a link of an untrusted data set would change a file elsewhere.
             flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
             self._file = os.fdopen(os.open(self._path, flags, 0o666), "ab+")
@@ -163,8 +163,6 @@ class Log:
                 if self._file.read(1) != b"\n":  # a run that was killed has left half a line
                     self._file.write(b"\n")
                     self._file.flush()
-        except OSError as error:
-            raise output_error(error, self._path) from error
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -179,11 +177,9 @@ class Log:
         """Append a line. Raises `OutputError` when it cannot be written."""
         assert self._file is not None
         line = {"time": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": name, **fields}
-        try:
+        with writing(self._path):
             self._file.write((json.dumps(line, ensure_ascii=False) + "\n").encode())
             self._file.flush()
-        except OSError as error:
-            raise output_error(error, self._path) from error
         if not self._local and time.monotonic() - self._uploaded_s > _UPLOAD_EVERY_S:
             self.upload()
 

@@ -17,7 +17,7 @@ their order:
 | labels SPLIT | the split's labels are true to each other and to its files |
 | renders | images that are rendered again have the same bytes |
 
-Files that other tools leave in the folder (forestgen/dataset/foreign.py) are a note.
+Files that other tools leave in the folder (`folder.tool_of`) are a note.
 """
 
 from __future__ import annotations
@@ -31,11 +31,12 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from forestgen.core.arguments import MOST_SEEDS, flag_of, whole_of
+from forestgen.core.arguments import MOST_SEEDS, flag_of, is_address, whole_of
 from forestgen.core.errors import ForestgenError, RecipeError
 from forestgen.core.figures import count, seconds
 from forestgen.core.progress import Progress, Silent
-from forestgen.dataset.check import MOST_NAMED, Finding, check_dataset
+from forestgen.dataset.check.files import Finding
+from forestgen.dataset.check.run import MOST_NAMED, check_dataset
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.safe_path import SafePath, check_folder, unreadable
 from forestgen.recipe.registries import DATASET_FORMATS
@@ -237,8 +238,7 @@ def open_data_set(root: Path) -> dict[str, Any]:
 
 def refuse_address(path: Path) -> None:
     """Raise `RecipeError` for the address of an object store, which is no folder of this machine."""
-    scheme, separator, _ = str(path).partition(":/")
-    if separator and scheme.isalnum() and len(scheme) > 1:  # one letter is a drive of Windows
+    if is_address(path):
         problem, where = "this is the address of an object store", str(path).replace(":/", "://", 1)
         hint = "copy the data set here, with what is hidden in it"
         raise RecipeError(problem, where=where, expected="a folder of this machine", hint=hint)

@@ -15,9 +15,7 @@ from typing import Any
 from forestgen.core.errors import DatasetError, ForestgenError, RecipeError
 from forestgen.core.progress import Progress
 from forestgen.dataset.card import CARD_NAME
-from forestgen.dataset.check import Finding
-from forestgen.dataset.check.files import MISUNDERSTOOD, UnreadableError, misunderstood, read_json, read_text
-from forestgen.dataset.foreign import tool_of
+from forestgen.dataset.check.files import MISUNDERSTOOD, Finding, UnreadableError, misunderstood, read_json, read_text
 from forestgen.dataset.index import COLUMNS, INDEX_NAME, open_index, read_index
 from forestgen.dataset.manifest import MANIFEST_NAME, SUMS_NAME, file_sum, read_sums
 from forestgen.dataset.png import thumbnail_name
@@ -29,6 +27,7 @@ from forestgen.recipe.map_files import recipe_hash
 from forestgen.recipe.sources import parse_yaml
 from forestgen.runs.contract import RUN_DEPENDENT, JobRecord
 from forestgen.runs.description import DATASET_NAME, file_groups
+from forestgen.runs.folder import tool_of
 from forestgen.runs.record_index import FileSum, RecordIndex
 from forestgen.runs.records import JOBS, in_order, record_path, records_of
 from forestgen.runs.storage import LocalStorage, files_below

@@ -12,8 +12,7 @@ import numpy as np
 from forestgen.dataset.check.files import Finding, finding, read_json
 from forestgen.dataset.check.frame_data import FrameCheck, FrameData, frame_check
 from forestgen.dataset.check.merged import DatasetCheck, Merged
-from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import in_order, json_text, read_shard, whole_file, write_shard
+from forestgen.dataset.formats.format import DatasetFormat, in_order, json_text, read_shard, whole_file, write_shard
 from forestgen.dataset.pack.pack import Contents, Pack, Shard
 from forestgen.dataset.pack.source import Sample
 from forestgen.dataset.settings import DatasetSettings

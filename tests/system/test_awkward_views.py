@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from command_line import run
 
-from forestgen.dataset.check import check_dataset
+from forestgen.dataset.check.run import check_dataset
 
 STAND = """\
 forestgen: 1

@@ -13,7 +13,7 @@ import pytest
 from command_line import run
 from label_breaks import exr
 
-from forestgen.dataset.check import check_dataset
+from forestgen.dataset.check.run import check_dataset
 from forestgen.dataset.exr import read_exr
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import check_plan

@@ -18,7 +18,7 @@ from batch_pieces import copied, finished, jobs_of, recipe, shown
 from ruamel.yaml import YAML
 
 from forestgen.core.errors import OutputError
-from forestgen.dataset.check import check_dataset
+from forestgen.dataset.check.run import check_dataset
 from forestgen.dataset.manifest import is_run_folder
 from forestgen.dataset.settings import DatasetSettings, data_set_of
 from forestgen.recipe.load import load_recipe

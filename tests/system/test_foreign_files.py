@@ -9,12 +9,12 @@ from batch_pieces import copied, shown
 from batch_runs import SerialEngine
 from command_line import run
 
-from forestgen.dataset.check import check_dataset
-from forestgen.dataset.foreign import tool_of
+from forestgen.dataset.check.run import check_dataset
 from forestgen.dataset.settings import data_set_of
 from forestgen.recipe.load import load_recipe
 from forestgen.runs.contract import Job, Outcome, RunOptions, Work
 from forestgen.runs.finish import finish
+from forestgen.runs.folder import tool_of
 from forestgen.runs.records import records_of
 from forestgen.runs.run import run_batch
 from forestgen.runs.storage import LocalStorage

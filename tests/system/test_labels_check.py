@@ -12,8 +12,7 @@ from label_breaks import BIRCH, FRAME, NEXT, cell, content, exr, spots, text
 from label_mutations import MUTATIONS
 
 from forestgen.core.errors import RecipeError
-from forestgen.dataset.check import check_dataset
-from forestgen.dataset.check.run import _dataset_checks, _frame_checks
+from forestgen.dataset.check.run import _dataset_checks, _frame_checks, check_dataset
 from support.tiers import slow_but
 
 RECIPE = """\

@@ -11,8 +11,9 @@ from command_line import run
 from label_breaks import exr
 
 from forestgen.architecture.prototypes import MOST_NODES
-from forestgen.dataset.check import check_dataset, masks
+from forestgen.dataset.check import masks
 from forestgen.dataset.check.files import read_exr
+from forestgen.dataset.check.run import check_dataset
 
 FRAME = "000000-camera0"
 RECIPE = """\

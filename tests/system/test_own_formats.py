@@ -9,7 +9,7 @@ import pytest
 from batch_runs import RECIPE, recipe
 
 import forestgen as fg
-from forestgen.dataset.check import check_dataset
+from forestgen.dataset.check.run import check_dataset
 from forestgen.recipe.registries import DATASET_FORMATS
 from forestgen.runs.replace import foreign_files
 

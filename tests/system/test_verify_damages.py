@@ -27,7 +27,7 @@ from dataset_breaks import (
     written,
 )
 
-from forestgen.dataset.check import MOST_NAMED
+from forestgen.dataset.check.run import MOST_NAMED
 from forestgen.runs.verify import VerificationReport, verify
 
 

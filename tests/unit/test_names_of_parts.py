@@ -53,12 +53,11 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "dataset/check/frame_data.py": {"coverage"},  # a part of frame.exr
     "dataset/check/geometry.py": {"motion"},  # a part of frame.exr, and a check
     "dataset/check/light.py": {"albedo", "cloud", "sun"},  # parts of frame.exr
-    "dataset/check/masks.py": {"coverage", "module"},  # the same, and a check
-    "dataset/check/plants.py": {"amodal"},  # a check
+    "dataset/check/masks.py": {"amodal", "coverage", "module"},  # the same, and checks
     "dataset/formats/bop.py": {"amodal"},  # a channel that it needs
     "dataset/frame.py": {"albedo", "cloud", "motion", "sun"},  # parts of frame.exr
     "dataset/pack/source.py": {"albedo", "motion"},  # the same
-    "dataset/report/content_sections.py": {"sun"},  # a key of the recipe
+    "dataset/report/sections.py": {"sun"},  # a key of the recipe
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statements.py": {"points"},  # the same
     "recipe/schema.py": {"flat", "litter"},  # defaults

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from forestgen.core.parts import Part
 from forestgen.dataset.check.files import MISUNDERSTOOD, Finding, finding, misunderstood, read_json
 from forestgen.dataset.check.frame_data import FrameData, frame_check
+from forestgen.dataset.check.masks import KEYPOINT_COLUMNS, KEYPOINTS
 from forestgen.dataset.check.merged import Merged, dataset_check, folder_of
-from forestgen.dataset.check.plants import KEYPOINT_COLUMNS, KEYPOINTS
 from forestgen.dataset.safe_path import SafePath
 
 _FILE, _SHARD, _FORMAT = "coco.json", "annotations.json", "coco"

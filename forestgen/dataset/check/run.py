@@ -1,5 +1,9 @@
 """Run all checks over a data set, on several processes; the outcome does not depend on their number.
 
+Each family of invariants is a small module. The checks recompute from the files' definitions in plain NumPy. They share
+no code that computes labels with those who wrote the files: only the numbers of parts, and readers that are safe with
+strangers' files.
+
 Findings are ordered: frames by name, each with its checks in the order of this module, then the files over all images.
 """
 
@@ -23,7 +27,7 @@ from forestgen.core.processes import without_main
 from forestgen.core.progress import Progress, Silent
 from forestgen.core.registry import Registration, register_again, registrations
 from forestgen.core.threads import cores
-from forestgen.dataset.check import geometry, light, masks, merged, plants
+from forestgen.dataset.check import geometry, light, masks, merged
 from forestgen.dataset.check.files import MISUNDERSTOOD, Finding, UnreadableError
 from forestgen.dataset.check.frame_data import FrameCheck, FrameData
 from forestgen.dataset.check.merged import UNKNOWN, DatasetCheck, Merged, following_frames, open_dataset
@@ -36,8 +40,8 @@ MOST_NAMED = 1000  # findings of one check that are named; the others are counte
 # Of a frame's own labels, in the order in which they run. Those of each registered format follow.
 _FRAME_CHECKS = (
     merged.files, geometry.camera, masks.ids, masks.instance_png, masks.parts, masks.semantic, merged.names,
-    masks.coverage, plants.visible, plants.areas, plants.stems, plants.measures, plants.keypoints, plants.places,
-    plants.amodal, geometry.depth, geometry.sky, geometry.circle, geometry.position, geometry.normals, geometry.centre,
+    masks.coverage, masks.visible, masks.areas, masks.stems, masks.measures, masks.keypoints, masks.places,
+    masks.amodal, geometry.depth, geometry.sky, geometry.circle, geometry.position, geometry.normals, geometry.centre,
     masks.branches, light.radiance, light.header, light.raw, light.surfaces, geometry.motion,
 )  # fmt: skip
 _DATASET_CHECKS = (merged.listing, merged.legend)
@@ -80,15 +84,11 @@ def check_dataset(root: Path, *, jobs: int | None = None, progress: Progress | N
 
 
 def _frame_checks() -> Iterator[FrameCheck]:
-    yield from _FRAME_CHECKS
-    for one in known_formats():
-        yield from one.frame_checks()
+    return chain(_FRAME_CHECKS, *(one.frame_checks() for one in known_formats()))
 
 
 def _dataset_checks() -> Iterator[DatasetCheck]:
-    yield from _DATASET_CHECKS
-    for one in known_formats():
-        yield from one.dataset_checks()
+    return chain(_DATASET_CHECKS, *(one.dataset_checks() for one in known_formats()))
 
 
 def check_frame(data: FrameData) -> dict[str, Named]:

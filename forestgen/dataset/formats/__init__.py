@@ -5,5 +5,5 @@ A format is added by such a module and a line of `forestgen.recipe.registries`, 
 
 ``write_frame`` writes the frame's own share into its folder, the shard. ``merge`` reads the shards of all frames, in
 the order of their names, and writes the data set's files once. So many workers may write frames, and nobody rewrites a
-file as images come. `shards.py` has what most formats need for both.
+file as images come. `format.py` has what most formats need for both.
 """

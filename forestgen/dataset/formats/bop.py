@@ -44,8 +44,15 @@ from numpy.typing import NDArray
 from forestgen.dataset.camera import camera_from_world
 from forestgen.dataset.files import make_folder
 from forestgen.dataset.formats.depth_png import BEYOND, encode_depth
-from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import in_order, json_text, place, read_shard, whole_file, write_shard
+from forestgen.dataset.formats.format import (
+    DatasetFormat,
+    in_order,
+    json_text,
+    place,
+    read_shard,
+    whole_file,
+    write_shard,
+)
 from forestgen.dataset.png import write_png
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame

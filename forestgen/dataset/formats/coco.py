@@ -45,8 +45,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import (
+from forestgen.dataset.formats.format import (
+    DatasetFormat,
     finite,
     in_order,
     json_text,

@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import in_order, read_shard, write_shard
+from forestgen.dataset.formats.format import DatasetFormat, in_order, read_shard, write_shard
 from forestgen.dataset.png import write_png
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame

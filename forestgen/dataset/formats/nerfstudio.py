@@ -39,8 +39,7 @@ import numpy as np
 from forestgen.core.errors import OutputError
 from forestgen.dataset.files import write_json
 from forestgen.dataset.formats.depth_png import FORMAT as DEPTH
-from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import damaged, in_order, read_shard
+from forestgen.dataset.formats.format import DatasetFormat, damaged, in_order, read_shard
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.scene.projection import Exchange, Projection, projection_of_model
 

@@ -34,8 +34,7 @@ from forestgen.core.errors import OutputError
 from forestgen.core.parts import Part
 from forestgen.dataset import png
 from forestgen.dataset.formats.coco import write_merged
-from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import in_order, numbering, place, read_frame, write_shard
+from forestgen.dataset.formats.format import DatasetFormat, in_order, numbering, place, read_frame, write_shard
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.labels.masks import instance_mask

@@ -36,8 +36,7 @@ import numpy as np
 
 from forestgen.dataset.files import make_folder, write_bytes
 from forestgen.dataset.formats.contours import polygons
-from forestgen.dataset.formats.format import DatasetFormat
-from forestgen.dataset.formats.shards import damaged, in_order, place, read_bytes
+from forestgen.dataset.formats.format import DatasetFormat, damaged, in_order, place, read_bytes
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.labels.labelled import LabelledFrame
 

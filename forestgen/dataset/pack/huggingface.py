@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from forestgen.core.errors import DatasetError
-from forestgen.dataset.formats.shards import json_text
+from forestgen.dataset.formats.format import json_text
 from forestgen.dataset.pack.pack import Contents, Pack, Shard
 from forestgen.dataset.pack.source import Channel, Sample, Source
 from forestgen.dataset.safe_path import load_json, one_line

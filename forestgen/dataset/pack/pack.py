@@ -30,6 +30,7 @@ from forestgen.dataset.safe_path import SafePath, read_object, reading
 from forestgen.recipe.registries import PACKS
 from forestgen.recipe.sources import parse_yaml
 
+README_TEMPLATE = Path(__file__).with_name("readme.md.jinja")  # what people read, of the pack's channels alone
 _PACK_FILE = "pack.json"
 _SCHEMA = "forestgen-pack/1"
 
@@ -170,7 +171,8 @@ def _write_rest(
         write_bytes(folder / LEGEND_NAME, legend.read())
     of_card, chapter = _card_of(source.root)
     code = _opening_code(form, "PATH", shards)
-    text = readme_body(form.title, code, shards, source.classes, names) + chapter
+    about = {"title": form.title, "code": code, "splits": shards, "classes": source.classes, "channels": names}
+    text = str(markdown_template(README_TEMPLATE).render(about)) + chapter
     write_bytes(folder / "README.md", (form.front_matter(contents, shards, of_card) + text).encode())
     content = {
         "schema": _SCHEMA,
@@ -180,18 +182,6 @@ def _write_rest(
         "splits": {name: [asdict(one) for one in listed] for name, listed in shards.items()},
     }
     write_json(folder / _PACK_FILE, content)
-
-
-def readme_body(
-    title: str,
-    code: Sequence[str],
-    splits: Mapping[str, Sequence[Shard]],
-    classes: Mapping[str, Any],
-    channels: Sequence[str],
-) -> str:
-    """What people read in README.md; `code` opens the pack, and only its `channels` are described."""
-    template = markdown_template(Path(__file__).with_name("readme.md.jinja"))
-    return str(template.render(title=title, code=code, splits=splits, classes=classes, channels=channels))
 
 
 def _card_of(root: Path) -> tuple[dict[str, Any], str]:

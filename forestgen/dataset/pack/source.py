@@ -17,7 +17,7 @@ from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.dataset.exr_chunks import read_whole
 from forestgen.dataset.formats.depth_png import SCALE_NAME
-from forestgen.dataset.formats.shards import json_text
+from forestgen.dataset.formats.format import json_text
 from forestgen.dataset.index import INDEX_NAME, plain_rows, whole_index
 from forestgen.dataset.png import LEGEND_NAME, read_legend
 from forestgen.dataset.safe_path import SafePath, read_object, reading

@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from forestgen.dataset.files import write_json
-from forestgen.dataset.formats.shards import json_text
+from forestgen.dataset.formats.format import json_text
 from forestgen.dataset.pack.pack import Contents, Pack, Shard
 from forestgen.dataset.pack.source import Channel, Sample
 

@@ -52,12 +52,7 @@ class LocalEngine:
     """
 
     def __init__(
-        self,
-        work: Work,
-        workers: int,
-        make: Callable[[Work, Job, int], Outcome],
-        *,
-        timeout_s: float | None = None,
+        self, work: Work, workers: int, make: Callable[[Work, Job, int], Outcome], *, timeout_s: float | None = None
     ) -> None:
         self._work, self._timeout_s = work, timeout_s
         self._count = max(1, workers)

@@ -6,7 +6,7 @@ from typing import Any
 
 import typer
 
-from forestgen.cli.arguments import with_options
+from forestgen.cli.parsing import with_options
 
 
 def made_of(command: Any) -> Any:

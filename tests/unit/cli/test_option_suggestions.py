@@ -10,8 +10,7 @@ import typer
 from typer.testing import CliRunner
 
 from forestgen.cli import app
-from forestgen.cli.arguments import with_options
-from forestgen.cli.parsing import _MEANT, options_suggested, suggestion
+from forestgen.cli.parsing import _MEANT, options_suggested, suggestion, with_options
 
 
 def command_of(*options: str, recipe: bool = True) -> Any:

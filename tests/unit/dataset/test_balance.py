@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from forestgen.dataset.index import INDEX_NAME
-from forestgen.dataset.report.content_sections import RARE, balance
 from forestgen.dataset.report.frames import read_frames
+from forestgen.dataset.report.sections import RARE, balance
 from support.data_sets import SPLITS, write_data_set
 
 COUNTS = st.dictionaries(st.sampled_from("abcde"), st.integers(0, 10**12), max_size=5)

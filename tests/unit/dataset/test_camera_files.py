@@ -9,8 +9,9 @@ import pytest
 from dataset_shots import HEIGHT, SETTINGS, WIDTH, make_camera
 
 from forestgen.core.errors import OutputError
-from forestgen.dataset.camera import exr_attributes, world_to_ndc, write_camera
+from forestgen.dataset.camera import camera_model, exr_attributes, world_to_ndc
 from forestgen.dataset.check.frame_data import camera_of as camera_of_file
+from forestgen.dataset.files import write_json
 from forestgen.dataset.formats import nerfstudio
 from forestgen.labels.channels.surface import camera_position_m
 from forestgen.scene.projection import project, projection_of, world_rays
@@ -34,7 +35,7 @@ def frames_on_disk(root, cameras, image=0):
     for camera in cameras:
         folder = root / f"{image:06d}-{camera.name}"
         folder.mkdir(parents=True)
-        write_camera(folder / "camera.json", camera)
+        write_json(folder / "camera.json", camera_model(camera))
         folders.append(folder)
     return folders
 
@@ -42,7 +43,7 @@ def frames_on_disk(root, cameras, image=0):
 def test_camera_json_projects_surfaces_to_pixel_centres(tmp_path):
     camera = replace(make_camera(), sequence="walk", time_s=0.25)
     points, depth, centres = pixel_surface(camera, np.random.default_rng(1))
-    write_camera(tmp_path / "camera.json", camera)
+    write_json(tmp_path / "camera.json", camera_model(camera))
     read = json.loads((tmp_path / "camera.json").read_text())
     pose, k = np.array(read["camera_from_world"]), np.array(read["K"])
     seen = points @ pose[:3, :3].T + pose[:3, 3]
@@ -58,7 +59,7 @@ def test_camera_json_projects_surfaces_to_pixel_centres(tmp_path):
 
 
 def test_a_still_camera_has_no_sequence(tmp_path):
-    write_camera(tmp_path / "camera.json", make_camera())
+    write_json(tmp_path / "camera.json", camera_model(make_camera()))
     assert json.loads((tmp_path / "camera.json").read_text())["sequence"] is None
 
 
@@ -117,14 +118,14 @@ def test_a_missing_or_damaged_camera_is_an_output_error(tmp_path):
 
 def test_a_missing_folder_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match=r"missing"):
-        write_camera(tmp_path / "missing" / "camera.json", make_camera())
+        write_json(tmp_path / "missing" / "camera.json", camera_model(make_camera()))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_checker_reads_every_model_as_it_is_written(kind, tmp_path):
     """Its formulas are its own: rays, starts, projections, circle."""
     camera = camera_of(kind, (40, 30), (3.0, 4.0, 5.0), (8.0, 20.0, 3.0))
-    write_camera(tmp_path / "camera.json", camera)
+    write_json(tmp_path / "camera.json", camera_model(camera))
     read = camera_of_file(json.loads((tmp_path / "camera.json").read_text()), "camera.json")
     seen = world_rays(camera)
     start = np.broadcast_to(seen.origin_m, seen.direction.shape) - np.asarray(camera.position_m)

@@ -16,8 +16,8 @@ from forestgen.dataset.check.coco import area, library_box, run_lengths, runs_of
 from forestgen.dataset.check.cryptomatte import standard_id
 from forestgen.dataset.check.files import UnreadableError, read_recipe
 from forestgen.dataset.check.frame_data import CameraFile, camera_of, extents_of
+from forestgen.dataset.check.masks import keypoint_states
 from forestgen.dataset.check.merged import UNKNOWN, following_frames
-from forestgen.dataset.check.plants import keypoint_states
 from forestgen.dataset.check.yolo import _differences, fill, line_pixels
 
 SHAPES = st.tuples(st.integers(1, 12), st.integers(1, 12))

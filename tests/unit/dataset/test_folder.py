@@ -13,7 +13,6 @@ from forestgen.core.errors import OutputError
 from forestgen.dataset import folder as module
 from forestgen.dataset.files import write_bytes
 from forestgen.dataset.folder import OutputFolder
-from forestgen.dataset.manifest import write_manifest
 
 
 def tree(root):
@@ -23,7 +22,7 @@ def tree(root):
 
 def make_run(target, text="old"):
     with OutputFolder(target) as staging:
-        write_manifest(staging, {"schema": "forestgen-manifest/1"})
+        write_bytes(staging / "manifest.json", b'{"schema": "forestgen-manifest/1"}')
         write_bytes(staging / "data.txt", text.encode())
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from forestgen.api.recipes import load_checked
 from forestgen.core.errors import ForestgenError, RecipeError
-from forestgen.scene.load_checked import load_checked
 from forestgen.scene.plan import check_plan
 
 RECIPE = """\

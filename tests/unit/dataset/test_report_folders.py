@@ -20,8 +20,7 @@ from forestgen.core.errors import DatasetError, OutputError, RecipeError
 from forestgen.dataset import png
 from forestgen.dataset.index import INDEX_NAME, read_index
 from forestgen.dataset.report.frames import read_frames
-from forestgen.dataset.report.gallery import BUDGET_BYTES, MOST_FRAMES, _mask, _photo, choose
-from forestgen.dataset.report.page import write_report
+from forestgen.dataset.report.page import BUDGET_BYTES, MOST_FRAMES, _mask, _photo, choose, write_report
 from forestgen.dataset.report.source import MOST_MESSAGES, read_run
 from support.data_sets import SPLITS, write_data_set, write_rows
 

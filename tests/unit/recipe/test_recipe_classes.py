@@ -6,7 +6,8 @@ import jsonschema
 import pytest
 
 from forestgen.core.errors import RecipeError
-from forestgen.dataset.pack.pack import readme_body
+from forestgen.dataset.card import markdown_template
+from forestgen.dataset.pack.pack import README_TEMPLATE
 from forestgen.recipe.json_schema import recipe_json_schema
 from forestgen.recipe.load import load_recipe_data
 from support.tiers import few
@@ -53,5 +54,6 @@ def test_names_that_cannot_be_seen_are_refused(name):
 
 def test_a_packs_readme_shows_names_as_they_are():
     names = {"0": "nothing", "1": "<b>bold</b> | *x*"}
-    text = readme_body("title", ["code"], {}, {"semantic": names, "categories": names}, ["semantic"])
+    about = {"title": "title", "code": ["code"], "splits": {}, "channels": ["semantic"]}
+    text = markdown_template(README_TEMPLATE).render(about, classes={"semantic": names, "categories": names})
     assert r"0 nothing, 1 \<b\>bold\</b\> \| \*x\*" in text

@@ -14,7 +14,7 @@ from forestgen.core.errors import DatasetError, RecipeError
 from forestgen.core.figures import parse_bytes
 from forestgen.recipe.assets import recipes_dir
 from forestgen.runs import start
-from forestgen.runs.contract import Failed, FailureKind, Job, RunOptions, seconds_of
+from forestgen.runs.contract import Failed, FailureKind, Job, RunOptions
 from forestgen.runs.summary import RunSummary
 from support.displays import RecordingDisplay
 
@@ -139,11 +139,11 @@ def test_what_is_no_size(text: str | int) -> None:
 
 @pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("30 min", 1800.0), ("1.5h", 5400.0), (90, 90.0)])
 def test_durations(text: str | float, seconds: float) -> None:
-    assert seconds_of(text, "timeout") == seconds
+    assert RunOptions(timeout=text).timeout_s == seconds
 
 
 @pytest.mark.parametrize("text", ["", "90", "0s", "-1h", "2 days", "min", 0, -3.0, float("nan"), float("inf")])
 def test_what_is_no_duration(text: str | float) -> None:
     with pytest.raises(RecipeError, match="30min") as caught:
-        seconds_of(text, "timeout")
+        _ = RunOptions(timeout=text).timeout_s
     assert caught.value.where == "timeout"
