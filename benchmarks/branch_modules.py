@@ -27,9 +27,8 @@ from typing import Any
 import numpy as np
 
 from forestgen.community.branch_modules.state import State
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL
+from forestgen.community.population import Site, SpeciesEcology
 from forestgen.recipe.species import PlantType
 
 PLANTS, MODULES = 468_199, 2_271_000  # Makowski 2023, Table 4, Fig. 16 g

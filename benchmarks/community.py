@@ -18,9 +18,9 @@ from time import perf_counter
 import numpy as np
 
 from forestgen.community.competition import domination
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import simulate
 from forestgen.community.models.multiset_lsystem import MODEL
+from forestgen.community.population import Site, SpeciesEcology
 
 SITE = Site((120.0, 120.0))
 SPECIES = (

@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from silviculture_stands import Report
 
-from forestgen.community.model import Site
 from forestgen.community.plots import new_figure
+from forestgen.community.population import Site
 from forestgen.community.soil_water import Ground, SoilWater, Water
 from forestgen.core.threads import cores
 

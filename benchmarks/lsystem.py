@@ -20,9 +20,8 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
 from forestgen.community.models.multiset_lsystem import MODEL, State
+from forestgen.community.population import Site, SpeciesEcology
 from forestgen.lsystem.compiler import Program, compile_program
 from forestgen.lsystem.derivation import derive
 from forestgen.lsystem.parsing import parse_text

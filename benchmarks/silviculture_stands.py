@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.model import Site
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Population, Site, Status
 from forestgen.community.simulation import snapshots
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe

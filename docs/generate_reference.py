@@ -23,10 +23,9 @@ from forestgen.api.programs import Words
 from forestgen.api.recipes import Validation
 from forestgen.cli import app
 from forestgen.community.disturbance import Planting
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import CommunityModel, CommunityParameters, Site
+from forestgen.community.model import CommunityModel, CommunityParameters
 from forestgen.community.point_statistics import PointStatistics
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Population, Site, SpeciesEcology, Status
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.settings import DatasetSettings

@@ -21,13 +21,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from forestgen.community.history_files import map_colours
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import grid_shape
 from forestgen.community.placement.kernels import KernelTable, kernel_matrix
 from forestgen.community.placement.model import Densities, asked_densities, deformed
 from forestgen.community.plots import colours_of, darker, draw_field, new_figure
 from forestgen.community.point_patterns import hopkins_index
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Site
 from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe

@@ -10,9 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
-from forestgen.community.population import Floats, Population, Status
+from forestgen.community.population import Ecologies, Floats, Population, Site, Status
 from forestgen.core.errors import ResourceError
 
 _LARGEST_ID = 2**32 - 1
@@ -133,12 +131,10 @@ def new_ids(first: int, count: int) -> NDArray[np.uint32]:
 def refuse_overflow(first_id: int, expected: float) -> None:
     """Raise `ResourceError` if about so many plants, numbered from `first_id`, are more than there are ids."""
     if first_id - 1 + expected > _LARGEST_ID:
-        raise ResourceError(
-            "plant ids are used up",
-            expected=f"at most {_LARGEST_ID} plants in the history of a community",
-            got=f"{first_id - 1} plants so far and about {expected:.3g} more",
-            hint="lower seedlings_per_ha_per_yr (or initial_plants_per_ha), steps or site.size_m",
-        )
+        most = f"at most {_LARGEST_ID} plants in the history of a community"
+        got = f"{first_id - 1} plants so far and about {expected:.3g} more"
+        hint = "lower seedlings_per_ha_per_yr (or initial_plants_per_ha), steps or site.size_m"
+        raise ResourceError("plant ids are used up", expected=most, got=got, hint=hint)
 
 
 def upper_number(mean: float) -> float:

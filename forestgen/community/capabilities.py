@@ -16,11 +16,9 @@ from forestgen.community.registry import COMMUNITY_MODELS
 if TYPE_CHECKING:
     from forestgen.architecture.prototypes import Tables
     from forestgen.atmosphere.grid import AirGrid, Weather
-    from forestgen.community.ecology import Ecologies
-    from forestgen.community.model import Site
     from forestgen.community.placement.model import Densities
-    from forestgen.community.plan import CommunityPlan
-    from forestgen.community.population import Population
+    from forestgen.community.population import Ecologies, Population, Site
+    from forestgen.community.simulation import CommunityPlan
     from forestgen.core.progress import Progress
     from forestgen.recipe.load import DrawnRecipe
 

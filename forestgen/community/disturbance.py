@@ -19,19 +19,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.community.population import Floats, Population, Status
+from forestgen.community.population import Ecologies, Floats, Population, Status
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Coordinate, Fraction, Name, NonNegative, Number, Positive, Section, Whole, violation
 from forestgen.recipe.sources import Keys
-
-if TYPE_CHECKING:
-    from forestgen.community.ecology import Ecologies
 
 PointOnGround = tuple[Coordinate, Coordinate]
 _MOST_DRAWS = 100_000_000

@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.community.competition import grid
-from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import Conditions
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, relative_density
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelTable
-from forestgen.community.population import Floats
+from forestgen.community.population import Ecologies, Floats, Site
 from forestgen.core.cache import BoundedCache
 from forestgen.core.compiled import compiled
 from forestgen.core.threads import parallel_for

@@ -1,10 +1,8 @@
-"""What every community model offers, and what it gets: parameters, the site, the species' ecology."""
+"""What every community model offers: parameters, methods and what they promise; and a simulation, step by step."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
@@ -12,39 +10,11 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 from forestgen.community.disturbance import Disturbance, Ground, Planting
-from forestgen.community.ecology import Ecologies
-from forestgen.community.population import Floats, Population
+from forestgen.community.population import Ecologies, Population, Site
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole, violation
 from forestgen.recipe.messages import show
 from forestgen.recipe.sources import Keys
-from forestgen.recipe.species import Building
-
-GroundHeight = Callable[[Floats, Floats], Floats]
-
-
-@dataclass(frozen=True)
-class Site:
-    """The ground of a community: the rectangle [0, W] x [0, H] in world x and y, metres."""
-
-    size_m: tuple[float, float]
-    height: GroundHeight | None = None  # of the ground at x and y of any shape, metres; None: flat
-    altitude_m: float = 0.0  # of z = 0 above sea level
-    latitude_deg: float = 50.0  # north is positive
-    wind_from_deg: float = 270.0  # where the prevailing wind comes from, clockwise from north
-    buildings: tuple[Building, ...] = field(default=(), hash=False)
-
-    def __post_init__(self) -> None:
-        if len(self.size_m) != 2 or not all(math.isfinite(side) and side > 0 for side in self.size_m):
-            raise ValueError(f"size_m must be two positive lengths in metres, got {self.size_m!r}")
-
-    @property
-    def area_m2(self) -> float:
-        return self.size_m[0] * self.size_m[1]
-
-    @property
-    def area_ha(self) -> float:
-        return self.area_m2 / 1e4
 
 
 def none_is(empty: object) -> BeforeValidator:

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, WithJsonSchema, model_validator
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.population import Floats
+from forestgen.community.model import CommunityParameters
+from forestgen.community.population import Ecologies, Floats, Site
 from forestgen.community.registry import COMPETITION_MODELS, DEFAULT_COMPETITION_MODEL
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import Program, Value, compile_program, settable, with_values
@@ -284,15 +283,10 @@ def _ranges(start: NDArray[np.int64], length: NDArray[np.integer]) -> NDArray[np
 
 def join_words(kinds: tuple[Kind, ...], parts: Sequence[Multiset]) -> Multiset:
     """The words of all parts, which know the same kinds."""
-    lengths = [np.diff(part.word_start) for part in parts]
-    return Multiset(
-        kinds,
-        np.concatenate([part.code for part in parts]),
-        np.concatenate([part.parameter for part in parts]),
-        np.concatenate([[0], np.cumsum(np.concatenate(lengths))]).astype(np.int32),
-        np.concatenate([part.word_id for part in parts]),
-        np.concatenate([part.born_step for part in parts]),
-    )
+    columns = ("code", "parameter", "word_id", "born_step")
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in columns}
+    lengths = np.concatenate([np.diff(part.word_start) for part in parts])
+    return Multiset(kinds=kinds, word_start=np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32), **joined)
 
 
 def plant_words(

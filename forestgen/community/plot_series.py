@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.clouds.source import WeatherReport
 from forestgen.atmosphere.extinction import droplet_extinction, rain_extinction
-from forestgen.community.model import Site
 from forestgen.community.plots import colours_of, darker, draw_discs, figure_png, new_figure, save_figure, tidy
-from forestgen.community.population import Floats, Population, Status, plant_mass
+from forestgen.community.population import Floats, Population, Site, Status, plant_mass
 from forestgen.community.trajectory import Slope, Trajectory, fit_log_normal
 
 if TYPE_CHECKING:

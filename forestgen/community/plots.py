@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.model import Site
-from forestgen.community.plan import NO_OBSTACLES, Obstacles
-from forestgen.community.population import Floats, Population, Status, count_by_species
+from forestgen.community.population import Floats, Population, Site, Status, count_by_species
+from forestgen.community.simulation import NO_OBSTACLES, Obstacles
 from forestgen.core.errors import writing
 
 if TYPE_CHECKING:

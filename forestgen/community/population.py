@@ -1,9 +1,9 @@
-"""The contract between a community model and everything after it, and what there is of each species."""
+"""What community models get and make: the site, how its species live, the plants; and what there is of each species."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -13,12 +13,68 @@ from numpy.typing import NDArray
 
 from forestgen.architecture.modules import Modules
 from forestgen.core.frames import BREAST_HEIGHT_M
+from forestgen.recipe.species import Building, PlantType, Species
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 SpeciesIndex = NDArray[np.uint16]  # of plants: index in the recipe's species
+GroundHeight = Callable[[Floats, Floats], Floats]
+
+
+@dataclass(frozen=True)
+class Site:
+    """The ground of a community: the rectangle [0, W] x [0, H] in world x and y, metres."""
+
+    size_m: tuple[float, float]
+    height: GroundHeight | None = None  # of the ground at x and y of any shape, metres; None: flat
+    altitude_m: float = 0.0  # of z = 0 above sea level
+    latitude_deg: float = 50.0  # north is positive
+    wind_from_deg: float = 270.0  # where the prevailing wind comes from, clockwise from north
+    buildings: tuple[Building, ...] = field(default=(), hash=False)
+
+    def __post_init__(self) -> None:
+        if len(self.size_m) != 2 or not all(math.isfinite(side) and side > 0 for side in self.size_m):
+            raise ValueError(f"size_m must be two positive lengths in metres, got {self.size_m!r}")
+
+    @property
+    def area_m2(self) -> float:
+        return self.size_m[0] * self.size_m[1]
+
+    @property
+    def area_ha(self) -> float:
+        return self.area_m2 / 1e4
+
+
+@dataclass(frozen=True)
+class SpeciesEcology:
+    """How a species lives, as far as a community model cares; the recipe's section checks the numbers.
+
+    References
+    ----------
+    B. Lane, Models of Plant Communities for Image Synthesis, University of Calgary, 2002, chapters 4 and 6.
+    """
+
+    name: str  # as in the recipe
+    growth_m_per_yr: float  # radial growth of an undominated plant, m/yr, >= 0
+    max_radius_m: float  # R, m, > 0: a plant that reaches it is mature
+    shade_tolerance: float  # shaded[sp]: probability in [0, 1] that a dominated plant survives a step
+    old_age_survival: float  # oldage[sp]: probability in [0, 1] that a mature plant survives a step
+    seedlings_per_ha_per_yr: float  # mean number of seedlings that arrive, 1/(ha yr), >= 0
+    seedling_radius_m: float  # mean radius of an arriving seedling, m, > 0
+    height_scale: float  # A_H of H = A_H r^c_H, metres of height at r = 1 m, > 0
+    height_exponent: float  # c_H of H = A_H r^c_H, >= 0
+    modules: PlantType | None = None  # how it grows as a graph of branch modules; None: not at all
+
+
+Ecologies = Sequence[SpeciesEcology]  # the recipe's species, in its order: a species index counts them
+
+
+def ecology_of(name: str, species: Species) -> SpeciesEcology:
+    """The ecology of a recipe's species."""
+    law, own = species.allometry.height_m, species.ecology.model_dump()
+    return SpeciesEcology(name, height_scale=law.scale, height_exponent=law.exponent, modules=species.modules, **own)
 
 
 class Status(IntEnum):

@@ -13,13 +13,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.history import open_history
 from forestgen.community.history_tables import MODULES_NAME, readable
 from forestgen.community.model import CommunityParameters
-from forestgen.community.plan import CommunityPlan
-from forestgen.community.population import Population
-from forestgen.community.simulation import simulation_code
+from forestgen.community.population import Population, SpeciesEcology
+from forestgen.community.simulation import CommunityPlan, simulation_code
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_snapshot
 from forestgen.core import __version__
 from forestgen.core.errors import AssetError, RecipeError
@@ -104,19 +102,14 @@ def snapshot_to_resume(plan: CommunityPlan, path: Path, step: int | None) -> Pop
         hint = "simulate it again with `set='community.history_modules=true'`, and resume that"
         raise RecipeError(problem, parameter="resume", expected=expected, got="one row a plant", hint=hint)
     population = history.whole(chosen)
-    _check_values(plan, population, path)
-    return population
-
-
-def _check_values(plan: CommunityPlan, population: Population, path: Path) -> None:
-    """Refuse a snapshot with values that no simulation gives, as they are when somebody has changed the file."""
     try:
         check_snapshot(population, plan.site, plan.ecologies)
         plan.model.check_snapshot(plan.parameters, plan.site, plan.ecologies, population)
-    except ImpossibleValueError as error:
+    except ImpossibleValueError as error:  # somebody has changed the file
         problem = f"{error.where} of step {population.step} cannot be of a simulation"
         hint = "the history as forestgen wrote it, or simulate it again"
         raise AssetError(problem, where=str(path), expected=error.expected, got=error.got, hint=hint) from error
+    return population
 
 
 def note_of_other_code(path: Path) -> str | None:

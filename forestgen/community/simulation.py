@@ -1,4 +1,4 @@
-"""Recipe -> population, and a summary of it; communities are kept on disk, by the hash of all that they depend on.
+"""Recipe -> plan -> population; communities are kept on disk, by the hash of all that they depend on.
 
 A simulation is a function of the model, its parameters, the site with its ground, how each species lives, the seed, and
 the code. Images of one stand, cameras added later, a batch that is done again: they take the community from the folder
@@ -11,20 +11,21 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel
 
 from forestgen.architecture.modules import Modules
-from forestgen.community.model import simulate
-from forestgen.community.plan import CommunityPlan
-from forestgen.community.population import Population, Status
+from forestgen.community.model import CommunityParameters, simulate
+from forestgen.community.population import Population, Site, SpeciesEcology, Status, ecology_of
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.progress import Progress
 from forestgen.recipe.assets import scenes_dir
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.species import Building
 
 WORTHWHILE_S = 0.5
 MOST_BYTES = 2_000_000_000
@@ -32,6 +33,87 @@ _SOURCES = ("architecture", "atmosphere", "community", "core", "geometry", "lsys
 _COMPUTE_WITH = ("numpy", "scipy", "numba", "pillow", "OpenEXR")
 
 Kept = TypeVar("Kept")
+
+
+@dataclass(frozen=True)
+class Obstacles:
+    """The buildings of a site, where its community knows of them."""
+
+    entries: tuple[Building, ...] = ()  # a population has them in its first rows by plant_id, in this order
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many there are of each kind."""
+        kinds = [one.kind for one in self.entries]
+        return {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
+
+    def ecologies(self) -> list[SpeciesEcology]:
+        """What stands for each kind among the species of a community: it neither grows nor spreads."""
+        return [SpeciesEcology(kind, 0.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 0.0) for kind in self.counts]
+
+    def rows_of(self, population: Population) -> dict[int, Building]:
+        """Row of the population -> the building that stands there."""
+        rows = np.searchsorted(population.plant_id, np.arange(1, len(self.entries) + 1))
+        return {int(row): one for row, one in zip(rows, self.entries, strict=True)}
+
+    def left_out_of(self, population: Population) -> Population:
+        """The plants of a snapshot: no row is a building, and no species' name; modules are left out, too."""
+        if not self.entries:
+            return population
+        names = population.species_names
+        stays = np.array([name not in self.counts for name in names], dtype=np.bool_)
+        number = np.cumsum(stays) - 1  # of each species among those that stay
+        rows = stays[population.species]
+        arrays = ("plant_id", "position_m", "radius_m", "height_m", "age_yr", "status")
+        return replace(
+            population,
+            species_names=tuple(name for name in names if name not in self.counts),
+            species=number[population.species[rows]].astype(np.uint16),
+            columns={name: values[rows] for name, values in population.columns.items()},
+            modules=None,
+            **{name: getattr(population, name)[rows] for name in arrays},
+        )
+
+    def turned(self, population: Population) -> Population:
+        """The population with buildings' azimuths in the column `azimuth_deg`, which the scene places plants by."""
+        if not self.entries:
+            return population
+        azimuth_deg = population.columns.get("azimuth_deg", np.full(len(population), np.nan)).astype(np.float64)
+        for row, one in self.rows_of(population).items():
+            azimuth_deg[row] = one.azimuth_deg
+        return replace(population, columns={**population.columns, "azimuth_deg": azimuth_deg})
+
+
+NO_OBSTACLES = Obstacles()
+
+
+@dataclass(frozen=True)
+class CommunityPlan:
+    """A community model with its parameters, its site and its species."""
+
+    drawn: DrawnRecipe
+    model: Any  # a CommunityModel
+    parameters: CommunityParameters
+    site: Site
+    ecologies: list[SpeciesEcology]  # of the species, then of kinds of buildings, which do not grow
+    obstacles: Obstacles
+
+    @classmethod
+    def of(cls, drawn: DrawnRecipe, model: Any, parameters: CommunityParameters, site: Site) -> CommunityPlan:
+        """The plan of a drawn recipe."""
+        obstacles = Obstacles(site.buildings)
+        ecologies = [ecology_of(name, species) for name, species in drawn.species.items()]
+        return cls(drawn, model, parameters, site, ecologies + obstacles.ecologies(), obstacles)
+
+    @property
+    def steps(self) -> int:
+        return self.parameters.steps
+
+    @property
+    def empty_reason(self) -> str | None:
+        """Why no plant can ever grow; None if some may. An empty site is no error."""
+        reason: str | None = self.model.empty_reason(self.parameters, self.site, self.ecologies)
+        return reason
 
 
 def snapshots(plan: CommunityPlan, progress: Progress, start: Population | None = None) -> Iterator[Population]:
@@ -73,7 +155,7 @@ def community_key(plan: CommunityPlan) -> str | None:
     """Hash of everything that the community at the recipe's last step depends on; None if that cannot be hashed."""
     about = (plan.parameters, plan.site, plan.ecologies, plan.steps, plan.drawn.image_seed)
     try:
-        content = _content((type(plan.model).__module__, type(plan.model).__qualname__, *about))
+        content = pack(_plain((type(plan.model).__module__, type(plan.model).__qualname__, *about)))
     except TypeError:
         return None
     return hashlib.blake2b(simulation_code().encode() + content, digest_size=20).hexdigest()
@@ -106,17 +188,12 @@ def as_kept(one: Kept) -> Kept:
     return one
 
 
-def _content(value: Any) -> bytes:
-    """Plain and complete, for a hash: arrays and maps by their content.
-
-    Raises `TypeError` for what is, or holds, something without a content to hash, such as a function or a file without
-    a hash.
-    """
-    return pack(_plain(value))
-
-
 def _plain(value: Any) -> Any:
-    """What `pack` knows: sections as their keys, mappings as pairs, whose order may count."""
+    """What `pack` knows, complete, for a hash: sections as their keys, mappings as pairs, whose order may count.
+
+    It, or `pack`, raises `TypeError` for what holds something without a content to hash, such as a function or a file
+    without a hash.
+    """
     if isinstance(value, BaseModel):
         return type(value).__qualname__, _plain({**_keys_of(value), **(value.model_extra or {})})
     if is_dataclass(value) and not isinstance(value, type):

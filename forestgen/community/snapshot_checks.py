@@ -14,9 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Ecologies, Population, Site, Status
 
 _MOST_IDS = 2**32  # one more than the largest
 _ROUNDING = 1e-9  # of a radius, over what its species may have

@@ -45,7 +45,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.model import Site
+from forestgen.community.population import Site
 from forestgen.core.compiled import compiled
 from forestgen.core.threads import cores, parallel_for
 

@@ -20,9 +20,8 @@ from pydantic import Field
 
 from forestgen.community.arrivals import CirclePlants, heights_m, new_ids, of_species
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import Ecologies, SpeciesEcology
-from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.population import Floats, Population, Status
+from forestgen.community.model import CommunityParameters
+from forestgen.community.population import Ecologies, Floats, Population, Site, SpeciesEcology, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, check_columns, check_finite
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng

@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-from forestgen.community.plan import CommunityPlan
 from forestgen.community.population import Population, count_by_species, stems_by_species
-from forestgen.community.simulation import counts_of, standing_dead
+from forestgen.community.simulation import CommunityPlan, counts_of, standing_dead
 from forestgen.core.figures import count, seconds, table_lines
 from forestgen.core.frames import BREAST_HEIGHT_M
 

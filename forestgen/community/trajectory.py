@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 from scipy.stats import linregress
 
-from forestgen.community.model import Site
 from forestgen.community.point_patterns import (
     Estimate,
     Window,
@@ -27,6 +26,7 @@ from forestgen.community.point_patterns import (
 from forestgen.community.population import (
     Floats,
     Population,
+    Site,
     Status,
     count_by_species,
     cover_by_species,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
-from forestgen.community.plan import CommunityPlan
+from forestgen.community.simulation import CommunityPlan
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.classes import ClassMap
 from forestgen.recipe.dataset import View

@@ -123,8 +123,10 @@ def _answer_queries(program: Program, words: Multiset, drawn: Multiset) -> Multi
 
     Raises `LsystemError` where the turtle cannot read a word, or the interpretation makes or removes queries.
     """
-    from forestgen.lsystem.turtle import query_values  # late: compiled kernels
-    from forestgen.lsystem.turtle_options import options_from
+    from forestgen.lsystem.turtle import (
+        options_from,
+        query_values,  # late: compiled kernels
+    )
 
     options = options_from(program.ast.turtle, program.ast.dialect, program.name)
     asks = np.array([kind.symbol in QUERIES for kind in program.kinds])

@@ -11,8 +11,7 @@ from pydantic import Field
 
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.mesh import UP, Floats, Ints, any_perpendicular, rotate, unit
-from forestgen.plants.budget import check_budget
-from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.skeleton import Skeleton, check_budget
 from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate
 from forestgen.recipe.fields import Section
 

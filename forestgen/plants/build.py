@@ -14,7 +14,6 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Floats, Mesh, surface_area_m2
-from forestgen.plants.budget import check_budget
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
 from forestgen.plants.levels import simplified
@@ -23,7 +22,7 @@ from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.parameters import Fit, Sways
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
-from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.plants.variation.model import vary
 from forestgen.recipe.species import Species
 

@@ -9,8 +9,7 @@ from pydantic import Field, model_validator
 
 from forestgen.geometry.mesh import UP, Floats, Ints, rotate, unit
 from forestgen.plants.branching import around
-from forestgen.plants.budget import check_budget
-from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.recipe.curves import Curve, PositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 

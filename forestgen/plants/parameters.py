@@ -108,7 +108,7 @@ class Generator(Protocol):
 
         Foliage rules and the fit to the exact size follow in `plants/build.py`.
 
-        Raises `RecipeError`: the parameters lead nowhere, or to a plant too large for memory (see `plants/budget.py`).
+        Raises `RecipeError`: the parameters lead nowhere, or to a plant too large for memory (`check_budget`).
         """
         ...
 

@@ -28,9 +28,8 @@ from pydantic import Field, model_validator
 from forestgen.core.compiled import compiled
 from forestgen.geometry.mesh import UP, Floats, Ints, Mesh, unit
 from forestgen.plants.branching import around
-from forestgen.plants.budget import check_budget
 from forestgen.plants.foliage import droop, organ_frames
-from forestgen.plants.skeleton import OrganPlacements
+from forestgen.plants.skeleton import OrganPlacements, check_budget
 from forestgen.recipe.curves import PositiveCurve, evaluate_one
 from forestgen.recipe.fields import Section
 

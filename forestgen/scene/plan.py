@@ -11,17 +11,17 @@ import numpy as np
 from forestgen.atmosphere.clouds.source import GAP_OF_SITE, LEAST_GAP_M, cloud_source_of
 from forestgen.community.capabilities import HasObstacles, OwnSkeletons, PlanChecks, capability, models_with
 from forestgen.community.disturbance import Ground
-from forestgen.community.model import Site
 from forestgen.community.placement.density_map import check_maps
-from forestgen.community.plan import CommunityPlan
+from forestgen.community.population import Site
 from forestgen.community.registry import COMMUNITY_MODELS
+from forestgen.community.simulation import CommunityPlan
 from forestgen.core.errors import ErrorList, RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.processes import free_bytes
-from forestgen.plants.budget import most_triangles
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.plan import PlantPlan, foliage_of, generator_parameters
 from forestgen.plants.registry import GENERATORS
+from forestgen.plants.skeleton import most_triangles
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
 from forestgen.recipe.schema import Plants

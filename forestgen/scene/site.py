@@ -9,9 +9,8 @@ import numpy as np
 
 from forestgen.atmosphere.daylight import SunPosition, sun_position
 from forestgen.community.capabilities import SoilWater, capability, models_with
-from forestgen.community.model import Site
-from forestgen.community.plan import CommunityPlan
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Site
+from forestgen.community.simulation import CommunityPlan
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import TERRAINS

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
+from forestgen.community.population import Site, SpeciesEcology
 from forestgen.community.static_model import Placement, StaticModel, StaticParameters
 
 

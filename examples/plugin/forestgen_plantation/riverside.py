@@ -7,9 +7,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
-from forestgen.community.population import Population
+from forestgen.community.population import Ecologies, Population, Site
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticParameters
 
 

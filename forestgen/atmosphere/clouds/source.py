@@ -117,7 +117,7 @@ class CloudRequest:
     drawn: DrawnRecipe
     ground_m: float  # height of the site's lowest ground, on which weather stands
     progress: Progress
-    plan: Any = None  # forestgen.community.plan.CommunityPlan
+    plan: Any = None  # forestgen.community.simulation.CommunityPlan
     population: Any = None  # forestgen.community.population.Population: the community as it stands in the image
 
     @property

@@ -15,8 +15,7 @@ from forestgen.community.branch_modules.parameters import (
     values_of,
 )
 from forestgen.community.branch_modules.state import STAND_IN, no_prototype
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.population import Population
+from forestgen.community.population import Population, SpeciesEcology
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.plants.parameters import Lifeless
 from forestgen.plants.registry import GENERATORS

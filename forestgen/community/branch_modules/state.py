@@ -26,9 +26,7 @@ from forestgen.community.arrivals import Rows
 from forestgen.community.branch_modules.crowding import NO_BOXES, Boxes, SphereGrid, overlap_volumes
 from forestgen.community.branch_modules.parameters import BranchModulesParameters, cells_at, parameters_at
 from forestgen.community.branch_modules.shade import Shade, ShadowGrid, shade
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
-from forestgen.community.population import Floats, Floats32, Mask, SpeciesIndex
+from forestgen.community.population import Floats, Floats32, Mask, Site, SpeciesEcology, SpeciesIndex
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.species import PlantType
 from forestgen.recipe.suggestions import did_you_mean
@@ -155,14 +153,10 @@ def refuse_more_modules(modules: int, most: int) -> None:
 def refuse_more_seeds(seeds: float, where: str = "community.step_yr") -> None:
     """Raise `ResourceError` for more seeds in a step than can be drawn; `where` is the key that asks for them."""
     if seeds > MOST_SEEDS:
-        raise ResourceError(
-            "more seeds would fall in one step than can be drawn",
-            where=where,
-            expected=f"at most {MOST_SEEDS:,}",
-            got=f"about {seeds:,.0f}",
-            hint="lower species' modules.seeds_per_yr, or seeds_per_ha of global_seeding; make steps shorter, or the "
-            "site smaller",
-        )
+        problem, expected = "more seeds would fall in one step than can be drawn", f"at most {MOST_SEEDS:,}"
+        fewer = "lower species' modules.seeds_per_yr, or seeds_per_ha of global_seeding"
+        hint = f"{fewer}; make steps shorter, or the site smaller"
+        raise ResourceError(problem, where=where, expected=expected, got=f"about {seeds:,.0f}", hint=hint)
 
 
 #: What stands in the arrays for a species that does not grow, such as a building.

@@ -38,9 +38,7 @@ from forestgen.community.branch_modules.state import (
     surroundings_of,
     uniform,
 )
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
-from forestgen.community.population import Floats, Indices, Mask, SpeciesIndex
+from forestgen.community.population import Floats, Indices, Mask, Site, SpeciesEcology, SpeciesIndex
 from forestgen.core.compiled import compiled
 from forestgen.core.randomness import child_rng
 
@@ -171,9 +169,8 @@ def _with_room(
 
 @compiled
 def _cell(x, y, width, height, cells):  # type: ignore[no-untyped-def]
-    return min(max(floor(x / width * cells[0]), 0), cells[0] - 1), min(
-        max(floor(y / height * cells[1]), 0), cells[1] - 1
-    )
+    a, b = floor(x / width * cells[0]), floor(y / height * cells[1])
+    return min(max(a, 0), cells[0] - 1), min(max(b, 0), cells[1] - 1)
 
 
 @compiled

@@ -43,7 +43,7 @@ from forestgen.community.ecoclimate.parameters import (
     WeatherSection,
     month_at,
 )
-from forestgen.community.model import Site
+from forestgen.community.population import Site
 from forestgen.community.soil_water import Floats, Ground, SoilWater, SoilWaterParameters, Water, WaterBudget
 from forestgen.core.array_serialization import pack
 from forestgen.core.cache import BoundedCache, code_hash

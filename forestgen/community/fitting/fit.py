@@ -145,7 +145,10 @@ class Matcher:
 
 
 def climb(matcher: Matcher, start: Floats, one: Round, advance: Callable[[int], None]) -> Look:
-    """Take the steps of a round until they gain little: its best look."""
+    """Take the steps of a round until they gain little: its best look.
+
+    `advance` is called with the number of stands after each look.
+    """
     matcher.begin(one)
     best, damping = matcher.look(start.ravel()), _DAMPING
     looks, small = 1, 0
@@ -166,27 +169,13 @@ def climb(matcher: Matcher, start: Floats, one: Round, advance: Callable[[int], 
     return best
 
 
-def match(matcher: Matcher, start: Floats, advance: Callable[[int], None]) -> Matched:
-    """Both rounds; `advance` is called with the number of stands after each look."""
-    return _refined(matcher, climb(matcher, start, ROUNDS[0], advance), advance)
-
-
-def _refined(matcher: Matcher, first: Look, advance: Callable[[int], None]) -> Matched:
+def refine(matcher: Matcher, first: Look, advance: Callable[[int], None]) -> Matched:
     """What the second round makes of the first."""
     best = climb(matcher, first.log_kappa, ROUNDS[1], advance)
     return Matched(best.log_kappa.reshape(matcher.shapes.free), best.z, best.loss, first.loss)
 
 
-@dataclass(frozen=True)
-class Founded:
-    """A fit with founders."""
-
-    nursery: measured.Nursery
-    shapes: likelihood.KernelShapes
-    matched: Matched
-
-
-def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], None]) -> Founded | None:
+def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], None]) -> tuple[Matcher, Matched] | None:
     """Try several numbers of founders for a round each, and the best for the second; None: one kernel does as well.
 
     Differences count as in `plain`, the matcher of one kernel, which came to `of_one`.
@@ -205,8 +194,8 @@ def match_founders(plain: Matcher, of_one: Matched, advance: Callable[[int], Non
     matcher, first = min(found, key=lambda pair: pair[1].loss)
     if first.loss > _BETTER * of_one.rough_loss:
         return None
-    matched = _refined(matcher, first, advance)
-    return Founded(matcher.nursery, shapes, matched) if matched.loss <= _BETTER * of_one.loss else None
+    matched = refine(matcher, first, advance)
+    return (matcher, matched) if matched.loss <= _BETTER * of_one.loss else None
 
 
 def _starts(stand: measured.MeasuredStand, shapes: likelihood.KernelShapes, founders: int) -> list[Floats]:
@@ -288,9 +277,9 @@ def fit_stand(
     began, listener = time.perf_counter(), progress or Silent()
     _check_reach(stand, reach_m)
     shapes = likelihood.kernel_shapes(stand, reach_m)
-    nursery = measured.Nursery(stand, measured.fitting_cells(stand))
     number = stands or int(np.clip(_PLANTS_AT_ONCE // stand.n, _FEWEST_STANDS, _MOST_STANDS))
     start = likelihood.likeliest(stand, shapes, child_rng(seed, "fit", "orders"))
+    nursery = measured.Nursery(stand, measured.fitting_cells(stand))
     matcher = Matcher(nursery, shapes, measured.summaries_for(stand, shapes.reach_m), number, seed)
     placed = 0
 
@@ -303,12 +292,14 @@ def fit_stand(
         return more
 
     with listener.stage("new stands", LOOKS * number) as advance:
-        plain = matched = match(matcher, start, counted(advance))
+        more = counted(advance)
+        plain = matched = refine(matcher, climb(matcher, start, ROUNDS[0], more), more)
     if founders and _wants_founders(matcher, plain):
         with listener.stage("founders", FOUNDERS_LOOKS * number) as advance:
             founded = match_founders(matcher, plain, counted(advance))
         if founded:
-            nursery, shapes, matched = founded.nursery, founded.shapes, founded.matched
+            matcher, matched = founded
+    nursery, shapes = matcher.nursery, matcher.shapes
     kernels = shapes.tables(matched.log_kappa)
     first, tested = seed + _CHECKS, []
     with listener.stage("check", checks) as advance:

@@ -24,10 +24,9 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
 from forestgen.community.fitting.stand import MeasuredStand
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import grid_shape
 from forestgen.community.placement.kernels import KernelSection, KernelTable, table
-from forestgen.community.population import Floats
+from forestgen.community.population import Floats, Site
 from forestgen.core.compiled import compiled
 
 _MEND_EVERY = 64  # plants: sums that are mended gather rounding errors, so they are taken afresh now and then

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from forestgen.community.fitting.fit import Fit
 from forestgen.community.fitting.stand import RADII, STANDS, Envelope, MeasuredStand
-from forestgen.community.plots import new_figure
+from forestgen.community.plots import figure_png, new_figure
 from forestgen.community.population import Floats
 from forestgen.core import __version__
 from forestgen.core.figures import count, seconds
@@ -30,7 +29,6 @@ _FUNCTIONS: dict[str, tuple[str, str, str, float | None]] = {
 }
 _COLOURS = ("#14532D", "#D95F02", "#4C5FB0")
 _ENVELOPE, _MEAN, _STAND = "#CBD8C4", "#6B8F5E", "#B3261E"
-_DPI = 160
 _MIXED_SIGMA = 0.4  # radii that only serve to mix the species' order of placement
 _RADIUS_OF_SPACING = 0.3
 _FOUNDER, _FIRST = "-founder", 1.05  # name and radius of those that come first
@@ -242,9 +240,7 @@ def fit_picture(fit: Fit, title: str) -> bytes:
         for column, one in enumerate(line):
             _draw_function(figure.add_subplot(grid[row, column]), one, fit.stand)
     _legend(figure)
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=_DPI, metadata={"Software": None})
-    return content.getvalue()
+    return figure_png(figure)
 
 
 def _legend(figure: Figure) -> None:

@@ -25,13 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import grid_shape
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import KernelTable
 from forestgen.community.point_patterns import Window, pair_correlation
 from forestgen.community.point_statistics import PointTable
-from forestgen.community.population import Floats
+from forestgen.community.population import Floats, Site
 from forestgen.core.errors import AssetError, ResourceError
 from forestgen.core.randomness import child_rng
 
@@ -142,14 +141,10 @@ def _check_points(table: PointTable, where: str) -> None:
         raise AssetError("too few plants for a fit", where=where, expected=f"{FEWEST} at least", got=str(n))
     if n > MOST:
         share = math.sqrt(0.9 * MOST / n)
-        raise ResourceError(
-            "too many plants for a fit",
-            where=where,
-            expected=f"at most {MOST:,}: time grows with their number, and a part of the window tells as much",
-            got=f"{n:,}",
-            hint=f"keep the plants of a part of the window, such as {share:.2f} of its width and of its height, "
-            "and state that part as the window",
-        )
+        expected = f"at most {MOST:,}: time grows with their number, and a part of the window tells as much"
+        part = f"such as {share:.2f} of its width and of its height"
+        hint = f"keep the plants of a part of the window, {part}, and state that part as the window"
+        raise ResourceError("too many plants for a fit", where=where, expected=expected, got=f"{n:,}", hint=hint)
     if max(table.window.size_m) > LARGEST_M:
         expected = f"sides up to {LARGEST_M:,} m, those of a recipe's site; coordinates in metres"
         raise AssetError("the window is too large", where=where, expected=expected, got=str(table.window))

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from forestgen.community.ground import relief
-from forestgen.community.model import GroundHeight, Site
+from forestgen.community.population import GroundHeight, Site
 from forestgen.core.cache import BoundedCache
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
 from forestgen.recipe.fields import Section, violation

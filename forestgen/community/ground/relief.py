@@ -68,7 +68,7 @@ from math import atan, atan2, cos, exp, floor, pi, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.model import GroundHeight, Site
+from forestgen.community.population import GroundHeight, Site
 from forestgen.core.compiled import compiled
 
 Floats = NDArray[np.float64]

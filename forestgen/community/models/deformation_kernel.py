@@ -104,9 +104,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import Conditions
-from forestgen.community.model import Site
 from forestgen.community.placement import clustering
 from forestgen.community.placement import kernels as placement_kernels
 from forestgen.community.placement import model as placement
@@ -121,7 +119,7 @@ from forestgen.community.placement.densities import (
     species_density,
 )
 from forestgen.community.placement.field import DensityField, place
-from forestgen.community.population import Floats, Population
+from forestgen.community.population import Ecologies, Floats, Population, Site
 from forestgen.community.static_model import State, first_state
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole

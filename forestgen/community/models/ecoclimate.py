@@ -44,12 +44,10 @@ from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate import months
 from forestgen.community.ecoclimate.air import grid_of
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters, GlobalSeeding, seedings_in_time
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.branch_modules import most_seedlings, with_dead
-from forestgen.community.plan import CommunityPlan
-from forestgen.community.population import Population
+from forestgen.community.population import Ecologies, Population, Site
+from forestgen.community.simulation import CommunityPlan
 from forestgen.community.snapshot_checks import ImpossibleValueError, check_number
 from forestgen.community.soil_water import Ground, Water, WaterBudget
 from forestgen.core.errors import RecipeError

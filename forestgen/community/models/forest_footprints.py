@@ -69,9 +69,8 @@ from forestgen.community.arrivals import (
 )
 from forestgen.community.competition.domination import dominated
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import Ecologies, SpeciesEcology
-from forestgen.community.model import CommunityParameters, Site
-from forestgen.community.population import Floats, Population, Status
+from forestgen.community.model import CommunityParameters
+from forestgen.community.population import Ecologies, Floats, Population, Site, SpeciesEcology, Status
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Name, NonNegative, Number, Whole
@@ -192,13 +191,8 @@ class ForestFootprints:
         plants, species, parameters = state.plants, state.species, state.parameters
         largest = of_species(species, "max_radius_m")[plants.sp]
         size = [parameters.derivation_steps_of.get(one.name, parameters.derivation_steps) for one in species]
-        derivation_steps = np.floor(np.array(size, dtype=np.float64)[plants.sp] * (plants.r_m / largest))
-        derived = derivation_steps.astype(np.int32)
-        columns: dict[str, NDArray[Any]] = {
-            "vigour": plants.vigour,
-            "health": plants.health,
-            "derivation_steps": derived,
-        }
+        steps = np.floor(np.array(size, dtype=np.float64)[plants.sp] * (plants.r_m / largest)).astype(np.int32)
+        columns: dict[str, NDArray[Any]] = {"vigour": plants.vigour, "health": plants.health, "derivation_steps": steps}
         return plants.population(species, state.step, parameters.step_yr, state.next_id, plants.dominated, columns)
 
     def resume(

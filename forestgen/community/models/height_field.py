@@ -48,11 +48,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
 from forestgen.community.placement import model as placement
 from forestgen.community.placement.labelling import assign, label, lattice_shape
-from forestgen.community.population import Floats
+from forestgen.community.population import Ecologies, Floats, Site
 from forestgen.core.compiled import compiled
 from forestgen.recipe.fields import Fraction, NonNegative
 

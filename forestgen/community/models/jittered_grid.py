@@ -41,12 +41,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, PlacementParameters
 from forestgen.community.placement.labelling import Lattice, assign, choose, label, lattice, lattice_shape
 from forestgen.community.placement.model import PlacementModel, PlantingTargets
-from forestgen.community.population import Floats
+from forestgen.community.population import Ecologies, Floats, Site
 from forestgen.recipe.fields import Fraction
 
 _CELLS_PER_PLANT = 16  # at most

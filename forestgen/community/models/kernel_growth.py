@@ -76,7 +76,6 @@ from pydantic import Field, field_validator
 
 from forestgen.community import arrivals
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.kernel_interactions import (
     Ground,
     GroundSection,
@@ -87,10 +86,10 @@ from forestgen.community.kernel_interactions import (
     quality,
     seed_rain,
 )
-from forestgen.community.model import CommunityParameters, Site
+from forestgen.community.model import CommunityParameters
 from forestgen.community.placement import kernels as placement_kernels
 from forestgen.community.placement.density_map import DensityMap
-from forestgen.community.population import Floats, Population
+from forestgen.community.population import Ecologies, Floats, Population, Site, SpeciesEcology
 from forestgen.community.snapshot_checks import Limits, arrival_limits, check_columns, check_radii
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Name, NonNegative, Number, Whole, violation

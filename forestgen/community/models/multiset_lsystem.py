@@ -72,8 +72,6 @@ from numpy.typing import NDArray
 from forestgen.community.arrivals import CirclePlants, heights_m, new_ids, upper_number
 from forestgen.community.competition.contract import Circles
 from forestgen.community.disturbance import Planting, planted
-from forestgen.community.ecology import Ecologies, SpeciesEcology
-from forestgen.community.model import Site
 from forestgen.community.multiset_program import (
     ORDER,
     OWN,
@@ -88,7 +86,7 @@ from forestgen.community.multiset_program import (
     word_of,
     words_at,
 )
-from forestgen.community.population import Floats, Population
+from forestgen.community.population import Ecologies, Floats, Population, Site, SpeciesEcology
 from forestgen.community.registry import COMPETITION_MODELS
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, arrival_limits, check_columns
 from forestgen.core.errors import LsystemError, RecipeError, ResourceError

@@ -48,8 +48,8 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from forestgen.community.arrivals import new_ids
 from forestgen.community.disturbance import Ground, PointOnGround, planted
-from forestgen.community.ecology import Ecologies, SpeciesEcology
-from forestgen.community.model import Site, none_is
+from forestgen.community.model import none_is
+from forestgen.community.population import Ecologies, Site, SpeciesEcology
 from forestgen.community.static_model import FixedPopulation, Plants, State, StaticParameters, azimuth_of
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation

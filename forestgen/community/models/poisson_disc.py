@@ -44,12 +44,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
 from forestgen.community.placement import model as placement
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.labelling import assign, choose, label
-from forestgen.community.population import Floats
+from forestgen.community.population import Ecologies, Floats, Site
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Positive
 

@@ -41,12 +41,10 @@ import math
 import numpy as np
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, grid_shape, plant_counts, species_density
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.model import GriddedModel, GriddedParameters, stays_apart
-from forestgen.community.population import Floats
+from forestgen.community.population import Ecologies, Floats, Site
 from forestgen.core.compiled import compiled, unowned_view
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Fraction, Positive, Whole

@@ -38,10 +38,8 @@ import math
 import numpy as np
 from pydantic import Field
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
 from forestgen.community.placement.model import GriddedModel, GriddedParameters, density_at
-from forestgen.community.population import Floats
+from forestgen.community.population import Ecologies, Floats, Site
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Number, Positive
 

@@ -27,11 +27,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
 from forestgen.community.placement import model as placement
 from forestgen.community.placement.field import DensityField
-from forestgen.community.population import Floats
+from forestgen.community.population import Ecologies, Floats, Site
 
 
 class UniformParameters(placement.GriddedParameters):

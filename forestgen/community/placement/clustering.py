@@ -20,11 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.model import Site
 from forestgen.community.placement.field import DensityField, place
 from forestgen.community.placement.kernels import SAMPLES, KernelTable
 from forestgen.community.point_patterns import hopkins_index
-from forestgen.community.population import Floats
+from forestgen.community.population import Floats, Site
 from forestgen.community.trajectory import reported_hopkins
 
 MOST_TRIAL_PLANTS = 2000  # of more plants, a regular share is placed on a site that is smaller by as much

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import ndtr, ndtri
 
-from forestgen.community.ecology import Ecologies, SpeciesEcology
 from forestgen.community.ground.living_conditions import Conditions, suitability
-from forestgen.community.model import Site, none_is
+from forestgen.community.model import none_is
 from forestgen.community.placement.density_map import LEAST, DensityMap, MapSection
-from forestgen.community.population import Floats
+from forestgen.community.population import Ecologies, Floats, Site, SpeciesEcology
 from forestgen.community.static_model import StaticParameters
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, Whole, violation

@@ -19,8 +19,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, TypeAdapter, WrapValidator, field_serializer, model_validator
 
-from forestgen.community.model import Site
-from forestgen.community.population import Floats
+from forestgen.community.population import Floats, Site
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.curves import Curve, Formula, Function, Smooth, evaluate
 from forestgen.recipe.fields import Flag, Name, Number, Positive, Section, violation

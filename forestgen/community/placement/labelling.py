@@ -25,11 +25,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.ecology import Ecologies
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import COUNTING_CELLS, PlacementParameters, species_density
 from forestgen.community.placement.model import PlantingTargets
-from forestgen.community.population import Floats
+from forestgen.community.population import Ecologies, Floats, Site
 
 _CERTAIN = 1.0 - 1e-9
 _MOST_ODDS = 1e9

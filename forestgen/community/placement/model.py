@@ -18,9 +18,7 @@ from pydantic import Field
 from scipy.special import chdtrc
 
 from forestgen.community.disturbance import planted
-from forestgen.community.ecology import Ecologies
 from forestgen.community.ground.living_conditions import why_barred
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import (
     COUNTING_CELLS,
     PlacementParameters,
@@ -33,7 +31,7 @@ from forestgen.community.placement.densities import (
 )
 from forestgen.community.placement.field import DensityField
 from forestgen.community.placement.kernels import KernelTable
-from forestgen.community.population import Floats, Population
+from forestgen.community.population import Ecologies, Floats, Population, Site
 from forestgen.community.static_model import Placement, StaticModel
 from forestgen.recipe.fields import Whole
 

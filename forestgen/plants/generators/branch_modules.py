@@ -63,10 +63,9 @@ from pydantic import Field, model_validator
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.mesh import Ints, unit
 from forestgen.plants.branching import Assembly, Grown, Order, Shoots, around, grow, lateral_sites
-from forestgen.plants.budget import check_budget
 from forestgen.plants.grown import ClothedWood, ModuleWood, wood_skeleton, woods_of
 from forestgen.plants.parameters import Fit, PlantParameters
-from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.skeleton import Skeleton, check_budget
 from forestgen.recipe.curves import PositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 
@@ -180,9 +179,9 @@ class BranchModulesGenerator:
 
     def wood_alone(self, species_name: str, species: Species, size_m: tuple[float, float], seed: int) -> ModuleWood:
         """The wood of a plant that grows without a community; see `plants.parameters.ClothesModules`."""
-        from forestgen.community.ecology import ecology_of
-        from forestgen.community.model import Site, simulate
+        from forestgen.community.model import simulate
         from forestgen.community.models.branch_modules import MODEL  # rarely needed
+        from forestgen.community.population import Site, ecology_of
 
         assert species.modules is not None  # checked with the recipe
         modules = species.modules.model_copy(update={"seeds_per_yr": 0.0})

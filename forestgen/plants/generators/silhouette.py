@@ -57,9 +57,8 @@ from pydantic import BeforeValidator, Field, TypeAdapter, WithJsonSchema
 
 from forestgen.geometry.mesh import Floats
 from forestgen.plants.branching import Assembly, Order, Shoots, grow, lateral_sites
-from forestgen.plants.budget import check_budget
 from forestgen.plants.parameters import Fit, PlantParameters
-from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.skeleton import Skeleton, check_budget
 from forestgen.recipe import curves
 from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section

@@ -87,10 +87,9 @@ from pydantic import AfterValidator, Field, model_validator
 
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.mesh import Floats
-from forestgen.plants.budget import check_budget
 from forestgen.plants.build import fit, moved
 from forestgen.plants.parameters import PlantParameters
-from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.plants.strands import JITTERS, ORDERS, Branching, Leaves, Pose, Wind, carried, divide, leaf_places, pose
 from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.recipe.fields import Section

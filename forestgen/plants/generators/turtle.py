@@ -67,13 +67,11 @@ from forestgen.lsystem.compiler import Program, Value, compile_program, settable
 from forestgen.lsystem.derivation import MOST_MODULES, TooManyModulesError, derive, interpret
 from forestgen.lsystem.parsing import parse_sys_text, parse_text
 from forestgen.lsystem.syntax import ProgramAST
-from forestgen.lsystem.turtle import Drawing, Polygons, draw_word
-from forestgen.lsystem.turtle_options import options_from
-from forestgen.plants.budget import check_budget
+from forestgen.lsystem.turtle import Drawing, Polygons, draw_word, options_from
 from forestgen.plants.build import moved
 from forestgen.plants.organs.base import OrganForm, OrganPatch
 from forestgen.plants.parameters import PlantParameters
-from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.recipe.curves import Curve, evaluate_one
 from forestgen.recipe.fields import Section
 

@@ -72,8 +72,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.geometry.mesh import UP, Floats, Ints, rotate, unit
-from forestgen.plants.budget import check_budget
-from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.plants.variation.loop import NewNodes, carry, walk
 from forestgen.recipe.curves import Curve, Function, PositiveCurve, evaluate
 from forestgen.recipe.fields import Section

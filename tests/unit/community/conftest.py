@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
+from forestgen.community.population import Site, SpeciesEcology
 
 _TREE = {
     "name": "tree",

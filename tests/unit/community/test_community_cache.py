@@ -16,12 +16,10 @@ from pydantic_core import PydanticUndefined
 
 from forestgen.architecture.modules import Modules
 from forestgen.community import simulation
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
 from forestgen.community.placement.density_map import MapSection
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Site, SpeciesEcology
 from forestgen.community.registry import COMMUNITY_MODELS
-from forestgen.community.simulation import _content, as_kept, community_key, final_population
+from forestgen.community.simulation import _plain, as_kept, community_key, final_population
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import ENVIRONMENT
 from forestgen.core.errors import RecipeError
@@ -277,6 +275,10 @@ def test_everything_of_the_site_and_of_a_species_is_told(tmp_path: Path) -> None
                 changed = replace(whole, **{one.name: getattr(whole, one.name) * 0.5 + 0.01})
             assert _content(changed) != _content(whole), one.name
     assert _content(Site((1.0, 2.0))) != _content(SpeciesEcology("a", 0, 1, 0, 0, 0, 1, 1, 1))
+
+
+def _content(value: Any) -> bytes:
+    return pack(_plain(value))
 
 
 def test_what_its_content_does_not_tell_is_not_kept(tmp_path: Path) -> None:

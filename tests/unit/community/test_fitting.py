@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist, pdist
 
-from forestgen.community.fitting.fit import ROUNDS, Matcher, Round, fit_stand, match, match_founders
+from forestgen.community.fitting.fit import ROUNDS, Matcher, Round, climb, fit_stand, match_founders, refine
 from forestgen.community.fitting.likelihood import (
     KernelShapes,
     default_reach_m,
@@ -284,16 +284,19 @@ def test_one_more_new_stand_is_tested_as_the_measured_one():
 def test_founders_are_kept_only_where_they_halve_the_loss(founded, monkeypatch):
     monkeypatch.setattr("forestgen.community.fitting.fit._PLANTS_OF_A_FOUNDER", (4.5,))
     monkeypatch.setattr("forestgen.community.fitting.likelihood._PLANTS_IN_ALL", 400)
-    monkeypatch.setattr("forestgen.community.fitting.fit.ROUNDS", (Round(1.0, 5, 2.0), Round(1.0, 4, 1.0)))
+    rounds = (Round(1.0, 5, 2.0), Round(1.0, 4, 1.0))
+    monkeypatch.setattr("forestgen.community.fitting.fit.ROUNDS", rounds)
     stand = stand_of(founded.placed_m, (10.0, 10.0))
     shapes = kernel_shapes(stand, None)
     matcher = Matcher(Nursery(stand, 64), shapes, summaries_for(stand, shapes.reach_m), 25, 1)
-    one = match(matcher, likeliest(stand, shapes, np.random.default_rng(0)), lambda _: None)
+    start = likeliest(stand, shapes, np.random.default_rng(0))
+    one = refine(matcher, climb(matcher, start, rounds[0], lambda _: None), lambda _: None)
     found = match_founders(matcher, one, lambda _: None)
     assert found is not None
-    assert found.nursery.founders == 13
-    assert found.matched.loss <= 0.5 * one.loss
-    kappa = np.exp(found.matched.log_kappa)  # among founders, of them on followers, among followers
+    of_founders, matched = found
+    assert of_founders.nursery.founders == 13
+    assert matched.loss <= 0.5 * one.loss
+    kappa = np.exp(matched.log_kappa)  # among founders, of them on followers, among followers
     near = shapes.knots_m[0, :-1] < 0.5
     assert kappa[0, near].max() < 0.6
     assert kappa[1, near].min() > 8

@@ -14,9 +14,9 @@ from scipy.stats import binom, kstest, poisson
 
 from forestgen.community.competition.domination import dominated
 from forestgen.community.disturbance import Planting
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import simulate
 from forestgen.community.models.forest_footprints import MODEL, Plants, State, survivors
-from forestgen.community.population import Status
+from forestgen.community.population import Site, Status
 from forestgen.core.errors import ResourceError
 
 PARAMETERS = MODEL.Parameters()

@@ -13,13 +13,12 @@ from scipy import stats
 
 from forestgen.community.competition.domination import dominated
 from forestgen.community.disturbance import Planting
-from forestgen.community.ecology import SpeciesEcology
 from forestgen.community.kernel_interactions import Interactions, Rivals, establishment, invitation, quality
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import simulate
 from forestgen.community.models.kernel_growth import MODEL, survivors
 from forestgen.community.placement.kernels import NEUTRAL, KernelSection, KernelTable, table
 from forestgen.community.point_patterns import hopkins_index
-from forestgen.community.population import Status, cover_by_species
+from forestgen.community.population import Site, SpeciesEcology, Status, cover_by_species
 from forestgen.community.trajectory import self_thinning_slope
 
 CONE = {"curve": [[0, 0], [1.5, 1]]}

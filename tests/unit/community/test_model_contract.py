@@ -13,7 +13,8 @@ from pydantic import ValidationError
 from forestgen.architecture.modules import Modules
 from forestgen.community.disturbance import Planting
 from forestgen.community.history import open_history, write_history
-from forestgen.community.model import CommunityParameters, Site, simulate
+from forestgen.community.model import CommunityParameters, simulate
+from forestgen.community.population import Site
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.community.snapshot_checks import check_snapshot
 from forestgen.recipe.species import PlantType

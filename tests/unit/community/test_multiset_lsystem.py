@@ -11,10 +11,9 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import binom, kstest, poisson
 
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import simulate
 from forestgen.community.models.multiset_lsystem import MODEL
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Population, Site, SpeciesEcology, Status
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import AssetError, ForestgenError, LsystemError, RecipeError, ResourceError
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import simulate
 from forestgen.community.models.placed import MODEL, PlacedParameters
-from forestgen.community.population import Status
+from forestgen.community.population import Site, Status
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.plan import check_plan

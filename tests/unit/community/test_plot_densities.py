@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from forestgen.community.model import Site
 from forestgen.community.placement.model import Densities
 from forestgen.community.plots import _fewer, plot_densities
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Site
 
 NAMES = ("tree", "b")
 SQUARE = Site((20.0, 20.0))

@@ -8,13 +8,12 @@ import pytest
 from matplotlib.colors import to_rgb
 from PIL import Image
 
-from forestgen.community import animation
-from forestgen.community.animation import Film
-from forestgen.community.model import Site
-from forestgen.community.plan import NO_OBSTACLES, Obstacles
+from forestgen.community import history_files
+from forestgen.community.history_files import Film
 from forestgen.community.plot_series import plot_curves, plot_sizes, plot_thinning
 from forestgen.community.plots import CONIFER, OBSTACLE, map_figure, save_figure
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Population, Site, Status
+from forestgen.community.simulation import NO_OBSTACLES, Obstacles
 from forestgen.community.trajectory import Trajectory, moment, thinning_slope
 from forestgen.core.errors import OutputError
 from forestgen.recipe.species import Building
@@ -174,7 +173,7 @@ def one_frame(population, site, path, *, periodic=True, colours=None):
     film = Film(site, population.species_names, colours or {}, periodic=periodic)
     film.add(population)
     film.write(path)
-    return pixels(path)[animation._CAPTION_PX :]
+    return pixels(path)[history_files._CAPTION_PX :]
 
 
 @pytest.mark.parametrize("radius_m", [0.05, 0.3, 2.0, 6.0])
@@ -221,7 +220,7 @@ def test_a_film_that_grows_too_large_drops_frames_but_the_last(history, site, tm
         film.add(one)
     film.write(tmp_path / "all.gif")
     most = (tmp_path / "all.gif").stat().st_size // 3
-    monkeypatch.setattr(animation, "MOST_BYTES", most)
+    monkeypatch.setattr(history_files, "MOST_BYTES", most)
     film.write(tmp_path / "few.gif")
     assert (tmp_path / "few.gif").stat().st_size <= most
     with Image.open(tmp_path / "all.gif") as whole, Image.open(tmp_path / "few.gif") as few:

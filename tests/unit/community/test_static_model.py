@@ -12,8 +12,8 @@ import pytest
 
 from forestgen.community.disturbance import Planting
 from forestgen.community.history import open_history, write_history
-from forestgen.community.model import Site, simulate
-from forestgen.community.population import Status
+from forestgen.community.model import simulate
+from forestgen.community.population import Site, Status
 from forestgen.community.snapshot_checks import check_snapshot
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
 from forestgen.core.errors import RecipeError

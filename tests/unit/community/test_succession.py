@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import simulate
 from forestgen.community.models.multiset_lsystem import MODEL
 from forestgen.community.point_patterns import hopkins_index
-from forestgen.community.population import count_by_species, cover_by_species
+from forestgen.community.population import Site, SpeciesEcology, count_by_species, cover_by_species
 
 SITE = Site((120.0, 120.0))
 SPECIES_FOLDER = Path(__file__).parents[3] / "scenes" / "species"

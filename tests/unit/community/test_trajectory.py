@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from forestgen.community.model import Site
-from forestgen.community.population import Population, Status
+from forestgen.community.population import Population, Site, Status
 from forestgen.community.trajectory import (
     ALL,
     Trajectory,

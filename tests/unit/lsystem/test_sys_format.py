@@ -11,8 +11,7 @@ from turtle_oracle import Oracle, encode
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import compile_program
 from forestgen.lsystem.parsing import parse_file, parse_sys_text
-from forestgen.lsystem.turtle import draw
-from forestgen.lsystem.turtle_options import options_from
+from forestgen.lsystem.turtle import draw, options_from
 
 EXAMPLE = "LSYSTEM\n1\nF\nF F [%>F]F[<&F][<&F][%F] 1\n"
 RULE = "F[%>F]F[<&F][<&F][%F]"

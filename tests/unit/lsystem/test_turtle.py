@@ -12,8 +12,7 @@ from turtle_oracle import UNIT, Oracle, encode, frame, picture, queries, segment
 
 from forestgen.core.errors import LsystemError
 from forestgen.lsystem.multiset import Multiset
-from forestgen.lsystem.turtle import draw, draw_word, query_values
-from forestgen.lsystem.turtle_options import TurtleOptions, options_from
+from forestgen.lsystem.turtle import TurtleOptions, draw, draw_word, options_from, query_values
 
 DIALECTS = [options_from({}, name) for name in ("cpfg", "abop", "rhover")]
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from turtle_oracle import UNIT, frame, picture
 
-from forestgen.lsystem.turtle_options import TurtleOptions, options_from
+from forestgen.lsystem.turtle import TurtleOptions, options_from
 
 
 def rewrite(axiom, rules, steps):

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from forestgen.lsystem.multiset import RESERVED, Kind
-from forestgen.lsystem.turtle import draw, query_values
-from forestgen.lsystem.turtle_options import TurtleOptions
+from forestgen.lsystem.turtle import TurtleOptions, draw, query_values
 
 UNIT = TurtleOptions(angle_deg=90.0)
 _MODULE = re.compile(r"(@G[sce]|@v|[?][A-Z]|\S)(?:\(([^()]*)\))?")

@@ -105,7 +105,7 @@ def test_frames_are_right_handed_rotations_times_size() -> None:
 def test_too_many_organs_are_refused_before_they_are_made(
     keys: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("forestgen.plants.budget.LARGEST_PLANT", 1_000_000)
+    monkeypatch.setattr("forestgen.plants.skeleton.LARGEST_PLANT", 1_000_000)
     with pytest.raises(RecipeError, match=r"the plant would have .* organs"):
         placed(**keys)
 

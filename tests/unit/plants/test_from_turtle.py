@@ -13,8 +13,7 @@ from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import compile_program
 from forestgen.lsystem.multiset import RESERVED, Kind
 from forestgen.lsystem.parsing import parse_file, parse_text
-from forestgen.lsystem.turtle import draw
-from forestgen.lsystem.turtle_options import options_from
+from forestgen.lsystem.turtle import draw, options_from
 from forestgen.plants.generators.turtle import draw_program, skeleton_of
 from forestgen.recipe.assets import find_asset
 from support.swept import wood_mesh

@@ -16,12 +16,12 @@ from ruamel.yaml import YAML
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
-from forestgen.plants.budget import most_triangles
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.strands import Parameters as StrandParameters
 from forestgen.plants.parameters import OrganShape
 from forestgen.plants.registry import GENERATORS
+from forestgen.plants.skeleton import most_triangles
 from forestgen.recipe.curves import Curve
 
 ORGAN_SHAPE = TypeAdapter(OrganShape)

@@ -279,7 +279,7 @@ def test_a_plant_without_any_length_is_refused() -> None:
 
 
 def test_a_plant_too_large_for_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("forestgen.plants.budget.free_bytes", lambda: 100_000_000)
+    monkeypatch.setattr("forestgen.plants.skeleton.free_bytes", lambda: 100_000_000)
     with pytest.raises(RecipeError, match="branch segments"):
         branching(parameters(strands=200_000))
     plant = parameters(strands=1000, leaves={"shape": "leaf", "density": 200})

@@ -174,7 +174,7 @@ def test_a_level_of_detail_keeps_the_leaf_area() -> None:
 
 
 def test_too_many_leaves_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("forestgen.plants.budget.free_bytes", lambda: 20_000_000)
+    monkeypatch.setattr("forestgen.plants.skeleton.free_bytes", lambda: 20_000_000)
     plant = parameters(leaves={"shape": "leaf", "density": 200})
     with pytest.raises(RecipeError, match="leaves"):
         GENERATOR.grow(plant, 12.0, 6.0, np.random.default_rng(0))

@@ -12,10 +12,9 @@ from forestgen.architecture.geometry import node_diameters, node_positions
 from forestgen.community.branch_modules.growth import axis_lengths_m, distribute, net_gain, stature_of
 from forestgen.community.branch_modules.state import step_parameters
 from forestgen.community.disturbance import Planting
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import simulate
 from forestgen.community.models.branch_modules import MODEL
-from forestgen.community.population import Status
+from forestgen.community.population import Site, SpeciesEcology, Status
 from forestgen.core import threads
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.species import Building, PlantType

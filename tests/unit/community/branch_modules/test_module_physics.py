@@ -10,7 +10,7 @@ from forestgen.architecture.geometry import diameters
 from forestgen.architecture.prototypes import load_prototypes
 from forestgen.community.branch_modules.growth import PATIENCE, STUNTED, on_axis, stature_of
 from forestgen.community.branch_modules.state import step_parameters
-from forestgen.community.model import Site
+from forestgen.community.population import Site
 from forestgen.core.errors import RecipeError
 
 PINE = {"apical_control": 0.95, "apical_control_mature": 0.5, "flowering_age_yr": 25, "determinacy": 0.82}

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from forestgen.architecture.prototypes import pipe_diameter_m
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL
+from forestgen.community.population import Site, SpeciesEcology
 from forestgen.recipe.biome import shipped_plant_types
 
 TREES = (

@@ -12,9 +12,8 @@ from forestgen.community.branch_modules.growth import stature_of
 from forestgen.community.branch_modules.state import Surroundings, step_parameters, surroundings_of
 from forestgen.community.ecoclimate.months import Ecoclimate
 from forestgen.community.ecoclimate.parameters import EcoclimateParameters
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
 from forestgen.community.models.ecoclimate import MODEL
+from forestgen.community.population import Site, SpeciesEcology
 from forestgen.recipe.species import PlantType
 
 SITE = Site((15.0, 12.0))

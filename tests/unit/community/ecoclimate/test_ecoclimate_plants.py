@@ -15,8 +15,8 @@ from forestgen.community.branch_modules.step import step_forest
 from forestgen.community.disturbance import Planting
 from forestgen.community.ecoclimate.months import Ecoclimate, leaf_area_index, local_climate
 from forestgen.community.ecoclimate.parameters import GlobalSeeding
-from forestgen.community.model import Site
 from forestgen.community.models.ecoclimate import MODEL
+from forestgen.community.population import Site
 from forestgen.community.soil_water import Ground
 
 TWO = [ecology("tree"), ecology("bush", root_vigour_max=20, opacity=0.5, determinacy=0.2)]

@@ -23,9 +23,9 @@ from forestgen.community.ecoclimate.months import (
     worth_mm_per_yr,
 )
 from forestgen.community.ecoclimate.parameters import KINDS
-from forestgen.community.model import Site
 from forestgen.community.models.branch_modules import MODEL as FOREST
 from forestgen.community.models.ecoclimate import MODEL
+from forestgen.community.population import Site
 from forestgen.community.soil_water import SoilWaterParameters, Water
 
 DAYS = 365.25

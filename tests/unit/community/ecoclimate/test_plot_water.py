@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from ecoclimate_cases import SITE, ecology, parameters
 
-from forestgen.community.model import Site, simulate
+from forestgen.community.model import simulate
 from forestgen.community.models.ecoclimate import MODEL
 from forestgen.community.plot_series import SOIL, WaterSeries, plot_water
-from forestgen.community.population import Population
+from forestgen.community.population import Population, Site
 
 
 def series(times: np.ndarray) -> WaterSeries:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from forestgen.community.ground import relief
 from forestgen.community.ground.living_conditions import ground_raster
 from forestgen.community.ground.relief import Nodes, Relief, near_relief, route
-from forestgen.community.model import Site
+from forestgen.community.population import Site
 
 SIZE = (200.0, 200.0)
 SHAPE = (40, 40)

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from forestgen.community.ground import living_conditions
 from forestgen.community.ground.living_conditions import Conditions, ground_raster, suitability, why_barred
-from forestgen.community.model import Site
+from forestgen.community.population import Site
 
 SHAPE = (48, 64)
 

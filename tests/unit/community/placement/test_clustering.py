@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.community.model import Site
 from forestgen.community.models.deformation_kernel import MODEL
 from forestgen.community.placement.clustering import TOLERANCE, as_section, family, notes_on, spacing
 from forestgen.community.placement.kernels import KernelSection, table
 from forestgen.community.point_patterns import hopkins_index
+from forestgen.community.population import Site
 from forestgen.community.trajectory import describe_step
 
 RIDGE = [[0.3, 0.5, 1.0, 0.5, 0.3], [0.3, 0.6, 1.0, 0.6, 0.3], [0.3, 0.5, 1.0, 0.5, 0.3]]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from forestgen.community.model import Site
 from forestgen.community.models.deformation_kernel import MODEL
+from forestgen.community.population import Site
 
 SITE = Site((40.0, 30.0))
 

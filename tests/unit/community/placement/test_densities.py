@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from forestgen.community.model import Site
 from forestgen.community.placement.densities import (
     PlacementParameters,
     Sizes,
@@ -18,6 +17,7 @@ from forestgen.community.placement.densities import (
     plant_counts,
 )
 from forestgen.community.placement.model import wanted_plants
+from forestgen.community.population import Site
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 

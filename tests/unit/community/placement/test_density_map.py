@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from PIL import Image
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from forestgen.community.model import Site
 from forestgen.community.placement import density_map
 from forestgen.community.placement.densities import PlacementParameters, species_density
 from forestgen.community.placement.density_map import DensityMap, check_maps, maps_in
+from forestgen.community.population import Site
 from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import RecipeError
 

@@ -6,11 +6,10 @@ import time
 
 import pytest
 
-from forestgen.community.ecology import SpeciesEcology
-from forestgen.community.model import Site
 from forestgen.community.models.deformation_kernel import MODEL as DEFORMATION
 from forestgen.community.models.kernel_growth import MODEL as GROWTH
 from forestgen.community.placement.kernels import KernelSection, refuse_long_work
+from forestgen.community.population import Site, SpeciesEcology
 from forestgen.core.errors import RecipeError
 
 SITE = Site((50.0, 50.0))

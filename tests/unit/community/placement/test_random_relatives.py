@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.stats import chisquare, kstest
 
-from forestgen.community.model import Site
 from forestgen.community.models import deformation_kernel, strauss, thomas, uniform
 from forestgen.community.point_patterns import Window, ripley_k
+from forestgen.community.population import Site
 
 SITE = Site((30.0, 20.0))
 WINDOW = Window(0, 30, 0, 20)

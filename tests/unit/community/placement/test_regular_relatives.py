@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.stats import chisquare
 
-from forestgen.community.model import Site
 from forestgen.community.models import halftone, height_field, jittered_grid, poisson_disc
 from forestgen.community.models.halftone import diffuse, first_errors
 from forestgen.community.point_patterns import Window, hopkins, measure_distances
+from forestgen.community.population import Site
 
 SITE = Site((30.0, 20.0))
 

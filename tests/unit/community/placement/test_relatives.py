@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import chisquare
 
-from forestgen.community.model import Site
+from forestgen.community.population import Site
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError
 

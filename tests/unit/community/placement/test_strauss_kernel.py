@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from forestgen.community.model import Site
 from forestgen.community.models.strauss import StraussParameters, relax
+from forestgen.community.population import Site
 
 
 def test_sweeps_of_a_hard_core_bring_no_two_plants_nearer() -> None:

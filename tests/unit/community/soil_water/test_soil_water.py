@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from forestgen.community import soil_water
-from forestgen.community.model import Site
+from forestgen.community.population import Site
 from forestgen.community.soil_water import Ground, Passed, SoilWater, SoilWaterParameters, Water
 from forestgen.core import threads
 
