@@ -51,4 +51,4 @@ def test_the_citation_names_the_version_of_the_package() -> None:
 def test_the_readme_is_one_page_with_the_first_two_commands() -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 100
-    assert "\npip install uv && uv run forestgen render recipes/quickstart.yaml\nuv run pytest -n 2\n" in text
+    assert "\npip install uv && uv run forestgen render recipes/quickstart.yaml\nuv run pytest -n 3\n" in text
