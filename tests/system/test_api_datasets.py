@@ -358,7 +358,8 @@ print(run.summary.made, len(run.dataset), report.ok, report.frames)
 """
 
 
-@pytest.mark.parametrize("way", slow_but(["a script", "standard input", "an argument"], "standard input"))
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["a script", "standard input", "an argument"])
 def test_workers_need_nothing_of_the_script_that_starts_them(way: str, tmp_path: Path) -> None:
     """No ``__main__`` guard, and no file either: they neither run it again nor look for it."""
     path = written(tmp_path, ("splits: {train: 1, val: 1}", "splits: {train: 1}"))  # six frames: enough for processes

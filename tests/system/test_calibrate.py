@@ -103,6 +103,7 @@ def test_a_hidden_chart_is_told() -> None:
         calibrated(site(roof_m=1.4), "D65")
 
 
+@pytest.mark.slow
 def test_shade_is_told() -> None:
     """A roof above the camera takes the sun and some of the sky; the chart itself is in full view."""
     found = calibrated(site(roof_m=3.0, half_m=2.5), None)

@@ -181,6 +181,7 @@ def test_level_leaves_reflect_as_two_streams_do(index, soil):
 
 
 @pytest.mark.parametrize("zenith_deg", [slow(0), 70])
+@pytest.mark.slow
 def test_level_leaves_reflect_sunlight_of_any_angle_alike(zenith_deg):
     with using(SCALAR):
         scene, width = canopy(2.0, None, SOIL, side=0.0035, light=sun(zenith_deg))
@@ -201,6 +202,7 @@ def test_turbid_canopies_reflect_as_discrete_ordinates_say(angles):
 
 
 @pytest.mark.parametrize("zenith_deg", [slow(20), 50])
+@pytest.mark.slow
 def test_a_turbid_canopy_under_the_sun(zenith_deg):
     """The sun's angles of RAMI's homogeneous canopies, spherical leaf angles."""
     with using(SCALAR):

@@ -201,6 +201,7 @@ def test_a_damaged_map_is_restored_from_the_recipe(tmp_path: Path) -> None:
     assert place.read(path) is None  # a worker leaves a map of the right size as it is
 
 
+@pytest.mark.slow
 def test_the_command_makes_damaged_images_again(whole: Path, tmp_path: Path) -> None:
     root = copied(whole, tmp_path / "set")
     flip(root / "val/000003-high/semantic.png")

@@ -326,11 +326,11 @@ def test_a_scheduler_that_dies_ends_the_run_soon(cluster: Cluster, tmp_path: Pat
     few(
         [
             (None, "needs a scheduler"),
-            ("tcp://127.0.0.1:1", "no Dask scheduler answers"),
             ("http://127.0.0.1:8786", "no scheduler's address"),
             ("nowhere.json", "no such scheduler file"),
+            ("tcp://127.0.0.1:1", "no Dask scheduler answers"),
         ],
-        2,
+        3,
     ),
 )
 def test_addresses_that_nobody_answers(

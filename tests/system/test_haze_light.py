@@ -254,6 +254,7 @@ def test_airlight_under_clouds_is_that_of_their_light():
     np.testing.assert_allclose(found[1].open_sky[MAP_ROWS // 2].mean(axis=0), thick.mean(axis=0), rtol=0.05)
 
 
+@pytest.mark.slow
 def test_haze_under_thick_clouds_adds_no_sunlight():
     camera = views()["perspective"]
     black = Radiance(np.zeros((24, 32, 3), np.float32), np.zeros((24, 32, 3), np.float32), None, 4)

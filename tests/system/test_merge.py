@@ -135,6 +135,7 @@ def other_set(tmp_path: Path, name: str, first: int, images: int = 1) -> Path:
     return tmp_path / name
 
 
+@pytest.mark.slow
 def test_data_sets_of_two_recipes(whole, tmp_path):
     first = piece(whole, tmp_path / "a", 0, 1)
     second = other_set(tmp_path, "b", 10)

@@ -380,6 +380,7 @@ def test_a_wet_plane_returns_its_share_of_an_even_sky(channels, factor):
 
 
 @pytest.mark.parametrize("turn_deg", few([140.0, 0.0]))
+@pytest.mark.slow
 def test_relief_of_bark_is_lit_as_mitsuba_lights_it(turn_deg):
     """A texture whose heights rise along u and v: it has a side, and is darker away from the sun."""
     furrowed = bark_texture(Bark(pattern="furrowed", tile_m=TILE_M, depth_m=0.004), REFLECTANCE, "post/bark")

@@ -74,7 +74,7 @@ COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site,
 MODULES = ("community.steps=4", "community.initial_plants=12", "plants.unique=2")
 BIOMES = [name for name in list_assets("recipes") if name.startswith("biomes/")]
 # One of each kind of community and sky; the others with the slow tests.
-BY_DEFAULT = ("ecoclimates/dying", "quickstart", "sapling_stand")
+BY_DEFAULT = ("ecoclimates/dying", "quickstart")
 
 
 def _render(recipe: Path, target: Path, *settings: str) -> Path:

@@ -68,6 +68,7 @@ def test_the_same_recipe_gives_the_same_bytes_with_any_number_of_threads(tmp_pat
     assert_equal_runs(larger, tmp_path, (1, 2, 2, 5, 16))
 
 
+@pytest.mark.slow
 def test_the_recipe_has_no_say_in_threads(tmp_path):
     """Or two runs that differ in threads alone would differ in recipe hash and stored recipe."""
     recipe = tmp_path / "stand.yaml"

@@ -19,6 +19,7 @@ def recipe(tmp_path: Path) -> Path:
     return tiny(tmp_path, ("steps: 12", DISTURBED), ("[6, 5]", "[20, 20]"))
 
 
+@pytest.mark.slow
 def test_a_resumed_history_is_the_end_of_the_whole_one(recipe: Path, tmp_path: Path) -> None:
     assert run("simulate", recipe, "-o", tmp_path / "whole").code == 0
     whole = tmp_path / "whole" / "history.parquet"

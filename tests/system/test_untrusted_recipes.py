@@ -20,6 +20,7 @@ from forestgen.core.errors import ForestgenError
 from forestgen.recipe.assets import ALLOWED
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import check_plan
+from support.tiers import slow_but
 
 _opened: list[str] = []
 _watching: list[bool] = []
@@ -158,7 +159,7 @@ def test_an_images_recipe_reads_the_maps_beside_it_by_their_content(folder: Path
     assert "leads out" in str(refused(frame, written(f"../maps/{stored.name}", sha256)))
 
 
-@pytest.mark.parametrize("name", TEXTS)
+@pytest.mark.parametrize("name", slow_but(TEXTS, *(name for name in TEXTS if name != "species without end")))
 def test_a_hostile_recipe_is_refused(name: str, folder: Path) -> None:
     refused(folder, TEXTS[name])
 

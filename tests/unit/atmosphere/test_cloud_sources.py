@@ -181,6 +181,7 @@ def test_a_map_of_emission_from_a_picture(tmp_path: Path) -> None:
         check_clouds(drawn("{type: cumulus, emission: {map: warm.npy}}", recipe=recipe))
 
 
+@pytest.mark.slow
 def test_fog_stands_on_the_ground_around_the_site_and_goes_on_beyond_it() -> None:
     fog = f"{{type: fog, time_s: 600, {TINY}}}"
     grid = clouds_of(drawn(fog), -3.0, Silent())

@@ -113,6 +113,7 @@ class TestTransport:
         out = carried(q, velocity, steps, angle / steps)
         return abs(out - bell(np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x)).mean()
 
+    @pytest.mark.slow
     def test_terrain_keeps_what_is_inside_out_of_the_air(self):
         """Values in solid cells are absurd; the air near them stays within its own."""
         shape = (10, 8, 12)
@@ -157,6 +158,7 @@ class TestMomentum:
             change = (after - before)[inner].astype(float)
             assert abs(change.sum()) < 1e-4 * abs(change).sum()
 
+    @pytest.mark.slow
     def test_error_falls_with_the_second_power_of_the_cell(self):
         """d(u u)/dx of a sine against calculus: the flux is of third order, the mean that carries it of second."""
         errors = []

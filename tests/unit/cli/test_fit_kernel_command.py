@@ -121,6 +121,7 @@ def test_founders_are_tried_unless_they_are_not_wanted(quick, tmp_path, monkeypa
     assert f"stopped at {next_step}" in result.output
 
 
+@pytest.mark.slow
 def test_two_species_and_sizes_give_a_kernel_for_each_direction(quick, points, tmp_path):
     rng = np.random.default_rng(1)
     rows = [
@@ -229,6 +230,7 @@ def test_help_loads_nothing_heavy():
     assert found.stdout.splitlines()[-1] == "[]"
 
 
+@pytest.mark.slow
 def test_a_fit_prints_the_same_from_python(quick, tmp_path):
     target = tmp_path / "cells.yaml"
     result = run(DATA / "cells.csv", "-o", target, "--species", "spruce")

@@ -102,6 +102,7 @@ def test_a_decline_of_one_age_has_its_slope(tmp_path: Path) -> None:
     assert told["to_time_yr"] == 30
 
 
+@pytest.mark.slow
 def test_a_resumed_simulation_tells_of_its_own_steps(tmp_path: Path) -> None:
     plan = plan_of("community.steps=30")
     write_community(tmp_path, plan.community, (one for one in thinning(plan, 30) if one.step >= 25), [25])
@@ -110,6 +111,7 @@ def test_a_resumed_simulation_tells_of_its_own_steps(tmp_path: Path) -> None:
     assert [one["step"] for one in told["steps"]] == [25, 26, 27, 28, 29, 30]
 
 
+@pytest.mark.slow
 def test_no_snapshot_is_held_but_the_current_one(tmp_path: Path) -> None:
     plan = plan_of("community.steps=45")
     alive: list[weakref.ref[Population]] = []

@@ -147,6 +147,7 @@ def test_thinning_and_sizes_of_few_or_equal_plants(plants, site, tmp_path):
     assert (tmp_path / "thinning.png").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_white_petals_show_on_white_paper(tmp_path):
     """Bars of two species of which one is white, and as small beside the other as a daisy beside a spruce."""
     two = stand(300)

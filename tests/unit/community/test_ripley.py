@@ -169,6 +169,7 @@ def test_twins_are_pairs():
     assert count_pairs(np.array([[0.0, 0.0], [0.3, 0.0], [0.35, 0.0]]), 0.31) == 4
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_points():
     points = np.random.default_rng(2).random((100_000, 2))
     k = ripley_k(points, UNIT, np.array([0.005, 0.01]), "isotropic")

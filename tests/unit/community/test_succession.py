@@ -53,6 +53,7 @@ def check_order_of_dominance(measured):
     assert fireweed < 0.5 * min(poplar, spruce)
 
 
+@pytest.mark.slow
 def test_succession_of_two_seeds():
     measured = measure((1, 2), STEPS[:3])
     check_order_of_dominance(measured)
