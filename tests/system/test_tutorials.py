@@ -43,7 +43,7 @@ def test_a_tutorial_works_from_its_first_block_to_its_last(page: Path, tmp_path:
             path.write_text(text, encoding="utf-8")
         elif language == "sh":
             for command in commands_of(text):
-                _done([sys.executable, "-m", *shlex.split(command)], tmp_path, environment)
+                _done([sys.executable, "-P", "-m", *shlex.split(command)], tmp_path, environment)  # as the script does
         elif language == "python" and text.startswith("import "):
             programs.append(text)
         elif language == "python":
