@@ -240,7 +240,7 @@ def refuse_address(path: Path) -> None:
     """Raise `RecipeError` for the address of an object store, which is no folder of this machine."""
     if is_address(path):
         problem, where = "this is the address of an object store", str(path).replace(":/", "://", 1)
-        hint = "copy the data set here, with what is hidden in it"
+        hint = "work on a copy of the data set on this machine, with the folder .forestgen in it"
         raise RecipeError(problem, where=where, expected="a folder of this machine", hint=hint)
 
 
