@@ -76,6 +76,7 @@ def pages() -> dict[Path, str]:
     made[DOCS / "plants_table.md"] = plants_table_page()
     made[DOCS / "reference" / "api.md"] = f"{_NOTICE}\n{generate_reference.api_page()}"
     made[DOCS / "reference" / "community_models.md"] = f"{_NOTICE}\n{generate_reference.community_models_page()}"
+    made[DOCS / "reference" / "light_parts.md"] = f"{_NOTICE}\n{generate_reference.light_parts_page()}"
     made[DOCS / "reference" / "dataset_formats.md"] = f"{_NOTICE}\n{generate_reference.dataset_formats_page()}"
     made[DOCS / "reference" / "command_line.md"] = f"{_NOTICE}\n{generate_reference.command_line_page()}"
     for registry in (COMMUNITY_MODELS, COMPETITION_MODELS, GENERATORS, BUILDINGS):
@@ -300,7 +301,8 @@ def species_page() -> str:
         "The numbers describe one mature plant, seed 3. Leaf area is of one side; the index is leaf area divided by",
         "the crown's projection, π/4 width²; masses are dry. `forestgen plant NAME` grows a plant. Species of the",
         "generator `branch_modules` have no numbers here: they look best in",
-        "[communities of branch modules](branch_modules.md), which give every plant its own branches.\n",
+        "[communities of branch modules](branch_modules.md), which give every plant its own branches. Elsewhere they",
+        "have the narrow crowns of a closed stand.\n",
         "| species | generator | height m | width m | triangles | leaf area m² | index | wood kg | leaves kg |",
         "|---|---|---|---|---|---|---|---|---|",
     ]

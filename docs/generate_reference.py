@@ -21,7 +21,17 @@ from forestgen.api.diagnosis import Diagnosis
 from forestgen.api.points import FittedKernel
 from forestgen.api.programs import Words
 from forestgen.api.recipes import Validation
+from forestgen.atmosphere.clouds.source import CloudRequest, CloudSource
+from forestgen.atmosphere.grid import CloudGrid
 from forestgen.cli import app
+from forestgen.community.capabilities import (
+    AskedDensities,
+    HasObstacles,
+    OwnAir,
+    OwnSkeletons,
+    PlanChecks,
+    SoilWater,
+)
 from forestgen.community.disturbance import Planting
 from forestgen.community.model import CommunityModel, CommunityParameters
 from forestgen.community.point_statistics import PointStatistics
@@ -29,10 +39,15 @@ from forestgen.community.population import Population, Site, SpeciesEcology, Sta
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.settings import DatasetSettings
+from forestgen.instruments.instrument import Instrument, Reading
 from forestgen.labels.labelled import LabelledFrame, PlantViews, VisiblePlants
 from forestgen.labels.masks import AmodalMasks, PixelLabels
+from forestgen.recipe.cameras import Camera as CameraKeys
 from forestgen.runs.start import DryRun
 from forestgen.scene.plant_measures import PlantMeasures
+from forestgen.scene.projection import DeviceRays, Pixels, Projection, Rays
+from forestgen.scene.rigs.rig import Poses, Rig
+from forestgen.scene.spec import Camera
 
 _ERRORS = [name for name in fg.__all__ if name.endswith("Error")]
 _CLASSES = ("Recipe", "Stand", "Frame", "Dataset", "Plant")
@@ -40,6 +55,11 @@ _FUNCTIONS = [name for name in fg.__all__ if name not in (*_ERRORS, *_CLASSES, "
 _RESULTS = (Run, Validation, DryRun, Merged, Words, FittedKernel, PointStatistics, Entry, SpeciesEntry, Diagnosis)
 _STATIC = (StaticModel, GrowingModel, StaticParameters, Placement, Change)
 _PROTOCOL = (CommunityModel, CommunityParameters, Site, SpeciesEcology, Population, Status, Planting)
+_CAPABILITIES = (PlanChecks, HasObstacles, OwnSkeletons, OwnAir, SoilWater, AskedDensities)
+_PROJECTION = (Projection, CameraKeys, Rays, Pixels, DeviceRays, Camera)
+_RIG = (Rig, Poses)
+_CLOUDS = (CloudSource, CloudRequest, CloudGrid)
+_INSTRUMENT = (Instrument, Reading)
 _LABELLED = (LabelledFrame, PixelLabels, PlantViews, VisiblePlants, PlantMeasures, AmodalMasks, DatasetSettings)
 _WIDTH = 100  # characters of a signature or of a help text
 _SECTION = re.compile(r"^([A-Z]\w+)\n-{3,}$", re.MULTILINE)
@@ -74,6 +94,9 @@ def community_models_page() -> str:
         *_importable(_STATIC),
         "## The protocol of all models\n",
         *_importable(_PROTOCOL),
+        "## Capabilities\n",
+        "What a model may offer besides, by having the methods.\n",
+        *_importable(_CAPABILITIES),
     ]
     return "\n".join(text).rstrip() + "\n"
 
@@ -89,6 +112,29 @@ def dataset_formats_page() -> str:
         *_importable((DatasetFormat,)),
         "## What it is given\n",
         *_importable(_LABELLED),
+    ]
+    return "\n".join(text).rstrip() + "\n"
+
+
+def light_parts_page() -> str:
+    """What the author of a projection, a rig, a cloud source or an instrument needs."""
+    text = [
+        "# Projections, rigs, clouds and instruments of your own\n",
+        "The classes of these parts, each with the module to import it from. A part is one object of a class based on",
+        "the first of a section, at the top of a module; `fg.register` or an entry point adds it. Methods that are",
+        "required must be given; the others have a default.",
+        "[examples/plugin](../../examples/plugin) has one of each.\n",
+        "## Projections\n",
+        "Cameras look along z; x is right, y is down. `x` and `y` of `rays` are pixels from the image's middle, and so",
+        "are those that `project` returns. A key of the projection's own reaches both as `camera.numbers`, which the",
+        "keys' class fills in `own_numbers`; `camera.hfov_deg` is what it returns as `field_of_view_deg`.\n",
+        *_importable(_PROJECTION),
+        "## Rigs\n",
+        *_importable(_RIG),
+        "## Cloud sources\n",
+        *_importable(_CLOUDS),
+        "## Instruments\n",
+        *_importable(_INSTRUMENT),
     ]
     return "\n".join(text).rstrip() + "\n"
 
@@ -117,7 +163,9 @@ def _help(name: str, command: Any) -> str:
 
 
 def _function(name: str, function: Any, level: str = "###") -> str:
-    return f"{level} {name}\n\n{_signature(name.removeprefix('fg.'), function)}\n{_documentation(function)}\n"
+    required = "*Required.* " if "NotImplementedError" in function.__code__.co_names else ""
+    signature = _signature(name.removeprefix("fg."), function)
+    return f"{level} {name}\n\n{signature}\n{required}{_documentation(function)}\n"
 
 
 def _class(name: str, one: type, *, members: bool = True, title: str | None = None) -> str:

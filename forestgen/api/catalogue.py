@@ -101,7 +101,7 @@ def models(name: str | None = None, *, kind: str | None = None) -> list[Entry]:
     if name is not None and not named:
         known = [one.name for one in found]
         expected = "a name that `forestgen models` lists: of a part, a species, an L-system or a recipe"
-        hint = did_you_mean(name, known)
+        hint = f"that is a kind: `kind={name!r}` lists its parts" if name in _REGISTRIES else did_you_mean(name, known)
         raise RecipeError("no such name", parameter="name", expected=expected, got=repr(name), hint=hint)
     return named
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import inspect
 import re
 import sys
 import traceback
@@ -189,7 +190,8 @@ class Registry:
             given = getattr(part, "Parameters")  # noqa: B009
             if not (isinstance(given, type) and issubclass(given, base)):
                 expected = f"a class based on {base.__module__}.{base.__name__}"
-                raise RecipeError("its Parameters are none", parameter="part", expected=expected, got=shown(given))
+                problem = "its Parameters are of another kind"
+                raise RecipeError(problem, parameter="part", expected=expected, got=shown(given))
 
     def _entry(self, name: str) -> tuple[str, str]:
         return self._entries.get(name) or self._installed()[name]
@@ -215,9 +217,11 @@ def _entry_points(group: str, paths: tuple[str, ...]) -> list[tuple[str, str, st
 
 
 def _is_stub(part: object, contract: type, name: str) -> bool:
-    """Whether a part inherits a method of its protocol without having one of its own."""
-    stub = vars(contract).get(name)
-    return callable(stub) and getattr(contract, "_is_protocol", False) and getattr(type(part), name, None) is stub
+    """Whether a part inherits a method that parts must have of their own: a protocol's, or one that is not written."""
+    stub: Any = vars(contract).get(name)
+    if not inspect.isfunction(stub) or getattr(type(part), name, None) is not stub:
+        return False
+    return getattr(contract, "_is_protocol", False) or "NotImplementedError" in stub.__code__.co_names
 
 
 def part_at(path: str) -> Any:

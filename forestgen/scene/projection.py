@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.registries import PROJECTIONS
 from forestgen.scene.spec import Camera
@@ -330,6 +331,27 @@ def centre_rays(camera: Camera) -> Rays:
     """(H, W) rays through the pixels' centres, in the camera's axes."""
     width, height = camera.size_px
     return rays(camera, *np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5))
+
+
+def check_projection(camera: Camera) -> None:
+    """Raise `RecipeError` for a projection whose rays and image points are not those of one another."""
+    size = np.array(camera.size_px)
+    at = (np.stack(np.meshgrid(*(2 * [np.linspace(0.05, 0.95, 7)])), axis=-1) * size).reshape(-1, 2)
+    with np.errstate(all="ignore"):
+        found = rays(camera, *at.T)
+        shown, straight = found.valid, found.direction[found.valid]
+        back = project(camera, found.origin_m[shown] + 10.0 * straight)
+        off_px = np.abs(np.stack([back.x_px, back.y_px], axis=-1) - at[shown]).max(initial=0.0)
+        is_unit = np.abs(np.linalg.norm(straight, axis=-1) - 1.0).max(initial=0.0) < 1e-6
+    if shown.any() and is_unit and off_px < 0.01 and back.in_front.all():
+        return
+    problem = f"the projection {camera.projection} contradicts itself at these keys of the camera"
+    got = f"points that appear up to {off_px:.3g} pixels away" if is_unit else "directions that are no unit vectors"
+    got = got if shown.any() else "no ray at any of 49 image points"
+    hint = "its `rays` and `project` must undo each other; they get a key of their own as `camera.numbers`, which the "
+    hint += "keys' class fills in `own_numbers`, and `camera.hfov_deg`, which it fills in `field_of_view_deg`"
+    where, expected = "kind", "unit directions, each of which `project` shows where its pixel is"
+    raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
 
 
 def world_rays(camera: Camera, rows: slice | None = None) -> WorldRays:

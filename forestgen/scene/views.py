@@ -17,6 +17,7 @@ from forestgen.recipe.cameras import SensorFile
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Building
 from forestgen.recipe.spectra import bands_of, load_bands
+from forestgen.scene.projection import check_projection
 from forestgen.scene.rigs.rig import Poses, path_poses
 from forestgen.scene.site import height_field
 from forestgen.scene.spec import Camera, Lens
@@ -222,6 +223,7 @@ def expand(
                 numbers=section.own_numbers,
             )
         )
+    check_projection(cameras[0])
     return cameras
 
 

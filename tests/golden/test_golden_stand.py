@@ -40,6 +40,7 @@ def small_tree(scene, shot) -> int:
     return int(ids[large_enough][np.argmin(pixels[large_enough])])
 
 
+@pytest.mark.slow
 def test_one_small_tree_less_fails(scene, shot):
     plan, built = scene
     gone = small_tree(scene, shot)

@@ -141,6 +141,7 @@ def resumed(whole: Path, root: Path, make_one: Callable[[Work, Job, int], Outcom
     return run_batch(loaded, str(root), RunOptions(count=4, resume=True), lambda work, _: SerialEngine(work, make_one))
 
 
+@pytest.mark.slow
 def test_files_over_all_images_are_written_again(whole: Path, tmp_path: Path) -> None:
     """All of them at once, and no image is rendered for it."""
     root = copied(whole, tmp_path / "set")

@@ -14,7 +14,6 @@ from forestgen.render.frame import RenderJob, StoppingCriterion
 from forestgen.render.rendering import Estimate, Noise, Schedule, SliceSum, noise_of, render_radiance, unfinished
 from forestgen.scene.spec import SceneSpec
 from support.scenes import plain_ground, scattered_scene
-from support.tiers import few
 
 EVERYWHERE = np.ones((30, 40), dtype=bool)
 
@@ -113,7 +112,8 @@ def test_the_error_is_that_of_many_images():
     assert np.mean([one.relative_error_p95 for one in runs]) == pytest.approx(truth.relative_error_p95, rel=0.2)
 
 
-@pytest.mark.parametrize("mode", few(["spectral", "rgb"]))
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["spectral", "rgb"])
 def test_a_target_is_met_by_the_true_noise(mode):
     spec = stand((32, 18))
     until = StoppingCriterion(16, target_error=0.03, most_samples=4096)

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -13,7 +14,10 @@ from batch_runs import RECIPE, recipe
 
 import forestgen as fg
 from forestgen.core import registry
+from forestgen.recipe.cameras import Camera as CameraKeys
 from forestgen.recipe.registries import PROJECTIONS
+from forestgen.scene.projection import Floats, Pixels, Projection, Rays
+from forestgen.scene.spec import Camera
 
 PLUGIN = str(Path(__file__).parents[2] / "examples" / "plugin")
 WIDTH, HEIGHT, HFOV_DEG, HORIZON = 40, 20, 200.0, 0.4
@@ -99,3 +103,33 @@ def test_a_format_without_words_for_it_refuses_it(tmp_path: Path) -> None:
 def test_what_is_no_projection_is_not_registered() -> None:
     with pytest.raises(fg.RecipeError, match="this is no projection: it has no "):
         fg.register("projection", "none", "forestgen_plantation:MODEL")
+
+
+class _Mirrored(Projection):
+    """Shows what is on the right on the left."""
+
+    name = "mirrored"
+    model = "mirrored"
+
+    class Parameters(CameraKeys):
+        default_look: ClassVar = "north"
+
+    def rays(self, camera: Camera, x: Floats, y: Floats) -> Rays:
+        toward = np.stack([x, y, np.full(x.shape, 100.0)], axis=-1)
+        unit = toward / np.linalg.norm(toward, axis=-1, keepdims=True)
+        return Rays(np.zeros(unit.shape), unit, np.ones(x.shape, dtype=bool))
+
+    def project(self, camera: Camera, x: Floats, y: Floats, z: Floats) -> Pixels:
+        return Pixels(-100 * x / z, 100 * y / z, np.sqrt(x * x + y * y + z * z), z > 0)
+
+
+MIRRORED = _Mirrored()
+
+
+def test_rays_and_image_points_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
+    fg.register("projection", "mirrored", f"{__name__}:MIRRORED", "left is right")
+    text = OWN.replace(CAMERA, "  - {name: round, kind: mirrored, size_px: [40, 20], position_m: [3, 2, 1.5]}\n")
+    with pytest.raises(fg.RecipeError) as caught:
+        fg.load(recipe(tmp_path, text)).validate()
+    assert str(caught.value.place).endswith("cameras.0.kind")
+    assert caught.value.got == "points that appear up to 36 pixels away"

@@ -238,6 +238,7 @@ def test_a_stop_just_after_the_record_was_written_keeps_the_image(
     assert len(frames(out)) == 10
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_finished_images(tmp_path: Path) -> None:
     """Real images in a process of its own."""
     recipe, out = tiny(tmp_path), tmp_path / "out"

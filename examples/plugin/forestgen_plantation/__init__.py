@@ -18,7 +18,8 @@ class PlantationParameters(StaticParameters):
     tree_m: float = Field(2.0, ge=0.5, description="distance between the trees of a row")
     displacement_m: float = Field(0.2, ge=0, description="standard deviation of a tree's distance from its place")
     failed: float = Field(0.1, ge=0, le=1, description="share of the trees that are missing")
-    size: tuple[float, float] = Field((0.6, 0.9), description="range of the radii, as shares of the species' largest")
+    smallest: float = Field(0.6, gt=0, le=1, description="least radius, as a share of the species' largest")
+    largest: float = Field(0.9, gt=0, le=1, description="greatest radius, as a share of the species' largest")
 
 
 class Plantation(StaticModel[PlantationParameters]):
@@ -38,7 +39,7 @@ class Plantation(StaticModel[PlantationParameters]):
         kinds = np.repeat(np.arange(len(x)) % len(species), len(y))
         position_m = np.clip(position_m + rng.normal(0, parameters.displacement_m, position_m.shape), 0, site.size_m)
         largest_m = np.array([one.max_radius_m for one in species])[kinds]
-        radius_m = largest_m * rng.uniform(*parameters.size, len(kinds))
+        radius_m = largest_m * rng.uniform(parameters.smallest, parameters.largest, len(kinds))
         alive = rng.random(len(kinds)) >= parameters.failed
         return Placement(kinds[alive], position_m[alive], radius_m[alive])
 

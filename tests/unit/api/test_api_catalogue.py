@@ -137,7 +137,7 @@ def test_an_error_in_another_packages_part_is_said_to_be_its_own(
         ("community_model", "os:path", "Parameters, check_snapshot"),
         ("community_model", "own_parts:Own", "this is a class"),
         ("community_model", "own_parts:INCOMPLETE", "has no resume"),
-        ("community_model", "own_parts:OTHER", "Parameters are none"),
+        ("community_model", "own_parts:OTHER", "Parameters are of another kind"),
         ("competition_model", "own_parts:MODEL", "answer"),
         ("plant_generator", "own_parts:MODEL", "grow"),
         ("rig", "own_parts:MODEL", "frames"),

@@ -103,6 +103,7 @@ def test_weather_may_begin_by_a_change(folder: Path) -> None:
     assert estimate_bytes(plan(folder, "community.weather=null", late))["clouds"] > 0
 
 
+@pytest.mark.slow
 def test_it_is_the_air_that_the_next_month_sees(
     folder: Path, population: Population, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -136,7 +136,7 @@ def test_the_thinning_line(trajectory, tmp_path):
     assert changed(tmp_path / "with.png", tmp_path / "without.png") > 0.001
 
 
-@pytest.mark.parametrize("plants", [0, 1, 100])
+@pytest.mark.parametrize("plants", [0, 1, pytest.param(100, marks=pytest.mark.slow)])
 def test_thinning_and_sizes_of_few_or_equal_plants(plants, site, tmp_path):
     unequal = stand(plants, names=tuple("abcdefgh"))
     for one in (unequal, Population(**{**vars(stand(plants)), "radius_m": np.ones(plants)})):

@@ -62,7 +62,7 @@ def test_the_example_is_as_short_as_its_page_says():
 
 
 def test_rows_without_displacement_are_where_the_keys_say(species):
-    parameters = PLANTATION.Parameters(row_m=10, tree_m=5, displacement_m=0, failed=0, size=(1, 1))
+    parameters = PLANTATION.Parameters(row_m=10, tree_m=5, displacement_m=0, failed=0, smallest=1, largest=1)
     plants = PLANTATION.population(PLANTATION.init(parameters, SITE, species, 1))
     assert plants.position_m[:, 0].tolist() == [5.0] * 4 + [15.0] * 4 + [25.0] * 4
     assert plants.position_m[:4, 1].tolist() == [2.5, 7.5, 12.5, 17.5]
