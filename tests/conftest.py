@@ -31,6 +31,8 @@ from hypothesis import settings
 from forestgen.core import registry
 from forestgen.core.cache import ENVIRONMENT
 
+pytest_plugins = ["support.error_messages"]
+
 for _number, _handler in (
     (signal.SIGINT, signal.default_int_handler),
     (signal.SIGTERM, signal.SIG_DFL),

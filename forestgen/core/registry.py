@@ -218,10 +218,11 @@ def _entry_points(group: str, paths: tuple[str, ...]) -> list[tuple[str, str, st
 
 def _is_stub(part: object, contract: type, name: str) -> bool:
     """Whether a part inherits a method that parts must have of their own: a protocol's, or one that is not written."""
-    stub: Any = vars(contract).get(name)
-    if not inspect.isfunction(stub) or getattr(type(part), name, None) is not stub:
+    stub = vars(contract).get(name)
+    if not inspect.isfunction(stub):
         return False
-    return getattr(contract, "_is_protocol", False) or "NotImplementedError" in stub.__code__.co_names
+    is_stub = getattr(contract, "_is_protocol", False) or "NotImplementedError" in stub.__code__.co_names
+    return is_stub and getattr(type(part), name, None) is stub
 
 
 def part_at(path: str) -> Any:

@@ -22,6 +22,7 @@ import forestgen as fg
 from forestgen.api.datasets import Run
 from forestgen.runs.contract import HIDDEN
 from forestgen.runs.summary import RunSummary
+from support.error_messages import raises_error
 from support.tiers import slow_but
 
 IMAGES = 3
@@ -122,11 +123,10 @@ def test_the_arrays_are_those_of_the_files(data_set: fg.Dataset) -> None:
     for name in ("preview", "overlay", "semantic"):
         assert np.array_equal(getattr(frame, name), np.asarray(Image.open(folder / f"{name}.png"))), name
     assert set(np.unique(frame.instance)) - {0} <= set(frame.plants["plant_id"].to_pylist())
-    with pytest.raises(fg.RecipeError, match="no such channel") as refused:
+    with raises_error(fg.RecipeError, place="000000-high-0000"):
         frame.channel("radiance", "X")
-    with pytest.raises(fg.ForestgenError, match="no such channel"):
+    with raises_error(fg.ForestgenError, place="000000-high-0000"):
         frame.channel(["radiance"], "R")  # type: ignore[arg-type]
-    assert "radiance.variance (" in str(refused.value)
 
 
 def test_a_data_set_is_a_sequence_of_its_frames(data_set: fg.Dataset) -> None:
@@ -140,7 +140,7 @@ def test_a_data_set_is_a_sequence_of_its_frames(data_set: fg.Dataset) -> None:
         with pytest.raises(IndexError, match=f"{len(names)} frames"):
             data_set[outside]
     assert data_set.frame(names[4]).name == names[4]
-    with pytest.raises(fg.RecipeError, match="name: the data set has no such frame"):
+    with raises_error(fg.RecipeError, place="name"):
         data_set.frame("000009-near")
     assert names[4] in [frame.name for frame in iter(data_set)]
     assert not isinstance(data_set, Sequence)  # whose method `index` is another thing than this table
@@ -156,26 +156,25 @@ def test_a_split_is_its_frames_alone(data_set: fg.Dataset, tmp_path: Path) -> No
     assert all(frame.split == name for name, part in parts.items() for frame in part)
     assert sorted(frame.name for part in parts.values() for frame in part) == [frame.name for frame in data_set]
     assert fg.Dataset(data_set.folder, "val")[0].name == parts["val"][0].name
-    with pytest.raises(fg.RecipeError, match="no such split") as refused:
+    with raises_error(fg.RecipeError, place="split") as refused:
         data_set.split("test")
-    assert "train, val" in str(refused.value)
     assert refused.value.parameter == "split"
     for wrong in (["train"], 3):
-        with pytest.raises(fg.RecipeError, match="split: this is no text"):
+        with raises_error(fg.RecipeError, place="split"):
             fg.Dataset(data_set.folder, split=wrong)  # type: ignore[arg-type]
-        with pytest.raises(fg.RecipeError, match="name: this is no text"):
+        with raises_error(fg.RecipeError, place="name"):
             data_set.frame(wrong)  # type: ignore[arg-type]
-    with pytest.raises(fg.RecipeError, match="no such frame"):
+    with raises_error(fg.RecipeError, place="name"):
         parts["val"].frame(parts["train"][0].name)
     packed = parts["val"].pack(tmp_path / "val", "webdataset", progress=False)
     assert {name: sum(one.frames for one in shards) for name, shards in packed.splits.items()} == {"val": 3}
-    with pytest.raises(fg.RecipeError, match="splits: these frames are in another split"):
+    with raises_error(fg.RecipeError, place="splits"):
         parts["val"].pack(tmp_path / "train", "webdataset", splits="train", progress=False)
 
 
 def test_a_run_into_an_object_store_says_that_its_frames_are_elsewhere() -> None:
     run = Run(RunSummary("s3://bucket/set", 1, 0, 1, (), (), 1, 1, None, 1.0))
-    with pytest.raises(fg.RecipeError, match="s3://bucket/set: this is the address of an object store"):
+    with raises_error(fg.RecipeError, place="set"):
         _ = run.dataset
 
 
@@ -183,24 +182,22 @@ def test_what_is_no_finished_data_set_is_refused(data_set: fg.Dataset, tmp_path:
     copy = shutil.copytree(data_set.folder, tmp_path / "set")
     frame = fg.Dataset(copy)[0]
     (copy / frame.info["folder"] / "plants.parquet").unlink()
-    with pytest.raises(fg.DatasetError, match=r"plants\.parquet") as refused:
+    with raises_error(fg.DatasetError, place="plants.parquet"):
         _ = frame.plants
-    assert "verify" in str(refused.value.hint)
     (copy / frame.info["folder"] / "preview.png").write_bytes(b"GIF89a")
-    with pytest.raises(fg.DatasetError, match=r"preview\.png: cannot read: this is no PNG"):
+    with raises_error(fg.DatasetError, place="preview.png"):
         _ = frame.preview
     (copy / "index.parquet").write_bytes(b"PAR1")
-    with pytest.raises(fg.DatasetError, match="the index cannot be read"):
+    with raises_error(fg.DatasetError, place="index.parquet"):
         fg.Dataset(copy)
     (copy / "dataset.json").unlink()
-    with pytest.raises(fg.RecipeError, match="there is no such folder"):
+    with raises_error(fg.RecipeError, place="none"):
         fg.Dataset(tmp_path / "none")
-    for folder, got in ((copy, "not finished"), (tmp_path, "a folder of data sets")):
+    for folder in (copy, tmp_path):
         if folder == tmp_path:
             (copy / "dataset.json").write_text("{}")
-        with pytest.raises(fg.RecipeError) as refused:
+        with raises_error(fg.RecipeError):
             fg.Dataset(folder)
-        assert got in str(refused.value)
 
 
 @pytest.mark.parametrize("stored", [False, True])
@@ -212,7 +209,7 @@ def test_a_saved_frame_has_the_bytes_of_the_data_set(
         assert frame.save(tmp_path / "saved") == tmp_path / "saved" / frame.name
         assert tree(tmp_path / "saved" / frame.name) == tree(data_set.folder / frame.split / frame.name)
     assert len(list((tmp_path / "saved").iterdir())) == 3
-    with pytest.raises(fg.OutputError, match=frames[0].name):
+    with raises_error(fg.OutputError):
         frames[0].save(tmp_path / "saved")
 
 
@@ -262,7 +259,7 @@ def test_hugging_face_opens_the_pictures_and_the_index(data_set: fg.Dataset, tmp
     mask = copy / data_set[0].info["folder"] / "semantic.png"
     mask.rename(tmp_path / "outside.png")
     mask.symlink_to(tmp_path / "outside.png")
-    with pytest.raises(fg.DatasetError, match=r"semantic\.png"):
+    with raises_error(fg.DatasetError, place="semantic.png"):
         fg.Dataset(copy).as_huggingface()
 
 
@@ -308,14 +305,14 @@ def test_pytorch_gets_tensors(data_set: fg.Dataset, torch: types.ModuleType) -> 
             moved = own if own.ndim == 2 else np.moveaxis(own, -1, 0)
             assert np.array_equal(array, moved, equal_nan=own.dtype.kind == "f"), name
     assert data_set.as_torch(["motion"])[0]["motion"].array.shape == (2, 16, 16)
-    with pytest.raises(fg.RecipeError, match="no such channel") as refused:
+    with raises_error(fg.RecipeError, place="channels") as refused:
         data_set.as_torch(["motion"])[2]
     assert (data_set[2].name, refused.value.got) == ("000000-near", "motion")
     assert list(data_set.as_torch()[0]) == ["preview", "semantic", "instance"]
     copy = pickle.loads(pickle.dumps(data_set.as_torch(["depth"], doubled)))  # as loaders send it to their processes
     assert np.array_equal(copy[-1]["depth"], 2 * data_set[-1].depth)
     for wrong in (["depths"], ["camera"], ["preview", "plants"]):
-        with pytest.raises(fg.RecipeError, match="no such array"):
+        with raises_error(fg.RecipeError, place="channels"):
             data_set.as_torch(wrong)
 
 
@@ -342,7 +339,7 @@ def test_an_interrupted_render_goes_on(number: int, recipe: fg.Recipe, data_set:
     assert target.exists() == bool(done)
     assert len(list(target.glob("*/*/frame.exr"))) == 3 * done
     assert not list((target / HIDDEN / "staging").glob("*"))
-    with pytest.raises(fg.RecipeError, match="not finished" if done else "no such folder"):
+    with raises_error(fg.RecipeError, place="set"):
         fg.Dataset(target)
     run = recipe.render(target, count=IMAGES, resume=True, progress=False)
     assert (run.summary.already, run.summary.made) == (done, IMAGES - done)

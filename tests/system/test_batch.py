@@ -28,6 +28,7 @@ from forestgen.runs.contract import Job, Notice, Outcome, RunOptions, Work
 from forestgen.runs.run import run_batch
 from forestgen.runs.summary import SilentDisplay
 from forestgen.runs.work import make_job
+from support.error_messages import raises_error
 
 
 @pytest.fixture
@@ -141,7 +142,7 @@ def test_a_change_that_is_interrupted_leaves_no_mixture(tmp_path: Path, faults: 
     serial(path, target, 5, make)
     with pytest.raises(KeyboardInterrupt):
         serial(path, target, 5, make, "seed=6", resume=True, discard=True, stop_after=2)
-    with pytest.raises(RecipeError, match="2 of 3 finished images"):
+    with raises_error(RecipeError, place="mixed"):
         serial(path, target, 5, make, resume=True)
     assert serial(path, target, 5, make, resume=True, discard=True).made == 4
     serial(path, tmp_path / "whole", 5, make)
@@ -199,7 +200,7 @@ def test_a_batch_is_not_gone_on_with_unasked(tmp_path: Path, faults: Path) -> No
     path = recipe(tmp_path)
     serial(path, tmp_path / "data", 2, make)
     before = shown(tmp_path / "data")
-    with pytest.raises(OutputError, match="`resume=True`"):
+    with raises_error(OutputError, place="data"):
         serial(path, tmp_path / "data", 3, make)
     assert shown(tmp_path / "data") == before
 
@@ -218,7 +219,7 @@ def test_what_a_run_notes_down_may_be_damaged(tmp_path: Path, faults: Path) -> N
             log.write(b'{"event": "job_done", "image": "3", "time": 1}\n\xff\xfe\n[]\n')
             log.write(b'{"event":"job_done","image":1,"split":3,"attempt":"x","seconds":"s","timings_s":[],')
             log.write(b'"peak_memory_bytes":"a","worker":1,"frames":null,"time":3}\n')
-        with pytest.raises(OutputError, match="already holds a forestgen data set"):
+        with raises_error(OutputError, place="data"):
             serial(path, target, 3, make)
         assert serial(path, target, 3, make, resume=True).made == 0
         assert shown(target) == whole
@@ -233,7 +234,7 @@ def test_a_split_that_is_a_link_is_refused(tmp_path: Path, faults: Path) -> None
     (own / "000001-letter").write_text("mine")
     (target / "train").rename(tmp_path / "moved")
     (target / "train").symlink_to(own)
-    with pytest.raises(OutputError, match="a link to elsewhere"):
+    with raises_error(OutputError, place="train"):
         serial(path, target, 2, make, resume=True)
     assert (own / "000001-letter").read_text() == "mine"
     (tmp_path / "link").symlink_to(tmp_path / "far", target_is_directory=True)
@@ -247,16 +248,14 @@ def test_finished_images_are_thrown_away_only_if_asked(tmp_path: Path, faults: P
     path, target = recipe(tmp_path), tmp_path / "data"
     serial(path, target, 6, make)
     before = shown(target)
-    for count, overrides, problem, reason in (
-        (2, (), "4 of 6 finished images", "4 beyond the images"),
-        (6, ("first_image=4",), "4 of 6 finished images", "4 beyond the images"),
-        (6, ("seed=6",), "6 of 6 finished images", "6 made from another recipe"),
-        (4, ("dataset.splits={train: 1, test: 1}",), "finished images", "2 beyond the images that are asked for now; "),
+    for count, overrides in (
+        (2, ()),
+        (6, ("first_image=4",)),
+        (6, ("seed=6",)),
+        (4, ("dataset.splits={train: 1, test: 1}",)),
     ):
-        with pytest.raises(RecipeError, match=problem) as refused:
+        with raises_error(RecipeError, place="data"):
             serial(path, target, count, make, *overrides, resume=True)
-        assert reason in str(refused.value)
-        assert "`discard=True`" in str(refused.value)
         assert shown(target) == before
     assert serial(path, target, 6, make, resume=True).made == 0
     answer = run("batch", path, "--count", "2", "--out", target, "--resume")
@@ -314,7 +313,7 @@ def test_a_folder_of_somebody_else_is_never_touched(tmp_path: Path, faults: Path
     target.mkdir()
     (target / "chapter1.tex").write_text("mine")
     for resume in (False, True):
-        with pytest.raises(OutputError, match="holds no forestgen data set"):
+        with raises_error(OutputError, place="thesis"):
             serial(path, target, 2, make, resume=resume)
     assert [one.name for one in target.iterdir()] == ["chapter1.tex"]
 
@@ -339,7 +338,7 @@ def test_images_that_fail_are_named_and_left_out(tmp_path: Path, faults: Path) -
 def test_a_batch_without_hope_is_stopped(tmp_path: Path, faults: Path) -> None:
     for image in range(40):
         (faults / f"fail-{image}").write_text("bug it is broken")
-    with pytest.raises(DatasetError, match="it is broken"):
+    with raises_error(DatasetError, place="data"):
         serial(recipe(tmp_path), tmp_path / "data", 40, make)
     assert len(begun(faults)) < 15
 
@@ -364,18 +363,15 @@ def test_an_image_that_cannot_be_drawn_fails_alone(tmp_path: Path, faults: Path)
 
 
 @pytest.mark.parametrize(
-    ("override", "words"),
+    "override",
     [
-        ("same_stand=true", "several splits"),
-        ("dataset.splits={run: 1, train: 1}", "cannot have this name"),
-        (
-            "community={model: placed, plants: [{species: fireweed, position_m: [3, 3]}]}",
-            "all images show the plants of one list",
-        ),
+        "same_stand=true",
+        "dataset.splits={run: 1, train: 1}",
+        "community={model: placed, plants: [{species: fireweed, position_m: [3, 3]}]}",
     ],
 )
-def test_recipes_that_make_no_data_set_are_refused(tmp_path: Path, faults: Path, override: str, words: str) -> None:
-    with pytest.raises(RecipeError, match=words):
+def test_recipes_that_make_no_data_set_are_refused(tmp_path: Path, faults: Path, override: str) -> None:
+    with raises_error(RecipeError):
         serial(recipe(tmp_path), tmp_path / "data", 10, make, override)
     assert not (tmp_path / "data").exists()
 
@@ -389,7 +385,7 @@ def test_one_stand_in_the_images_of_one_split_is_a_data_set(tmp_path: Path, faul
     path, target = recipe(tmp_path), tmp_path / "data"
     assert serial(path, target, 3, make, override).frames == 6
     assert [one.name for one in target.iterdir() if one.name in ("train", "val", "test")] == ["train"]
-    with pytest.raises(RecipeError, match=r"several splits|all images show the plants of one list"):
+    with raises_error(RecipeError):
         serial(path, target, 10, make, override, resume=True)
     assert assert_records_hold(target) == {0, 1, 2}
 

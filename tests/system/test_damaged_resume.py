@@ -28,6 +28,7 @@ from forestgen.runs.stale_outputs import damaged_images
 from forestgen.runs.start import _check_complete
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import make_job
+from support.error_messages import raises_error
 
 Harm = Callable[[Path], object]
 
@@ -110,9 +111,8 @@ def test_an_image_lost_while_the_run_works_is_an_error(tmp_path: Path, faults: P
 
     summary = serial(path, target, 4, make_and_harm, resume=True)
     assert (summary.failed, summary.missing) == ((), (1,))
-    with pytest.raises(DatasetError, match="1 of 4 images are missing") as refused:
+    with raises_error(DatasetError, place="data"):
         _check_complete(summary)
-    assert "000001-left/mask.bin" in str(refused.value)
     assert serial(path, target, 4, make, resume=True).missing == ()
 
 
@@ -127,7 +127,7 @@ def test_a_file_that_must_not_be_read_stops_the_run(tmp_path: Path, faults: Path
 
     with monkeypatch.context() as patched:
         patched.setattr("forestgen.runs.stale_outputs.file_sum", refuse)
-        with pytest.raises(OutputError, match="Permission denied"):
+        with raises_error(OutputError, place="mask.bin"):
             serial(path, target, 2, make, resume=True)
     assert shown(target) == before
 

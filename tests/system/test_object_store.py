@@ -21,6 +21,7 @@ from forestgen.runs.remote_storage import RemoteLock, RemoteStorage, storage_of
 from forestgen.runs.run import run_batch
 from forestgen.runs.storage import LocalStorage
 from forestgen.runs.work import failure_kind, make_job
+from support.error_messages import raises_error
 
 _SECRET = "vErYsEcReTkEy"
 Make = Callable[[Work, Job, int], Outcome]
@@ -125,7 +126,7 @@ def test_both_places_do_the_same(kind: str, bucket: str, tmp_path: Path) -> None
     place.remove("nothing")
     place.remove("empty")
     assert visible(place) == ["thumbnails", "train2"]
-    with pytest.raises(ForestgenError, match=r"leads out|leaves"):
+    with raises_error(ForestgenError):
         place.write("../outside", b"")
 
 
@@ -152,7 +153,7 @@ def test_many_files_go_and_come_with_few_requests(bucket: str, tmp_path: Path, m
     assert all((tmp_path / "down" / name).read_bytes() == files[name] for name in wanted)
     with pytest.raises(OutputError):
         place.fetch(["jobs/000007.json"], tmp_path / "down")
-    with pytest.raises(OutputError, match="leads out"):
+    with raises_error(OutputError, place="many"):
         place.fetch(["jobs/../../evil"], tmp_path / "down")
     place.link([("jobs/000001.json", "yolo/a"), ("jobs/000002.json", "yolo/b")])
     assert (place.read("yolo/a"), place.read("yolo/b")) == (b"1", b"2")
@@ -189,25 +190,25 @@ def test_uploads_are_tried_again_and_checked(bucket: str, tmp_path: Path, monkey
     assert (place.read("image.png"), len(tries)) == (b"0123456789", 3)
 
     limit, tries = 99, []
-    with pytest.raises(OutputError, match="5 of 10 bytes arrived") as failure:
+    with raises_error(OutputError, place="image.png") as failure:
         place.put_folder(tmp_path, "frame")
     assert len(tries) == 4
     assert failure_kind(failure.value) == "output", "the job is tried again"
 
 
 @pytest.mark.parametrize(
-    ("address", "expected"),
+    "address",
     [
-        ("ftp://host/forests", "no kind of store"),
-        ("s3:/forests/a", "no kind of store"),
-        ("s3://", "no name of a folder"),
-        ("s3://forests/../other", "no name of a folder"),
-        ("gs://forests/a", "pip install 'gcsfs'"),
-        (f"s3://someone:{_SECRET}@forests/a", "holds a password"),
+        "ftp://host/forests",
+        "s3:/forests/a",
+        "s3://",
+        "s3://forests/../other",
+        "gs://forests/a",
+        f"s3://someone:{_SECRET}@forests/a",
     ],
 )
-def test_addresses_that_cannot_be(address: str, expected: str) -> None:
-    with pytest.raises(OutputError, match=expected) as refusal:
+def test_addresses_that_cannot_be(address: str) -> None:
+    with raises_error(OutputError) as refusal:
         RemoteStorage(address)
     assert _SECRET not in str(refusal.value)
 
@@ -217,9 +218,9 @@ def test_stores_that_refuse(bucket: str, monkeypatch: pytest.MonkeyPatch) -> Non
     """No bucket, no permission, nobody there: named as such, soon, whatever is asked first."""
     nowhere = RemoteStorage("s3://no-such-bucket/a")
     for ask in (nowhere.names, nowhere.read, nowhere.size_bytes, nowhere.files, lambda path: nowhere.write(path, b"")):
-        with pytest.raises(OutputError, match="s3://no-such-bucket: there is no such bucket"):
+        with raises_error(OutputError, place="no-such-bucket"):
             ask("x")
-    with pytest.raises(OutputError, match="no such bucket"), nowhere.lock():
+    with raises_error(OutputError, place="no-such-bucket"), nowhere.lock():
         pass
 
     def refuse(*_: object, **__: object) -> None:
@@ -227,7 +228,7 @@ def test_stores_that_refuse(bucket: str, monkeypatch: pytest.MonkeyPatch) -> Non
 
     with monkeypatch.context() as patch:
         patch.setattr(remote_store.file_system("s3"), "pipe_file", refuse)
-        with pytest.raises(OutputError, match="the store refused access") as refusal:
+        with raises_error(OutputError, place="x") as refusal:
             RemoteStorage(f"{bucket}/a").write("x", b"")
         assert failure_kind(refusal.value) == "output"
 
@@ -238,7 +239,7 @@ def test_an_endpoint_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> Non
     remote_store._opened.cache_clear()
     start = time.monotonic()
     try:
-        with pytest.raises(OutputError, match="the store does not answer"):
+        with raises_error(OutputError, place="a"):
             RemoteStorage("s3://forests/a").names("")
     finally:
         remote_store._opened.cache_clear()
@@ -251,7 +252,7 @@ def test_two_runs_at_one_address(bucket: str, monkeypatch: pytest.MonkeyPatch) -
     place, said = RemoteStorage(f"{bucket}/locked"), []
     with place.lock() as first:
         with (
-            pytest.raises(OutputError, match=r"another run writes there\n.*process \d+, since"),
+            raises_error(OutputError, place="locked"),
             place.lock(said.append),
         ):
             pass
@@ -265,7 +266,7 @@ def test_two_runs_at_one_address(bucket: str, monkeypatch: pytest.MonkeyPatch) -
         assert "somebody" in said[-1]
         place.write(".forestgen/lock", b'{"owner": "a thief", "token": "other"}')
         time.sleep(0.5)
-        with pytest.raises(OutputError, match="the lock of the data set was lost"):
+        with raises_error(OutputError, place="locked"):
             second.check()
     assert place.exists(".forestgen/lock"), "another's lock stays"
 

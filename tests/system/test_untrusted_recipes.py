@@ -127,7 +127,7 @@ def test_a_folder_that_the_user_allows(folder: Path, monkeypatch: pytest.MonkeyP
         monkeypatch.setenv(ALLOWED, os.pathsep.join(["/nowhere", str(folder.parent / SECRET)]))
         assert run("validate", folder / "r.yaml").code == 0
         monkeypatch.setenv(ALLOWED, "")
-    run("--allow-folder", folder / "nowhere", "validate", folder / "r.yaml").refused(2, "no such folder")
+    run("--allow-folder", folder / "nowhere", "validate", folder / "r.yaml").refused(2)
 
 
 def test_an_images_recipe_reads_the_maps_beside_it_by_their_content(folder: Path) -> None:

@@ -16,6 +16,7 @@ import forestgen as fg
 from forestgen.api import catalogue
 from forestgen.core import registry
 from forestgen.core.cache import code_hash
+from support.error_messages import raises_error
 
 pytestmark = pytest.mark.usefixtures("registries_as_before")
 
@@ -49,22 +50,21 @@ def test_the_same_again_changes_nothing_and_another_is_refused() -> None:
     registry.register_again(registry.registrations())
     assert len(registry.registrations()) == 1
     for name in ("own", "uniform"):
-        with pytest.raises(fg.RecipeError, match="of this name already") as caught:
+        with raises_error(fg.RecipeError, place="name") as caught:
             fg.register("community_model", name, "own_parts:UNIFORM")
         assert caught.value.got == repr(name)
 
 
 @pytest.mark.parametrize("name", ["", "1st", "my own", "../up", "a" * 65, "über"])
 def test_what_is_no_name(name: str) -> None:
-    with pytest.raises(fg.RecipeError, match="a letter first"):
+    with raises_error(fg.RecipeError, place="name"):
         fg.register("community_model", name, own_parts.MODEL)
     assert not registry.registrations()
 
 
 def test_an_unknown_kind_lists_the_known_ones() -> None:
-    with pytest.raises(fg.RecipeError, match="community_model, competition_model, plant_generator") as caught:
+    with raises_error(fg.RecipeError, place="kind"):
         fg.register("comunity_model", "own", own_parts.MODEL)
-    assert caught.value.hint == "did you mean 'community_model'?"
 
 
 def test_what_workers_cannot_import_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,33 +73,29 @@ def test_what_workers_cannot_import_is_refused(monkeypatch: pytest.MonkeyPatch) 
     script.MODEL = made()  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "__main__", script)
     for part in (script.MODEL, made, own_parts.Own()):  # the last one lies at the top of no module
-        with pytest.raises(fg.RecipeError, match="cannot be imported again by worker processes") as caught:
+        with raises_error(fg.RecipeError, place="part"):
             fg.register("community_model", "mine", part)
-        assert "module of its own" in str(caught.value.hint)
     assert not registry.registrations()
 
 
 @pytest.mark.parametrize(
-    ("path", "problem", "part"),
+    "path",
     [
-        ("own_parts", "no place of a part", "package.module:NAME"),
-        ("own_parts:", "no place of a part", "package.module:NAME"),
-        (":X", "no place of a part", "package.module:NAME"),
-        ("a b:c d", "no place of a part", "package.module:NAME"),
-        ("nix_of_nowhere:MODEL", "no module nix_of_nowhere", "sys.path"),
-        ("own_parts.sub:MODEL", "no module own_parts.sub", "sys.path"),
-        ("own_parts:NONE", "module own_parts has no NONE", "own_parts:NONE"),
-        ("broken_part:MODEL", "broken_part cannot be imported", "ZeroDivisionError"),
+        "own_parts",
+        "own_parts:",
+        ":X",
+        "a b:c d",
+        "nix_of_nowhere:MODEL",
+        "own_parts.sub:MODEL",
+        "own_parts:NONE",
+        "broken_part:MODEL",
     ],
 )
-def test_a_place_that_is_none_is_refused_at_once(
-    path: str, problem: str, part: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_place_that_is_none_is_refused_at_once(path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "broken_part.py").write_text("1 / 0\n", encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(fg.RecipeError, match=problem) as caught:
+    with raises_error(fg.RecipeError, place="part"):
         fg.register("community_model", "own", path)
-    assert part in str(caught.value)
 
 
 def test_a_protocols_methods_are_not_those_of_a_part_based_on_it(
@@ -109,7 +105,7 @@ def test_a_protocols_methods_are_not_those_of_a_part_based_on_it(
     text += "class Half(CommunityModel):\n    Parameters = P\n    def init(self, *_): ...\nMODEL = Half()\n"
     (tmp_path / "half_a_model.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(fg.RecipeError, match=r"no check_snapshot, empty_reason, .*, step"):
+    with raises_error(fg.RecipeError, place="part"):
         fg.register("community_model", "half", "half_a_model:MODEL")
 
 
@@ -132,20 +128,20 @@ def test_an_error_in_another_packages_part_is_said_to_be_its_own(
 
 
 @pytest.mark.parametrize(
-    ("kind", "part", "lacking"),
+    ("kind", "part"),
     [
-        ("community_model", "os:path", "Parameters, check_snapshot"),
-        ("community_model", "own_parts:Own", "this is a class"),
-        ("community_model", "own_parts:INCOMPLETE", "has no resume"),
-        ("community_model", "own_parts:OTHER", "Parameters are of another kind"),
-        ("competition_model", "own_parts:MODEL", "answer"),
-        ("plant_generator", "own_parts:MODEL", "grow"),
-        ("rig", "own_parts:MODEL", "frames"),
-        ("instrument", "own_parts:MODEL", "measure"),
+        ("community_model", "os:path"),
+        ("community_model", "own_parts:Own"),
+        ("community_model", "own_parts:INCOMPLETE"),
+        ("community_model", "own_parts:OTHER"),
+        ("competition_model", "own_parts:MODEL"),
+        ("plant_generator", "own_parts:MODEL"),
+        ("rig", "own_parts:MODEL"),
+        ("instrument", "own_parts:MODEL"),
     ],
 )
-def test_a_part_that_lacks_what_its_kind_has_is_refused(kind: str, part: str, lacking: str) -> None:
-    with pytest.raises(fg.RecipeError, match=lacking):
+def test_a_part_that_lacks_what_its_kind_has_is_refused(kind: str, part: str) -> None:
+    with raises_error(fg.RecipeError, place="part"):
         fg.register(kind, "own", part)
     assert not registry.registrations()
 
@@ -184,11 +180,11 @@ def test_models_of_a_kind_or_a_name() -> None:
     assert spruce.path is not None
     assert "ecology:" in spruce.page
     assert json.loads(json.dumps(spruce.as_dict()))["path"] == str(spruce.path)
-    with pytest.raises(fg.RecipeError, match="did you mean 'species'"):
+    with raises_error(fg.RecipeError, place="kind"):
         fg.models(kind="specie")
-    with pytest.raises(fg.RecipeError, match="did you mean 'spruce'"):
+    with raises_error(fg.RecipeError, place="name"):
         fg.models("sprce")
-    with pytest.raises(fg.RecipeError, match="no such name"):
+    with raises_error(fg.RecipeError, place="name"):
         fg.models("spruce", kind="recipe")
 
 

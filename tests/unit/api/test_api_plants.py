@@ -16,6 +16,7 @@ import forestgen as fg
 from forestgen.cli import app
 from forestgen.core import registry
 from forestgen.geometry.export import MESH_EXPORTERS
+from support.error_messages import raises_error
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +79,7 @@ def test_a_registered_exporter_serves_api_and_command(
 ) -> None:
     monkeypatch.setattr(MESH_EXPORTERS, "_entries", dict(MESH_EXPORTERS._entries))
     monkeypatch.setattr(registry, "_registered", list(registry._registered))
-    with pytest.raises(fg.RecipeError, match="this is no mesh exporter: it has no companions, files"):
+    with raises_error(fg.RecipeError, place="part"):
         fg.register("mesh_exporter", "stl", "own_exporter:NO_EXPORTER")
     fg.register("mesh_exporter", "stl", "own_exporter:EXPORTER", "triangles alone")
     assert [(one.kind, one.description) for one in fg.models("stl")] == [("mesh_exporter", "triangles alone")]
@@ -94,13 +95,13 @@ def test_a_registered_exporter_serves_api_and_command(
 
 
 def test_what_cannot_be_exported(plant: fg.Plant, tmp_path: Path) -> None:
-    with pytest.raises(fg.RecipeError, match=r"\.glb, \.ply, \.obj"):
+    with raises_error(fg.RecipeError, place="out"):
         plant.export(tmp_path / "a.stl")
-    with pytest.raises(fg.RecipeError, match="100 to 1,000,000,000"):
+    with raises_error(fg.RecipeError, place="wood_triangles"):
         plant.export(tmp_path / "a.glb", wood_triangles=3)
     assert not list(tmp_path.iterdir())
     (tmp_path / "a.ply").write_text("mine")
-    with pytest.raises(fg.OutputError, match="the file exists"):
+    with raises_error(fg.OutputError, place="a.ply"):
         plant.export(tmp_path / "a.ply")
     assert (tmp_path / "a.ply").read_text() == "mine"
     plant.export(tmp_path / "a.ply", overwrite=True)
@@ -108,23 +109,22 @@ def test_what_cannot_be_exported(plant: fg.Plant, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "place", "part"),
+    ("arguments", "place"),
     [
-        ({"height_m": 99}, "height_m", "a mature plant has"),
-        ({"height_m": float("nan")}, "height_m", "nan"),
-        ({"seed": -1}, "seed", "0 to"),
-        ({"detail": 7}, "detail", "0 to 2"),
-        ({"detail": -1}, "detail", "0 to 2"),
+        ({"height_m": 99}, "height_m"),
+        ({"height_m": float("nan")}, "height_m"),
+        ({"seed": -1}, "seed"),
+        ({"detail": 7}, "detail"),
+        ({"detail": -1}, "detail"),
     ],
 )
-def test_a_plant_that_cannot_be(arguments: dict[str, float], place: str, part: str) -> None:
-    with pytest.raises(fg.RecipeError, match=part) as caught:
+def test_a_plant_that_cannot_be(arguments: dict[str, float], place: str) -> None:
+    with raises_error(fg.RecipeError, place=place):
         fg.plant("fireweed", **arguments)  # type: ignore[arg-type]
-    assert place in str(caught.value.place)
 
 
 def test_an_unknown_species_is_named() -> None:
-    with pytest.raises(fg.AssetError, match="did you mean 'spruce'"):
+    with raises_error(fg.AssetError, place="species"):
         fg.plant("sprouce")
 
 
@@ -138,12 +138,12 @@ def test_a_picture_shows_the_plant(plant: fg.Plant) -> None:
     assert (picture.shape, picture.dtype) == ((64, 48, 3), np.uint8)
     green = (picture[..., 1] > picture[..., 0]) & (picture[..., 1] > picture[..., 2])
     assert green[8:56, 16:32].any()
-    with pytest.raises(fg.RecipeError, match="8 to 8,192"):
+    with raises_error(fg.RecipeError, place="size_px"):
         plant.picture((0, 64))
 
 
 def test_a_tree_sways_and_a_herb_does_not(plant: fg.Plant) -> None:
-    with pytest.raises(fg.RecipeError, match="cannot sway"):
+    with raises_error(fg.RecipeError, place="frames"):
         plant.sway(3)
     frames = fg.plant("beech", 2.0).sway(2, 2.0)
     assert len(frames) == 2

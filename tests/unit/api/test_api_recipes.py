@@ -13,6 +13,7 @@ from api_recipe import STAND
 
 import forestgen as fg
 from forestgen.recipe.assets import recipes_dir
+from support.error_messages import raises_error
 
 QUICKSTART = recipes_dir() / "quickstart.yaml"
 
@@ -35,16 +36,15 @@ def test_a_text_is_a_recipe_and_its_errors_have_lines() -> None:
     again = fg.load(recipe.yaml, set={"seed": 4})
     assert (again.hash, again.seed) == (recipe.set({"seed": 4}).hash, 4)
     assert again.set({"seed": 3}).hash == recipe.hash
-    for text, said in (
-        ("forestgen: 1\nsite: {size_m: [0, 80]}\n", "recipe text:2: site.size_m"),
-        ("forestgen: 1\nsite: {", "recipe text:2: not valid YAML"),
-        ("just a word\n", "recipe text:1: not a mapping"),
-        ("\n", "recipe text: the text is empty"),
-        ("# x\n" * 300_000, "recipe text: the text is too large"),
+    for text in (
+        "forestgen: 1\nsite: {size_m: [0, 80]}\n",
+        "forestgen: 1\nsite: {",
+        "just a word\n",
+        "\n",
+        "# x\n" * 300_000,
     ):
-        with pytest.raises(fg.RecipeError) as refused:
+        with raises_error(fg.RecipeError):
             fg.load(text)
-        assert said in str(refused.value)
 
 
 def test_a_mapping_and_its_recipe_do_not_share_values() -> None:
@@ -116,10 +116,9 @@ def test_set_makes_another_recipe_and_keeps_what_was_set() -> None:
 
 @pytest.mark.parametrize("value", [float("nan"), np.float64("inf"), object(), {1, 2}, b"x", 1j, np.array([np.nan])])
 def test_what_no_recipe_can_hold_is_refused_by_its_key(value: object) -> None:
-    with pytest.raises(fg.RecipeError) as caught:
+    with raises_error(fg.RecipeError, place="sky.turbidity") as caught:
         fg.load(STAND, set={"sky.turbidity": value})
     assert caught.value.place == "set: sky.turbidity"
-    assert caught.value.expected == "a number, a text, a list or a mapping"
 
 
 def test_an_error_has_its_parts_and_its_exit_code() -> None:
@@ -141,7 +140,7 @@ def test_an_error_has_its_parts_and_its_exit_code() -> None:
 
 
 def test_a_wrong_device_is_refused_before_any_work(tmp_path: Path) -> None:
-    with pytest.raises(fg.RecipeError, match="llvm or cuda"):
+    with raises_error(fg.RecipeError, place="device"):
         fg.load(STAND).render(tmp_path / "out", device="vulkan", progress=False)
     assert not list(tmp_path.iterdir())
 
@@ -175,7 +174,7 @@ def test_validate_counts_the_frames_of_paths_and_notes_what_is_odd() -> None:
     assert [camera.frames for camera in found.cameras] == [3, 1]
     assert found.frames == 2 * 4
     assert found.notes == ("the camera mole stands below the ground",)
-    with pytest.raises(fg.RecipeError, match="radius_m"):
+    with raises_error(fg.RecipeError, place="community.plants.spruce.radius_m.median"):
         fg.load(STAND, set={"community.plants.spruce.radius_m": -1}).validate()
 
 
@@ -187,6 +186,5 @@ def test_the_quickstart_is_valid() -> None:
     ("count", "first", "where"), [(1, 10**30, "first"), (1, 2**64, "first"), (2**64, 1, "count"), (10**30, 0, "count")]
 )
 def test_images_beyond_all_numbers_are_refused_at_once(count: int, first: int, where: str) -> None:
-    with pytest.raises(fg.RecipeError, match="no such number") as refused:
+    with raises_error(fg.RecipeError, place=where):
         fg.load(STAND).frames(count, first=first)
-    assert refused.value.where == where

@@ -13,6 +13,7 @@ from api_recipe import STAND
 import forestgen as fg
 from forestgen.core import registry
 from forestgen.dataset.formats.format import known_formats
+from support.error_messages import raises_error
 
 MODEL = '''"""Plants of a package."""
 
@@ -69,15 +70,13 @@ BROKEN = {
 def test_a_broken_package_is_named_to_those_who_use_it_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(tmp_path, "torn", BROKEN, torn_parts="1 / 0\n")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(fg.RecipeError, match=r"community model torn \(of the package torn 1\.0\)") as caught:
+    with raises_error(fg.RecipeError, place="community.model"):
         fg.load(STAND, set={"community.model": "torn"}).validate()
-    assert "ZeroDivisionError" in str(caught.value.got)
-    with pytest.raises(fg.RecipeError, match="label channel torn") as caught:
+    with raises_error(fg.RecipeError, place="labels.channels.0"):
         fg.load(STAND, set={"labels.channels": ["torn"]}).validate()
-    assert "labels.channels.0" in str(caught.value.where)
     for kind, name in BROKEN:
         (entry,) = fg.models(name, kind=kind)
-        with pytest.raises(fg.RecipeError, match=r"torn \(of the package torn 1\.0\)"):
+        with raises_error(fg.RecipeError):
             assert entry.page
     assert len(fg.load(STAND).simulate(progress=False)) == 42
     fg.schema()
@@ -88,7 +87,7 @@ def test_a_name_of_two_packages_is_neithers(tmp_path: Path, monkeypatch: pytest.
     for package in ("heaths", "meadows"):
         install(tmp_path, package, {("community_model", "meadow"): f"{package}:MODEL"}, **{package: MODEL})
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(fg.RecipeError, match=r"of the package heaths 1\.0, and of meadows 1\.0"):
+    with raises_error(fg.RecipeError, place="community.model"):
         fg.load(STAND, set={"community.model": "meadow"}).simulate(progress=False)
 
 

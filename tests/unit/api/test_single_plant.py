@@ -26,6 +26,7 @@ from forestgen.plants.bark.texture import texture_images
 from forestgen.plants.build import size_m
 from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import materials_of
+from support.error_messages import raises_error
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def test_a_species_of_one_height_refuses_others(fireweed) -> None:
     law = species.allometry.height_m.model_copy(update={"scale": 2.0, "exponent": 0.0})
     level = species.model_copy(update={"allometry": species.allometry.model_copy(update={"height_m": law})})
     assert radius_of_m(level, 2.0) == species.ecology.max_radius_m
-    with pytest.raises(RecipeError, match="all of one height"):
+    with raises_error(RecipeError, place="height_m"):
         radius_of_m(level, 3.0)
 
 
@@ -140,7 +141,7 @@ def test_a_file_that_cannot_be_placed_takes_the_new_ones_along(tmp_path: Path) -
             files.write(tmp_path / "b", b"2")
             (tmp_path / "b").mkdir()
 
-    with pytest.raises(OutputError, match="the output is a folder"):
+    with raises_error(OutputError, place="b"):
         fail()
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
@@ -162,7 +163,7 @@ def test_no_link_pipe_or_strange_file_is_replaced(tmp_path: Path, kind: str) -> 
             files.write(target, b"1")
             make()
 
-    with pytest.raises(OutputError, match="the file exists" if "file" in kind else "no regular file"):
+    with raises_error(OutputError, place="target"):
         fail()
     with pytest.raises(OutputError), FileSet(overwrite="file" not in kind) as files:
         files.write(target, b"1")

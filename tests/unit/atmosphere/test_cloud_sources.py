@@ -17,6 +17,7 @@ from forestgen.core.errors import AssetError, ForestgenError, RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import DrawnRecipe, load_recipe
 from forestgen.recipe.registries import CLOUD_SOURCES
+from support.error_messages import raises_error
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 TINY = "domain: {extent_m: 1000, cell_m: 125, height_m: 160, cell_height_m: 20}"
@@ -88,27 +89,19 @@ def test_the_picture_is_taken_when_the_type_is_ripe_or_when_it_is_said() -> None
 
 
 @pytest.mark.parametrize(
-    ("clouds", "overrides", "said"),
+    ("clouds", "overrides"),
     [
-        ("{type: fog, domain: {extent_m: 110}}", (), ["site is larger than the box of air", "at least 120 m", "110 m"]),
-        ("{type: fog, domain: {height_m: 50}}", (), ["ends below the inversion", "more than 60 m", "50 m"]),
-        ("{type: fog, domain: {cell_m: 0.5}}", (), ["too many cells", "2400 x 2400"]),
-        ("{type: cumulus, sounding: {lapse_rate_k_per_km: -290}}", (), ["no such air", "K"]),
-        (
-            "{story: [{at_s: 0, type: fog}, {at_s: 9, type: cumulus, domain: {height_m: 900}}]}",
-            (),
-            ["story", "ends below the inversion", "2250 m"],
-        ),
-        ("{type: noise, extinction_per_m: 1, thickness_m: 2000}", (), ["too thick", "1 x 2000 = 2000"]),
+        ("{type: fog, domain: {extent_m: 110}}", ()),
+        ("{type: fog, domain: {height_m: 50}}", ()),
+        ("{type: fog, domain: {cell_m: 0.5}}", ()),
+        ("{type: cumulus, sounding: {lapse_rate_k_per_km: -290}}", ()),
+        ("{story: [{at_s: 0, type: fog}, {at_s: 9, type: cumulus, domain: {height_m: 900}}]}", ()),
+        ("{type: noise, extinction_per_m: 1, thickness_m: 2000}", ()),
     ],
 )
-def test_weather_that_cannot_be_is_refused_before_it_is_simulated(
-    clouds: str, overrides: Sequence[str], said: Sequence[str]
-) -> None:
-    with pytest.raises(ForestgenError) as caught:
+def test_weather_that_cannot_be_is_refused_before_it_is_simulated(clouds: str, overrides: Sequence[str]) -> None:
+    with raises_error(ForestgenError):
         check_clouds(drawn(clouds, *overrides))
-    for part in said:
-        assert part in str(caught.value)
 
 
 def stand(tmp_path: Path) -> Path:
@@ -127,9 +120,8 @@ def test_a_sounding_from_a_file_and_one_that_is_supersaturated(tmp_path: Path) -
     assert sounding.temperature_k[0] == pytest.approx(293.15)
     np.testing.assert_allclose(sounding.wind_at(np.array([0.0, 4500.0, 9000.0]))[:, 0], [5.0, 7.0, 9.0])
     table.write_text("height_m,temperature_c,relative_humidity\n0,20,0.5\n3000,2,1.2\n9000,-40,0.2\n")
-    with pytest.raises(AssetError, match=r"sky\.clouds\.sounding: .*air\.csv") as caught:
+    with raises_error(AssetError, place="sky.clouds.sounding"):
         check_clouds(drawn("{type: cumulus, sounding: air.csv}", recipe=recipe))
-    assert "supersaturated" in str(caught.value)
 
 
 def test_humid_air_between_far_levels_is_simulated_and_not_a_traceback(tmp_path: Path) -> None:
@@ -153,7 +145,7 @@ def test_what_no_check_has_seen_is_told_and_not_a_traceback(monkeypatch: pytest.
         raise ValueError("supersaturated at 825 m")
 
     monkeypatch.setattr("forestgen.atmosphere.clouds.simulated.simulate", refused)
-    with pytest.raises(RecipeError, match="825 m"):
+    with raises_error(RecipeError, place="sky.clouds"):
         weather_of(drawn("fog"), Silent())
 
 
@@ -177,7 +169,7 @@ def test_a_map_of_emission_from_a_picture(tmp_path: Path) -> None:
     assert phase.conditions.emission.map is not None
     np.testing.assert_array_equal(phase.conditions.emission.map, [[0.0, 5.0], [0.0, 0.0]])
     np.save(tmp_path / "warm.npy", np.array([[-1.0, 2.0]]))
-    with pytest.raises(ForestgenError, match="no map of emission"):
+    with raises_error(ForestgenError, place="sky.clouds.emission.map"):
         check_clouds(drawn("{type: cumulus, emission: {map: warm.npy}}", recipe=recipe))
 
 
@@ -239,7 +231,7 @@ def test_saved_weather_keeps_the_radius_of_its_droplets(tmp_path: Path) -> None:
     top = small.extinction_per_m.max()
     assert large.extinction_per_m.max() == pytest.approx(top / 2, rel=1e-4)
     assert small.phase == droplet_phase(8.0)
-    with pytest.raises(RecipeError, match="droplet_radius_um"):
+    with raises_error(RecipeError, place="sky.clouds.file"):
         clouds_of(saved_thunder(tmp_path, "unknown.nc"), 0.0, Silent())
 
 
@@ -276,18 +268,13 @@ def test_a_volume_of_extinction_lies_where_the_weather_did(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("made", "said"),
-    [
-        ({"times": 1e30}, "too thick"),
-        ({"size_m": 2e7}, "not one of clouds"),
-        ({"top_m": 2e5}, "not one of clouds"),
-        ({"top_m": -5.0}, "not one of clouds"),
-    ],
+    "made",
+    [{"times": 1e30}, {"size_m": 2e7}, {"top_m": 2e5}, {"top_m": -5.0}],
 )
-def test_a_volume_that_is_no_cloud_is_refused(made: dict[str, float], said: str, tmp_path: Path) -> None:
+def test_a_volume_that_is_no_cloud_is_refused(made: dict[str, float], tmp_path: Path) -> None:
     recipe = stand(tmp_path)
     volume(tmp_path, **made)
-    with pytest.raises(ForestgenError, match=said):
+    with raises_error(ForestgenError):
         clouds_of(drawn("{type: file, file: sky.vol}", recipe=recipe), 0.0, Silent())
 
 
@@ -295,14 +282,14 @@ def test_a_volume_that_is_no_cloud_is_refused(made: dict[str, float], said: str,
 def test_a_key_that_cannot_act_on_a_volume_is_refused(key: str, value: str, tmp_path: Path) -> None:
     recipe = stand(tmp_path)
     volume(tmp_path)
-    with pytest.raises(RecipeError, match=key):
+    with raises_error(RecipeError, place=key):
         clouds_of(drawn(f"{{type: file, file: sky.vol, {key}: {value}}}", recipe=recipe), 0.0, Silent())
 
 
 def test_a_site_larger_than_its_clouds_is_refused(tmp_path: Path) -> None:
     recipe = stand(tmp_path)
     volume(tmp_path, size_m=110.0)  # the site has 120
-    with pytest.raises(RecipeError, match="larger than its clouds"):
+    with raises_error(RecipeError, place="sky.clouds"):
         clouds_of(drawn("{type: file, file: sky.vol}", recipe=recipe), 0.0, Silent())
     saved_thunder(tmp_path, "sky.nc", droplet_radius_um=8.0)  # 1000 m wide
     for clouds, wide in (("{type: file, file: sky.nc, repeat: false}", 1200), ("{type: file, file: sky.nc}", 5000)):
@@ -310,7 +297,7 @@ def test_a_site_larger_than_its_clouds_is_refused(tmp_path: Path) -> None:
         if wide == 5000:  # what is repeated reaches as far
             assert clouds_of(one, 0.0, Silent()) is not None
             continue
-        with pytest.raises(RecipeError, match="1000 x 1000 m"):
+        with raises_error(RecipeError, place="sky.clouds"):
             clouds_of(one, 0.0, Silent())
 
 

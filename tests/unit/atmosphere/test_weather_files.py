@@ -23,6 +23,7 @@ from forestgen.atmosphere.weather_files import (
 )
 from forestgen.core.errors import AssetError, OutputError, ResourceError
 from forestgen.render.variant import SCALAR, using
+from support.error_messages import raises_error
 
 
 def snapshot(*, solid: bool = True, periodic: bool = False) -> Weather:
@@ -79,7 +80,7 @@ def test_the_droplets_radius_is_kept_beside_the_snapshot(tmp_path: Path) -> None
     write_weather(tmp_path / "air.nc", snapshot(), droplet_radius_um=1e2 / 3.0)
     assert read_droplet_radius_um(tmp_path / "air.nc") == 1e2 / 3.0
     write_weather(tmp_path / "air.nc", snapshot(), droplet_radius_um=-1.0)
-    with pytest.raises(AssetError, match="above 0"):
+    with raises_error(AssetError, place="air.nc"):
         read_droplet_radius_um(tmp_path / "air.nc")
 
 
@@ -288,7 +289,7 @@ def test_a_bad_snapshot_is_refused(tmp_path: Path, change: Callable[[Any], None]
 
 
 def test_a_negative_time_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="seconds since the beginning"):
+    with raises_error(OutputError, place="air.nc"):
         write_weather(tmp_path / "air.nc", replace(snapshot(), time_s=float("nan")))
 
 
@@ -307,48 +308,45 @@ def test_fields_larger_than_memory_are_refused_before_they_are_read(
     write_clouds(tmp_path / "sky.vol", clouds())
     monkeypatch.setattr(grid_module, "free_bytes", lambda: 400)
     for name in ("air.nc", "sky.nc", "sky.vol"):
-        with pytest.raises(ResourceError, match="do not fit into memory"):
+        with raises_error(ResourceError):
             read_sky(tmp_path / name)
 
 
 @pytest.mark.parametrize(
-    ("grid", "words"),
+    "grid",
     [
-        (
-            replace(clouds(), extinction_per_m=clouds().extinction_per_m.astype(np.float16)),
-            "float32 numbers.*\n.*float16",
-        ),
-        (replace(clouds(), extinction_per_m=clouds().extinction_per_m.astype(float)), "float32 numbers.*\n.*float64"),
-        (replace(clouds(), extinction_per_m=np.zeros((2, 2), np.float32)), "three dimensions"),
-        (replace(clouds(), extinction_per_m=np.zeros((2, 0, 2), np.float32)), "three dimensions"),
-        (replace(clouds(), extinction_per_m=np.full((2, 2, 2), np.nan, np.float32)), "numbers everywhere"),
-        (replace(clouds(), extinction_per_m=np.full((2, 2, 2), -1, np.float32)), "nothing below 0"),
-        (replace(clouds(), high_m=(-1.0, 2.0, 3.0)), "the box along x"),
-        (replace(clouds(), albedo=1.5), "albedo.*\n.*0 to 1"),
-        (replace(clouds(), phase=PhaseFunction(1.0, 0.0, 0.5)), "phase function"),
-        (replace(clouds(), phase=PhaseFunction(0.5, 0.0, 1.5)), "a share of 1.5"),
+        replace(clouds(), extinction_per_m=clouds().extinction_per_m.astype(np.float16)),
+        replace(clouds(), extinction_per_m=clouds().extinction_per_m.astype(float)),
+        replace(clouds(), extinction_per_m=np.zeros((2, 2), np.float32)),
+        replace(clouds(), extinction_per_m=np.zeros((2, 0, 2), np.float32)),
+        replace(clouds(), extinction_per_m=np.full((2, 2, 2), np.nan, np.float32)),
+        replace(clouds(), extinction_per_m=np.full((2, 2, 2), -1, np.float32)),
+        replace(clouds(), high_m=(-1.0, 2.0, 3.0)),
+        replace(clouds(), albedo=1.5),
+        replace(clouds(), phase=PhaseFunction(1.0, 0.0, 0.5)),
+        replace(clouds(), phase=PhaseFunction(0.5, 0.0, 1.5)),
     ],
 )
 @pytest.mark.parametrize("name", ["sky.nc", "sky.vol", "sky.vdb"])
-def test_a_bad_field_is_not_written(tmp_path: Path, grid: CloudGrid, words: str, name: str) -> None:
-    with pytest.raises(OutputError, match=words):
+def test_a_bad_field_is_not_written(tmp_path: Path, grid: CloudGrid, name: str) -> None:
+    with raises_error(OutputError):
         write_clouds(tmp_path / name, grid)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    "changes",
     [
-        ({"cloud": np.zeros((4, 5, 6), np.float16)}, "cloud.*\n.*float32.*\n.*float16"),
-        ({"cloud": np.zeros((4, 5, 7), np.float32)}, r"cloud.*\n.*\(4, 5, 6\).*\n.*\(4, 5, 7\)"),
-        ({"east_m_per_s": np.zeros((4, 5, 6), np.float32)}, r"east_m_per_s.*\n.*\(4, 5, 7\)"),
-        ({"solid": np.zeros((4, 5, 6), np.int8)}, "solid.*\n.*bool"),
-        ({"vapour": np.full((4, 5, 6), np.nan, np.float32)}, "vapour.*\n.*numbers everywhere"),
-        ({"grid": AirGrid((0, 5, 4), (1.0, 1.0, 1.0))}, "three numbers of at least 1"),
+        {"cloud": np.zeros((4, 5, 6), np.float16)},
+        {"cloud": np.zeros((4, 5, 7), np.float32)},
+        {"east_m_per_s": np.zeros((4, 5, 6), np.float32)},
+        {"solid": np.zeros((4, 5, 6), np.int8)},
+        {"vapour": np.full((4, 5, 6), np.nan, np.float32)},
+        {"grid": AirGrid((0, 5, 4), (1.0, 1.0, 1.0))},
     ],
 )
-def test_a_bad_snapshot_is_not_written(tmp_path: Path, changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(OutputError, match=words):
+def test_a_bad_snapshot_is_not_written(tmp_path: Path, changes: dict[str, Any]) -> None:
+    with raises_error(OutputError, place="air.nc"):
         write_weather(tmp_path / "air.nc", replace(snapshot(), **changes))
     assert not list(tmp_path.iterdir())
 
@@ -361,14 +359,14 @@ def test_rounding_below_zero_is_kept(tmp_path: Path) -> None:
 
 
 def test_places_that_cannot_be_written_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(OutputError, match=r"a snapshot is a NetCDF file|ends in .nc"):
+    with raises_error(OutputError, place="air.vol"):
         write_weather(tmp_path / "air.vol", snapshot())
-    with pytest.raises(OutputError, match=r"one that ends in .nc, .vol, .vdb"):
+    with raises_error(OutputError, place="sky.png"):
         write_clouds(tmp_path / "sky.png", clouds())
     for name in ("none/air.nc", "a\0b.nc"):
-        with pytest.raises(OutputError, match="cannot be written"):
+        with raises_error(OutputError):
             write_weather(tmp_path / name, snapshot())
-    with pytest.raises(OutputError, match="No such file"):
+    with raises_error(OutputError, place="sky.vol"):
         write_clouds(tmp_path / "none" / "sky.vol", clouds())
 
 
@@ -381,7 +379,7 @@ def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path, mon
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("h5netcdf.File.create_variable", full)
-    with pytest.raises(OutputError, match="No space left"):
+    with raises_error(OutputError, place="air.nc"):
         write_weather(path, snapshot(solid=False))
     assert path.read_bytes() == before
     assert [one.name for one in tmp_path.iterdir()] == ["air.nc"]

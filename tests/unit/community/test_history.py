@@ -11,6 +11,7 @@ from forestgen.community.history import open_history, write_history
 from forestgen.community.model import simulate
 from forestgen.community.models.multiset_lsystem import MODEL
 from forestgen.core.errors import AssetError, OutputError
+from support.error_messages import raises_error
 
 
 @pytest.fixture
@@ -81,12 +82,12 @@ def test_snapshots_of_different_communities_are_refused(history, tmp_path):
 
 
 def test_files_that_cannot_be(history, tmp_path):
-    with pytest.raises(OutputError, match=r"nowhere.*a\.parquet"):
+    with raises_error(OutputError, place="a.parquet"):
         write_history(tmp_path / "nowhere" / "a.parquet", history)
-    with pytest.raises(AssetError, match=r"b\.parquet"):
+    with raises_error(AssetError, place="b.parquet"):
         list(open_history(tmp_path / "b.parquet"))
     (tmp_path / "c.parquet").write_bytes(b"not a table")
-    with pytest.raises(AssetError, match=r"c\.parquet"):
+    with raises_error(AssetError, place="c.parquet"):
         list(open_history(tmp_path / "c.parquet"))
 
 
@@ -107,7 +108,7 @@ def test_snapshots_are_read_one_by_one(history, tmp_path):
         assert again.plant_id.tobytes() == one.plant_id.tobytes()
         assert again.columns["vigour"].dtype == np.float32
     (tmp_path / "a.parquet").unlink()
-    with pytest.raises(AssetError, match=r"a\.parquet"):
+    with raises_error(AssetError, place="a.parquet"):
         opened.snapshot(9)
 
 
@@ -115,5 +116,5 @@ def test_a_file_of_another_version_is_refused(history, tmp_path, monkeypatch):
     monkeypatch.setattr("forestgen.community.history._VERSION", 1)
     write_history(tmp_path / "a.parquet", history)
     monkeypatch.undo()
-    with pytest.raises(AssetError, match="version 1 of the format, not 2"):
+    with raises_error(AssetError, place="a.parquet"):
         open_history(tmp_path / "a.parquet")

@@ -15,6 +15,7 @@ from forestgen.community.history import open_history, write_history
 from forestgen.community.history_tables import MAPS_NAME as NAME
 from forestgen.community.population import Population
 from forestgen.core.errors import AssetError, ResourceError
+from support.error_messages import raises_error
 
 SIZE_M = (40.0, 30.0)
 
@@ -179,10 +180,9 @@ BREAKS: dict[str, Callable[[Path], object]] = {
 def test_what_is_damaged_is_refused(what: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     history = open_history(written(tmp_path))
     BREAKS[what](tmp_path / NAME)
-    with pytest.raises(AssetError, match=r"maps of this history cannot be read") as caught:
+    with raises_error(AssetError, place="maps.nc") as caught:
         history.whole(4)
     assert caught.value.where == str(tmp_path / NAME)
-    assert caught.value.hint == "simulate again"
     assert caught.value.got
     assert "\n" not in caught.value.got
     assert capfd.readouterr() == ("", "")
@@ -192,7 +192,7 @@ def test_maps_of_another_history_are_refused_though_all_looks_alike(tmp_path: Pa
     history = open_history(written(tmp_path / "a"))
     written(tmp_path / "b", [snapshot(step, seed=1) for step in (3, 4, 5)])
     (tmp_path / "a" / NAME).write_bytes((tmp_path / "b" / NAME).read_bytes())
-    with pytest.raises(AssetError, match="another history"):
+    with raises_error(AssetError, place="maps.nc"):
         history.whole(4)
 
 
@@ -202,7 +202,7 @@ def test_a_small_file_that_tells_of_huge_maps_takes_no_memory(tmp_path: Path) ->
         del file["water_mm"]
         file.create_dataset("water_mm", shape=(3, 2_000_000, 2_000_000), chunks=(1, 10, 10), dtype="f8")
     assert (tmp_path / NAME).stat().st_size < 100_000
-    with pytest.raises(ResourceError, match="do not fit into memory"):
+    with raises_error(ResourceError):
         history.whole(4)
 
 

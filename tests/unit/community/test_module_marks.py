@@ -14,6 +14,7 @@ from forestgen.core.errors import AssetError
 from forestgen.core.progress import Silent, Timings
 from forestgen.pipeline import simulate
 from forestgen.recipe.load import load_recipe
+from support.error_messages import raises_error
 
 STAND = """
 forestgen: 1
@@ -58,7 +59,7 @@ def test_the_modules_of_the_same_run_are_read(runs, tmp_path):
 
 def test_modules_of_another_seed_are_refused(runs, tmp_path):
     history = with_modules(runs, tmp_path, runs / "2" / "modules.parquet")
-    with pytest.raises(AssetError, match="another history"):
+    with raises_error(AssetError, place="modules.parquet"):
         history.whole(4)
 
 
@@ -73,10 +74,10 @@ def test_changed_values_are_refused(runs, tmp_path, column, value):
         index = table.column_names.index(column)
         return table.set_column(index, table.schema.field(index), pa.array(values))
 
-    with pytest.raises(AssetError, match="not those that were written"):
+    with raises_error(AssetError, place="modules.parquet"):
         with_modules(runs, tmp_path, change).whole(4)
 
 
 def test_a_missing_row_is_refused(runs, tmp_path):
-    with pytest.raises(AssetError, match="not those that were written"):
+    with raises_error(AssetError, place="modules.parquet"):
         with_modules(runs, tmp_path, lambda table: table.slice(0, len(table) - 1)).whole(4)

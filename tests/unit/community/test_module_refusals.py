@@ -16,6 +16,7 @@ from forestgen.core.errors import AssetError, OutputError, RecipeError, Resource
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import check_plan
+from support.error_messages import raises_error
 
 STAND = """
 forestgen: 1
@@ -37,15 +38,17 @@ def plan_of(tmp_path, *settings):
 @pytest.mark.parametrize(
     ("setting", "place"),
     [
-        ("community.changes=[{at_yr: 1, set: {species.pine.prototypes: [nonesuch]}}]", "changes.0.set.species.pine"),
+        (
+            "community.changes=[{at_yr: 1, set: {species.pine.prototypes: [nonesuch]}}]",
+            "changes.0.set.species.pine.prototypes",
+        ),
         ("community.disturbances=[{at_yr: 1, plant: {species: house, count: 2}}]", "disturbances.0.plant.species"),
         ("community.initial_plants={'*': 5, pine: 2}", "initial_plants"),
     ],
 )
 def test_what_nobody_can_grow_is_told_at_its_place(tmp_path, setting, place):
-    with pytest.raises(RecipeError) as told:
+    with raises_error(RecipeError, place=place):
         plan_of(tmp_path, setting)
-    assert place in str(told.value)
 
 
 CLIMATE = ", climate: {place: Juneau}"
@@ -54,67 +57,56 @@ CLIMATE = ", climate: {place: Juneau}"
 @pytest.mark.parametrize("model", ["branch_modules", "ecoclimate"])
 @pytest.mark.parametrize("name", ["snag", "stump", "log"])
 def test_dead_wood_does_not_grow(tmp_path, model, name):
-    with pytest.raises(RecipeError) as told:
+    with raises_error(RecipeError, place=f"species.{name}"):
         plan_of(
             tmp_path,
             f"species={{pine: , {name}: }}",
             f"community={{model: {model}, initial_plants: 8, steps: 4{CLIMATE * (model == 'ecoclimate')}}}",
         )
-    assert f"species.{name}" in str(told.value.where)
-    assert told.value.problem == f"{name} is no living plant"
-    assert "standing_dead_yr" in told.value.hint
 
 
 @pytest.mark.parametrize("model", ["branch_modules", "ecoclimate"])
 def test_a_species_of_ones_own_needs_modules(tmp_path, model):
-    with pytest.raises(RecipeError) as told:
+    with raises_error(RecipeError, place="species.mine"):
         plan_of(
             tmp_path,
             "species={pine: , mine: {from: fireweed, modules: null}}",
             f"community={{model: {model}, initial_plants: 8, steps: 4{CLIMATE * (model == 'ecoclimate')}}}",
         )
-    assert "species.mine" in str(told.value.where)
-    assert told.value.problem == "mine does not grow by branch modules"
 
 
 @pytest.mark.parametrize("model", ["branch_modules", "ecoclimate"])
 def test_obstacles_of_older_recipes_are_told_their_new_key(tmp_path, model):
-    with pytest.raises(RecipeError) as told:
+    with raises_error(RecipeError, place="community.obstacles"):
         plan_of(
             tmp_path,
             f"community={{model: {model}, steps: 4, obstacles: [{{species: house, position_m: [6, 6]}}]"
             f"{CLIMATE * (model == 'ecoclimate')}}}",
         )
-    assert "community.obstacles" in str(told.value.where)
-    assert "site.buildings" in told.value.expected
 
 
 def test_a_house_among_the_species_is_told_its_new_key(tmp_path):
-    with pytest.raises(AssetError) as told:
+    with raises_error(AssetError, place="species.house.from"):
         plan_of(tmp_path, "species={pine: , house: }", "site.buildings=[]")
-    assert "site: {buildings: [{kind: house" in told.value.hint
 
 
 def test_a_species_has_another_name_than_a_building(tmp_path):
-    with pytest.raises(RecipeError, match="labels use this name for what is no plant"):
+    with raises_error(RecipeError, place="species.house"):
         plan_of(tmp_path, "species={house: {from: pine}}")
 
 
 def test_buildings_need_a_community_that_knows_of_them(tmp_path):
-    with pytest.raises(RecipeError) as told:
+    with raises_error(RecipeError, place="site.buildings"):
         plan_of(tmp_path, "community={model: uniform, plants: {pine: {count: 3}}}")
-    assert "site.buildings" in str(told.value.where)
-    assert "branch_modules" in told.value.expected
 
 
 def test_seeds_from_elsewhere_of_a_stranger_are_refused_in_a_change_too(tmp_path):
-    with pytest.raises(RecipeError) as told:
+    with raises_error(RecipeError, place="community.changes.0.set.global_seeding"):
         plan_of(
             tmp_path,
             "community={model: ecoclimate, initial_plants: 8, steps: 4, climate: {place: Juneau}, "
             "changes: [{at_yr: 1, set: {global_seeding: [{species: [house], seeds_per_ha: 1000}]}}]}",
         )
-    assert "changes.0.set.global_seeding" in str(told.value)
 
 
 def test_a_graph_that_cannot_be_written_is_refused_before_anything_grows(tmp_path):
@@ -137,13 +129,13 @@ def test_the_graph_of_a_stand_without_plants_is_an_empty_file(tmp_path, suffix):
 
 
 def test_more_plants_than_modules_may_be_are_refused_at_the_start(tmp_path):
-    with pytest.raises(ResourceError, match="too many branch modules"):
+    with raises_error(ResourceError, place="community.most_modules"):
         list(snapshots(plan_of(tmp_path, "community.most_modules=1").community, Silent()))
 
 
 def test_more_seeds_than_memory_holds_are_refused():
     refuse_more_seeds(MOST_SEEDS)
-    with pytest.raises(ResourceError, match="more seeds"):
+    with raises_error(ResourceError, place="community.step_yr"):
         refuse_more_seeds(4e8)
 
 
@@ -155,7 +147,7 @@ def test_more_planted_than_modules_may_be_are_refused_before_they_are_drawn(tmp_
     assert told.value.got == "100,000,000"
     plan = plan_of(tmp_path, f"community.disturbances=[{planting % (1, 60)}, {planting % (1, 60)}]",
                    "community.most_modules=110")  # fmt: skip
-    with pytest.raises(ResourceError, match="too many branch modules"):  # in the step itself, and not one later
+    with raises_error(ResourceError, place="community.most_modules"):  # in the step itself, and not one later
         list(model_simulate(plan, 1))
 
 
@@ -192,5 +184,5 @@ def test_seeds_from_elsewhere_of_a_change_are_foreseen(tmp_path):
         plan.community.model.empty_reason(plan.community.parameters, plan.community.site, plan.community.ecologies)
         is None
     )
-    with pytest.raises(ResourceError, match=r"community\.changes\.0\.set\.global_seeding: more seeds"):
+    with raises_error(ResourceError, place="community.changes.0.set.global_seeding"):
         plan_of(tmp_path, *sizes, "community=" + community % 100_000)

@@ -16,6 +16,7 @@ from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.building import exemplar_of
 from forestgen.scene.plan import Plan, check_plan
+from support.error_messages import raises_error
 
 RECIPE = """\
 forestgen: 1
@@ -49,7 +50,7 @@ def test_the_future_is_the_same_to_the_bit(recipe: Path, tmp_path: Path) -> None
     for kept in (False, True):
         write_history(tmp_path / "history.parquet", whole, origin(plan.community), modules=kept)
         if not kept:
-            with pytest.raises(RecipeError, match=r"has no modules[\s\S]*community.history_modules=true"):
+            with raises_error(RecipeError, place="resume"):
                 snapshot_to_resume(plan.community, tmp_path / "history.parquet", 3)
     for step in (0, 2, 5):
         start = snapshot_to_resume(plan.community, tmp_path / "history.parquet", step)
@@ -62,7 +63,7 @@ def test_the_future_is_the_same_to_the_bit(recipe: Path, tmp_path: Path) -> None
                         assert values.tobytes() == getattr(theirs, name).tobytes(), name
     later = planned(recipe, "community.changes.1.set={crowding: 2}")
     assert snapshot_to_resume(later.community, tmp_path / "history.parquet", 4).step == 4
-    with pytest.raises(RecipeError, match=r"community.changes.1"):
+    with raises_error(RecipeError, place="resume"):
         snapshot_to_resume(later.community, tmp_path / "history.parquet", 5)
     write_graphs(plan.community, whole[-1], [tmp_path / "graph.csv"])
     assert (tmp_path / "graph.csv").read_text().count("\n") > 20
@@ -79,26 +80,21 @@ def test_obstacles_are_the_first_plants_and_stand_as_they_are_told(recipe: Path)
 
 
 @pytest.mark.parametrize(
-    ("overrides", "message"),
+    "overrides",
     [
-        (
-            ("site.buildings.0.position_m=[5,5]",),
-            r"buildings.0.position_m: this building does not lie on the site",
-        ),
-        (("site.buildings.0.kind=hause",), "did you mean 'house'"),
-        (("site.buildings.0.size_m=[0,3,3]",), r"site.buildings.0.size_m.0"),
-        (("site.buildings.0.chimneys=2",), r"site.buildings.0.chimneys"),
-        (("community.initial_plants={house: 3}",), r"initial_plants.house: the recipe has no species of this name"),
-        (("community.changes.1.set={species.house.opacity: 1}",), r"changes.1.set.species.house.opacity"),
-        (("community.changes.0.set={temperature_c: 40}",), r"changes.0.set.temperature_c[\s\S]*-10 to 33 deg C"),
-        (("community.step_yr=0",), "community.step_yr"),
-        (("community.precipitation_mm_per_yr=5000",), r"10 to 4300 mm a year[\s\S]*5000"),
+        ("site.buildings.0.position_m=[5,5]",),
+        ("site.buildings.0.kind=hause",),
+        ("site.buildings.0.size_m=[0,3,3]",),
+        ("site.buildings.0.chimneys=2",),
+        ("community.initial_plants={house: 3}",),
+        ("community.changes.1.set={species.house.opacity: 1}",),
+        ("community.changes.0.set={temperature_c: 40}",),
+        ("community.step_yr=0",),
+        ("community.precipitation_mm_per_yr=5000",),
     ],
 )
-def test_what_does_not_fit_is_told_before_anything_grows(
-    recipe: Path, overrides: tuple[str, ...], message: str
-) -> None:
-    with pytest.raises(RecipeError, match=message):
+def test_what_does_not_fit_is_told_before_anything_grows(recipe: Path, overrides: tuple[str, ...]) -> None:
+    with raises_error(RecipeError):
         planned(recipe, *overrides)
 
 
@@ -109,11 +105,9 @@ def test_terrain_with_holes_is_refused_with_its_line(recipe: Path, tmp_path: Pat
     np.save(tmp_path / "bad.npy", heights)
     np.save(tmp_path / "wide.npy", np.zeros((10, 30)))
     assert planned(recipe, "site.terrain={kind: map, map: good.npy}").community.site.height is not None
-    with pytest.raises(
-        AssetError, match=r"site.terrain.map: the terrain has holes[\s\S]*2 cells of 900 .*row 4, column 8"
-    ):
+    with raises_error(AssetError, place="site.terrain.map"):
         planned(recipe, "site.terrain={kind: map, map: bad.npy}")
-    with pytest.raises(AssetError, match=r"not the site's[\s\S]*fit: stretch"):
+    with raises_error(AssetError, place="site.terrain.map"):
         planned(recipe, "site.terrain={kind: map, map: wide.npy}")
     planned(recipe, "site.terrain={kind: map, map: wide.npy, fit: stretch}")
 
@@ -128,8 +122,8 @@ def test_a_map_is_its_content_wherever_it_lies(recipe: Path, tmp_path: Path) -> 
 def test_graphs_are_of_branches_and_of_known_formats(recipe: Path) -> None:
     plan = planned(recipe)
     check_graphs(plan.community, [Path("a.GLB"), Path("b.parquet")])
-    with pytest.raises(RecipeError, match=r"no format[\s\S]*.usdc"):
+    with raises_error(RecipeError, place="graphs"):
         check_graphs(plan.community, [Path("a.ply")])
     plain = planned(recipe, "site.buildings=[]", "community={model: uniform, plants: {spruce: {count: 3}}}")
-    with pytest.raises(RecipeError, match="no branches of their own"):
+    with raises_error(RecipeError, place="graphs"):
         check_graphs(plain.community, [Path("a.glb")])

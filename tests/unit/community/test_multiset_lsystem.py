@@ -16,6 +16,7 @@ from forestgen.community.models.multiset_lsystem import MODEL
 from forestgen.community.population import Population, Site, SpeciesEcology, Status
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import AssetError, ForestgenError, LsystemError, RecipeError, ResourceError
+from support.error_messages import raises_error
 
 SUCCESSION = MODEL.Parameters(program="succession")
 SELF_THINNING = MODEL.Parameters(program="self_thinning")
@@ -76,7 +77,7 @@ def after_a_step(state):
 
 def test_the_registry_knows_it():
     assert COMMUNITY_MODELS.load("multiset_lsystem") is MODEL
-    with pytest.raises(RecipeError, match="multiset_lsystem"):
+    with raises_error(RecipeError):
         COMMUNITY_MODELS.load("multiset")
 
 
@@ -85,7 +86,7 @@ def test_parameters_are_checked():
     for wrong in wrongs:
         with pytest.raises(ValidationError):
             MODEL.Parameters(**wrong)
-    with pytest.raises(AssetError, match="succession"):
+    with raises_error(AssetError):
         MODEL.Parameters(program="x")
 
 
@@ -230,7 +231,7 @@ def with_next_id(state, next_id):
 
 
 def test_ids_are_used_up_with_an_error(tree, site):
-    with pytest.raises(ResourceError, match="ids of words are used up"):
+    with raises_error(ResourceError, place="succession.lsys"):
         MODEL.step(with_next_id(MODEL.init(SUCCESSION, site, [tree()], 1), 2**32 - 3))
     last = with_next_id(MODEL.init(SUCCESSION, site, [tree(seedlings_per_ha_per_yr=0.0)], 1), 2**32)
     assert len(MODEL.population(MODEL.step(last))) == 0
@@ -240,7 +241,7 @@ def test_ids_are_used_up_with_an_error(tree, site):
 
 def test_a_community_that_grows_too_large_stops_with_an_error(tree, site):
     crowded = MODEL.Parameters(most_plants=1000)
-    with pytest.raises(ResourceError, match=r"(?s)most_plants = 1,000"):
+    with raises_error(ResourceError, place="succession.lsys"):
         run(crowded, site, [tree(seedlings_per_ha_per_yr=1e5)], 1, 3)
 
 
@@ -316,21 +317,19 @@ def test_protocol_fields_reach_the_population(site):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("axiom: { X }\nX --> X", ["writes no plants", "T(x, y, r, sp)?E(c)"]),
-        ("axiom: T(1,1,1,0)?E(1)\nT(x,y,r,sp) --> T(x,y,r,sp)", ["needs a multiset"]),
-        ("axiom: { T(1,1)?E(1) }\nT(x,y) --> T(x,y)", ["too few parameters"]),
-        ("axiom: { T(1,1,1,0)?E(1)A }\nA --> A", ["a plant and more", "T(1,1,1,0)?E(1)A"]),
-        ("axiom: { T(1,1,0,0)?E(1) }\nA --> A", ["impossible size or species", "r = 0"]),
-        ("axiom: { T(1,1,1,3)?E(1) }\nA --> A", ["impossible size or species", "sp = 3"]),
+        "axiom: { X }\nX --> X",
+        "axiom: T(1,1,1,0)?E(1)\nT(x,y,r,sp) --> T(x,y,r,sp)",
+        "axiom: { T(1,1)?E(1) }\nT(x,y) --> T(x,y)",
+        "axiom: { T(1,1,1,0)?E(1)A }\nA --> A",
+        "axiom: { T(1,1,0,0)?E(1) }\nA --> A",
+        "axiom: { T(1,1,1,3)?E(1) }\nA --> A",
     ],
 )
-def test_programs_that_write_no_plants(tree, site, text, words):
-    with pytest.raises(LsystemError) as caught:
+def test_programs_that_write_no_plants(tree, site, text):
+    with raises_error(LsystemError, place="own.lsys"):
         MODEL.init(program(text), site, [tree()], 1)
-    for word in ("own.lsys", *words):
-        assert word in str(caught.value)
 
 
 def test_parameters_that_the_program_does_not_have():
@@ -414,14 +413,12 @@ def test_words_of_commas_resume(tree, site):
 
 def test_the_limit_of_plants_is_exact(tree, site):
     assert len(MODEL.population(MODEL.init(cohort(10_000, most_plants=2400), site, [tree()], 1))) == 2400
-    with pytest.raises(ResourceError, match="most_plants = 2,399"):
+    with raises_error(ResourceError, place="self_thinning.lsys"):
         MODEL.init(cohort(10_000, most_plants=2399), site, [tree()], 1)
 
 
 @pytest.mark.parametrize("doubled", ["A --> AA", "A --> A%A"])
 def test_words_beside_the_plants_that_double_are_refused_soon(tree, site, doubled):
     text = f"axiom: {{ A, T(1, 1, 0.5, 0)?E(1) }}\n{doubled}\nT(x, y, r, sp) --> T(x, y, r, sp)\n"
-    with pytest.raises(ResourceError, match="own words") as caught:
+    with raises_error(ResourceError, place="own.lsys"):
         run(program(text), site, [tree()], 1, 300)
-    assert caught.value.where == "own.lsys"
-    assert "step 16" in (caught.value.got or "")

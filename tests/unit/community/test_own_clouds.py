@@ -22,6 +22,7 @@ from forestgen.core.progress import Silent, Timings
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.build import build_scene
 from forestgen.scene.plan import Plan, estimate_bytes, make_plan
+from support.error_messages import raises_error
 
 RECIPE = """\
 forestgen: 1
@@ -72,29 +73,22 @@ def giving(population: Population, mm_per_day: float) -> Population:
 
 
 @pytest.mark.parametrize(
-    ("overrides", "told"),
+    "overrides",
     [
-        (["community={model: forest_footprints}"], ["sky.clouds.type", "no air of its own", "forest_footprints"]),
-        (["community.weather=null"], ["sky.clouds.type", "simulates no air", "community.weather={}"]),
-        (
-            ["community.changes=[{at_yr: 0.2, set: {weather: null}}]"],
-            ["simulates no air any more when the picture is taken", "leave out that change"],
-        ),
-        (["sky.clouds.time_s=0"], ["sky.clouds.time_s", "more than 0"]),
-        (["sky.clouds.cell_m=400"], ["sky.clouds.cell_m", "too coarse"]),
-        (["community.weather.extent_m=40000", "sky.clouds.cell_m=10"], ["sky.clouds.cell_m", "too fine", "4,000,000"]),
-        (["sky.clouds.offset_m=[3, 4]"], ["sky.clouds.offset_m", "community has no offset_m"]),
-        (["sky.clouds.wind_m_per_s=3"], ["has no wind_m_per_s", "community.weather"]),
-        (["sky.clouds={type: cumulus, cell_m: 50}"], ["has no cell_m", "set domain.cell_m"]),
+        ["community={model: forest_footprints}"],
+        ["community.weather=null"],
+        ["community.changes=[{at_yr: 0.2, set: {weather: null}}]"],
+        ["sky.clouds.time_s=0"],
+        ["sky.clouds.cell_m=400"],
+        ["community.weather.extent_m=40000", "sky.clouds.cell_m=10"],
+        ["sky.clouds.offset_m=[3, 4]"],
+        ["sky.clouds.wind_m_per_s=3"],
+        ["sky.clouds={type: cumulus, cell_m: 50}"],
     ],
 )
-def test_what_cannot_be_is_told_before_anything_is_simulated(
-    folder: Path, overrides: Sequence[str], told: Sequence[str]
-) -> None:
-    with pytest.raises(RecipeError) as caught:
+def test_what_cannot_be_is_told_before_anything_is_simulated(folder: Path, overrides: Sequence[str]) -> None:
+    with raises_error(RecipeError):
         plan(folder, *overrides)
-    for part in told:
-        assert part in str(caught.value)
 
 
 def test_weather_may_begin_by_a_change(folder: Path) -> None:

@@ -12,6 +12,7 @@ from forestgen.community.population import Site, Status
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.plan import check_plan
+from support.error_messages import raises_error
 
 SITE = Site((20.0, 10.0))
 TABLE = """
@@ -71,17 +72,11 @@ def test_the_turn_is_given_or_the_plants_own(species):
 
 
 @pytest.mark.parametrize(
-    ("plant", "message"),
-    [
-        ({"position_m": [20.1, 5]}, r"plants\.0.*does not stand on the site"),
-        ({"position_m": [5, -0.1]}, "x from 0 to 20 and y from 0 to 10"),
-        ({"radius_m": 2.5}, "no tree is so large"),
-        ({"height_m": 14}, "no tree is so tall"),
-        ({"height_m": 1e-320}, "no tree is so short"),
-    ],
+    "plant",
+    [{"position_m": [20.1, 5]}, {"position_m": [5, -0.1]}, {"radius_m": 2.5}, {"height_m": 14}, {"height_m": 1e-320}],
 )
-def test_what_cannot_stand_there_is_refused(species, plant, message):
-    with pytest.raises(RecipeError, match=r"(?s)" + message):
+def test_what_cannot_stand_there_is_refused(species, plant):
+    with raises_error(RecipeError, place="community.plants.0"):
         placed(species, plants=[{"species": "tree", "position_m": [1, 1], **plant}])
 
 
@@ -89,7 +84,7 @@ def test_a_species_of_one_height_takes_no_other(tree):
     constant = [tree(height_exponent=0.0)]
     assert placed(constant, plants=[{"species": "tree", "position_m": [1, 1], "height_m": 8}])[0].radius_m == 2.0
     for height in (7.9, 8.1):
-        with pytest.raises(RecipeError, match="exactly 8 m"):
+        with raises_error(RecipeError, place="community.plants.0"):
             placed(constant, plants=[{"species": "tree", "position_m": [1, 1], "height_m": height}])
 
 
@@ -120,10 +115,10 @@ def test_a_plan_refuses_what_the_simulation_would():
         "species": {"spruce": {"from": "spruce"}},
         "community": {"model": "placed", "plants": [{"species": "spruce", "position_m": [30, 5]}]},
     }
-    with pytest.raises(RecipeError, match="does not stand on the site"):
+    with raises_error(RecipeError, place="community.plants.0"):
         check_plan(load_recipe_data(recipe, "test"), simulate_only=True)
     recipe["community"] = {"model": "placed", "table": "species, x_m, y_m\nspurce, 1, 2"}
-    with pytest.raises(RecipeError, match="did you mean 'spruce'"):
+    with raises_error(RecipeError, place="community.table"):
         check_plan(load_recipe_data(recipe, "test"), simulate_only=True)
 
 

@@ -12,6 +12,7 @@ from forestgen.community import point_statistics
 from forestgen.community.point_patterns import Window
 from forestgen.community.point_statistics import read_points
 from forestgen.core.errors import AssetError, ForestgenError, RecipeError, ResourceError
+from support.error_messages import raises_error
 
 DATA = Path(__file__).parent / "data"
 
@@ -101,56 +102,51 @@ def test_a_given_window_comes_before_that_of_the_file(table):
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    "content",
     [
-        ("", ["2 points at least", "0 points"]),
-        ("x,y\n", ["0 points"]),
-        ("x,y\n1,2\n", ["1 point"]),
-        ("x,y\n1,2,3\n", ["trees.csv:2", "3 columns", "'1,2,3'"]),
-        ("x,y\n1,2\n1;3\n", ["trees.csv:3", "1 column", "commas"]),
-        ("a,b\n1,2\n", ["trees.csv:1", "'a,b'"]),
-        ("x,y\n1,\n", ["trees.csv:2", "two numbers"]),
-        ("x,y\n1,2\nx,y\n", ["trees.csv:3", "two numbers"]),
-        ("x,y\n1_0,2\n", ["trees.csv:2", "two numbers"]),
-        ("x,y\n1,2\n\n# c\nnan,3\n", ["trees.csv:5", "finite"]),
-        ("x,y\n1,inf\n", ["trees.csv:2", "finite"]),
-        ("x,y\n1,1e300\n", ["trees.csv:2", "finite"]),
-        ("x,y\n1,2\n3,4\n1.0,2\n", ["trees.csv:4", "twice", "line 2"]),
-        ("x,y\n1,2\n1,4\n", ["one line", "`window` x0"]),
-        (b"x,y\n1,2\n\x00\x01\n", ["trees.csv:3", "not a text file"]),
-        (b"x,y\n1,2\n\xff,3\n", ["trees.csv:3", "0xff"]),
-        (b"\x89PNG\r\n\x1a\n\x00\x00", ["trees.csv:1", "not a text file"]),
-        ("1" * 20_000, ["trees.csv:1", "10,000 bytes"]),
-        (
-            "# window 0 2 0 9\nx,y\n1,2\n3,4\n5,6\n",
-            ["trees.csv:4", "outside", "[0, 2] x [0, 9] m", "(3, 4), and 1 more"],
-        ),
+        "",
+        "x,y\n",
+        "x,y\n1,2\n",
+        "x,y\n1,2,3\n",
+        "x,y\n1,2\n1;3\n",
+        "a,b\n1,2\n",
+        "x,y\n1,\n",
+        "x,y\n1,2\nx,y\n",
+        "x,y\n1_0,2\n",
+        "x,y\n1,2\n\n# c\nnan,3\n",
+        "x,y\n1,inf\n",
+        "x,y\n1,1e300\n",
+        "x,y\n1,2\n3,4\n1.0,2\n",
+        "x,y\n1,2\n1,4\n",
+        b"x,y\n1,2\n\x00\x01\n",
+        b"x,y\n1,2\n\xff,3\n",
+        b"\x89PNG\r\n\x1a\n\x00\x00",
+        "1" * 20_000,
+        "# window 0 2 0 9\nx,y\n1,2\n3,4\n5,6\n",
     ],
 )
-def test_files_that_hold_no_pattern(table, content, words):
-    with pytest.raises(AssetError) as caught:
+def test_files_that_hold_no_pattern(table, content):
+    with raises_error(AssetError):
         table(content)
-    for word in words:
-        assert word in str(caught.value)
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(AssetError, match=r"nowhere\.csv[\s\S]*No such file"):
+    with raises_error(AssetError, place="nowhere.csv"):
         read_points(tmp_path / "nowhere.csv")
-    with pytest.raises(AssetError, match="directory"):
+    with raises_error(AssetError):
         read_points(tmp_path)
 
 
 @pytest.mark.parametrize("window", [(1, 0, 0, 1), (0, 1, 3, 3), (0, float("nan"), 0, 1)])
 def test_windows_that_are_refused_before_the_file_is_read(tmp_path, window):
-    with pytest.raises(RecipeError, match="window"):
+    with raises_error(RecipeError, place="window"):
         read_points(tmp_path / "nowhere.csv", window)
 
 
 def test_too_many_points(table, monkeypatch):
     monkeypatch.setattr(point_statistics, "MOST_POINTS", 100)
     rows = "\n".join(f"{k},{k}" for k in range(101))
-    with pytest.raises(ResourceError, match="at most 100"):
+    with raises_error(ResourceError, place="trees.csv"):
         table(rows)
 
 

@@ -14,6 +14,7 @@ from forestgen.core.errors import AssetError, RecipeError
 from forestgen.core.progress import Silent
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import Plan, check_plan
+from support.error_messages import raises_error
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 STAND = (
@@ -48,30 +49,26 @@ def test_the_future_is_the_same_to_the_byte(history: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("overrides", "step", "message"),
+    ("overrides", "step"),
     [
-        (("seed=8",), 3, r"another simulation[\s\S]*expected  seed 7[\s\S]*got       seed 8"),
-        (("first_image=2",), 3, "image 0"),
-        (("site.size_m=[20,30]",), 3, "site.size_m"),
-        (("species={poplar: , fireweed: , spruce: }",), 3, "species.*fireweed"),
-        (("species.poplar={from: poplar, height_m: 9}",), 3, "species.poplar.height_scale"),
-        (("community.model=multiset_lsystem",), 3, "community.model"),
-        (("community.step_yr=0.25",), 3, "community.step_yr 1.0, as in the history"),
-        (
-            (*ANOTHER, "seed=9", "first_image=3", "site.size_m=[9,9]"),
-            3,
-            "and [1-9] more",
-        ),
-        (("community.disturbances.0.fell.share=0.6",), 3, r"disturbances.0.fell.share 0.5,[\s\S]*fell.share 0.6\n"),
-        (("community.disturbances=[]",), 10, "disturbances.0 .*disturbances.1 "),
-        (("community.disturbances.1.at_step=2",), 3, r"disturbances.1 \(none\)"),
-        ((), None, r"nothing is left to simulate after step 12[\s\S]*more than 12 steps"),
-        ((), 13, r"no such step[\s\S]*0 to 12[\s\S]*13"),
-        ((), -1, "no such step"),
+        (("seed=8",), 3),
+        (("first_image=2",), 3),
+        (("site.size_m=[20,30]",), 3),
+        (("species={poplar: , fireweed: , spruce: }",), 3),
+        (("species.poplar={from: poplar, height_m: 9}",), 3),
+        (("community.model=multiset_lsystem",), 3),
+        (("community.step_yr=0.25",), 3),
+        ((*ANOTHER, "seed=9", "first_image=3", "site.size_m=[9,9]"), 3),
+        (("community.disturbances.0.fell.share=0.6",), 3),
+        (("community.disturbances=[]",), 10),
+        (("community.disturbances.1.at_step=2",), 3),
+        ((), None),
+        ((), 13),
+        ((), -1),
     ],
 )
-def test_another_recipe_is_refused(history: Path, overrides: tuple[str, ...], step: int | None, message: str) -> None:
-    with pytest.raises(RecipeError, match=message):
+def test_another_recipe_is_refused(history: Path, overrides: tuple[str, ...], step: int | None) -> None:
+    with raises_error(RecipeError):
         snapshot_to_resume(planned(*overrides).community, history, step)
 
 
@@ -126,11 +123,11 @@ def test_differences_are_told_key_by_key() -> None:
 
 def test_no_history(history: Path, tmp_path: Path) -> None:
     for path in (tmp_path / "none.parquet", QUICKSTART, tmp_path):
-        with pytest.raises(AssetError, match="not a readable history"):
+        with raises_error(AssetError):
             snapshot_to_resume(planned().community, path, None)
     nameless = tmp_path / "nameless.parquet"
     write_history(nameless, open_history(history))
-    with pytest.raises(RecipeError, match="does not say"):
+    with raises_error(RecipeError, place="resume"):
         snapshot_to_resume(planned().community, nameless, 3)
     (tmp_path / "cut.parquet").write_bytes(history.read_bytes()[:-100])
     with pytest.raises(AssetError):

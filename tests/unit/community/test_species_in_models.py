@@ -17,6 +17,7 @@ from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import growth
 from forestgen.scene.plan import make_plan
 from forestgen.scene.views import drawn_cameras
+from support.error_messages import raises_error
 from tests.unit.community.test_model_contract import FOUNDED, NEEDED, PLACEMENTS
 
 SPECIES, MODELS = list_assets("species"), COMMUNITY_MODELS.ids()
@@ -44,7 +45,7 @@ def test_a_species_grows_with_a_model(name: str, model: str) -> None:
     drawn = load_recipe_data(data, "test").draw(0)
     lifeless = isinstance(GENERATORS.load(drawn.species[name].plant.generator), Lifeless)
     if lifeless and model in FOUNDED:
-        with pytest.raises(RecipeError, match=f"{name} is no living plant"):
+        with raises_error(RecipeError):
             make_plan(drawn)
         return
     plan = make_plan(drawn)

@@ -17,6 +17,7 @@ from forestgen.community.population import Site, Status
 from forestgen.community.snapshot_checks import check_snapshot
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
 from forestgen.core.errors import RecipeError
+from support.error_messages import raises_error
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "plugin" / "forestgen_plantation" / "__init__.py"
 SITE = Site((30.0, 20.0))
@@ -122,34 +123,32 @@ def test_given_heights_are_kept(species):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "expected"),
+    "wrong",
     [
-        ({"kind": 2}, "species as indices below 2"),
-        ({"position_m": (31.0, 1.0)}, "position_m on the site"),
-        ({"position_m": (np.nan, 1.0)}, "position_m on the site"),
-        ({"radius_m": 1.6}, "radius_m in (0, 1.5]"),
-        ({"radius_m": 0.0}, "radius_m in (0, 1.5]"),
-        ({"height_m": -1.0}, "positive height_m"),
+        {"kind": 2},
+        {"position_m": (31.0, 1.0)},
+        {"position_m": (np.nan, 1.0)},
+        {"radius_m": 1.6},
+        {"radius_m": 0.0},
+        {"height_m": -1.0},
     ],
 )
-def test_plants_that_no_later_stage_can_use_are_refused(species, wrong, expected):
-    with pytest.raises(RecipeError, match=r"Given\.place returned") as caught:
+def test_plants_that_no_later_stage_can_use_are_refused(species, wrong):
+    with raises_error(RecipeError):
         Given(placed(**wrong)).init(StaticParameters(), SITE, species, 0)
-    assert caught.value.expected == expected
 
 
 def test_what_is_no_placement_and_keys_that_no_snapshot_may_have_are_refused(species):
-    for model, expected in (
-        (Given(None), "a Placement"),
-        (Given(replace(placed(), found={"mean_m": 2.0})), "keys of `found` among Given.state_keys"),
+    for model in (
+        Given(None),
+        Given(replace(placed(), found={"mean_m": 2.0})),
     ):
-        with pytest.raises(RecipeError) as caught:
+        with raises_error(RecipeError):
             model.init(StaticParameters(), SITE, species, 0)
-        assert caught.value.expected == expected
 
 
 def test_columns_of_different_lengths_are_refused():
-    with pytest.raises(RecipeError, match="arrays of a Placement"):
+    with raises_error(RecipeError):
         Placement(np.array([0]), np.zeros((2, 2)), np.ones(1))
 
 
@@ -208,20 +207,19 @@ def test_a_growing_stand_resumes_to_the_same_future(species, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "expected"),
+    "change",
     [
-        (None, "a Change"),
-        (Change(dead=np.zeros(9, bool)), "dead of 10 plants"),
-        (Change(radius_m=np.full(10, 2.0)), "radius_m in (0, 1.5]"),
-        (Change(height_m=np.zeros(10)), "positive height_m"),
-        (Change(arrivals=placed(kind=5)), "species as indices below 2"),
+        None,
+        Change(dead=np.zeros(9, bool)),
+        Change(radius_m=np.full(10, 2.0)),
+        Change(height_m=np.zeros(10)),
+        Change(arrivals=placed(kind=5)),
     ],
 )
-def test_changes_that_no_later_stage_can_use_are_refused(species, change, expected):
+def test_changes_that_no_later_stage_can_use_are_refused(species, change):
     class Wrong(Grove):
         def change(self, parameters, site, species, population, rng):
             return change
 
-    with pytest.raises(RecipeError, match=r"Wrong\.change returned") as caught:
+    with raises_error(RecipeError):
         list(simulate(Wrong(), StaticParameters(), SITE, species, 4, steps=1))
-    assert caught.value.expected == expected

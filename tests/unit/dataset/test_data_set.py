@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
-
 from forestgen.core.errors import RecipeError
 from forestgen.dataset.settings import check_one_data_set, class_map, data_set_of
 from forestgen.recipe.load import load_recipe
+from support.error_messages import raises_error
 
 BASE = """forestgen: 1
 images: 4
@@ -46,7 +45,6 @@ def test_a_distribution_in_them_is_refused_with_its_place(tmp_path):
     recipe = loaded(tmp_path, "dataset:\n  depth_unit_m: {uniform: [0.001, 0.01]}\n")
     settings = data_set_of(recipe.draw(0))
     ends = list(recipe.probes())[1:]
-    with pytest.raises(RecipeError, match="agree on this") as caught:
+    with raises_error(RecipeError, place="dataset.depth_unit_m") as caught:
         check_one_data_set(ends[0], settings)
     assert "r.yaml:6" in str(caught.value.where)
-    assert "dataset.depth_unit_m" in str(caught.value.where)

@@ -21,6 +21,7 @@ from forestgen.labels.channels.boundaries import occlusion_boundaries
 from forestgen.recipe.registries import DEFAULT_CHANNELS
 from forestgen.render.frame import Radiance
 from forestgen.scene.projection import projection_of
+from support.error_messages import raises_error
 
 POINTS = (
     np.random.default_rng(0).uniform(-5, 5, (50, 3)) + np.array([3.0, -4.0, 12.0]) + 40 * np.array([0.6, 0.7, -0.2])
@@ -173,7 +174,7 @@ def test_equal_input_gives_equal_bytes_whatever_the_threads(tmp_path, shot):
 
 
 def test_a_failure_is_an_output_error(tmp_path, shot):
-    with pytest.raises(OutputError, match="missing"):
+    with raises_error(OutputError, place="a.exr"):
         written(tmp_path / "missing" / "a.exr", shot)
 
 

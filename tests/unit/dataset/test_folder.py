@@ -13,6 +13,7 @@ from forestgen.core.errors import OutputError
 from forestgen.dataset import folder as module
 from forestgen.dataset.files import write_bytes
 from forestgen.dataset.folder import OutputFolder
+from support.error_messages import raises_error
 
 
 def tree(root):
@@ -79,14 +80,14 @@ def test_relative_targets_and_links(tmp_path, monkeypatch):
 def test_a_file_is_refused(tmp_path):
     write_bytes(tmp_path / "run", b"precious")
     for overwrite in (False, True):
-        with pytest.raises(OutputError, match="is a file"), OutputFolder(tmp_path / "run", overwrite=overwrite):
+        with raises_error(OutputError, place="run"), OutputFolder(tmp_path / "run", overwrite=overwrite):
             pytest.fail("entered")
     assert tree(tmp_path) == {"run": b"precious"}
 
 
 def test_a_file_among_the_parents_is_refused(tmp_path):
     write_bytes(tmp_path / "file", b"precious")
-    with pytest.raises(OutputError, match=r"(?s)file.*try"), OutputFolder(tmp_path / "file" / "run"):
+    with raises_error(OutputError, place="run"), OutputFolder(tmp_path / "file" / "run"):
         pytest.fail("entered")
     assert tree(tmp_path) == {"file": b"precious"}
 
@@ -97,7 +98,7 @@ def test_a_strangers_folder_is_never_replaced(tmp_path, overwrite):
     write_bytes(tmp_path / "run" / "thesis.tex", b"precious")
     write_bytes(tmp_path / "run" / "manifest.json", b"[1]")
     before = tree(tmp_path)
-    with pytest.raises(OutputError, match="choose another"), OutputFolder(tmp_path / "run", overwrite=overwrite):
+    with raises_error(OutputError, place="run"), OutputFolder(tmp_path / "run", overwrite=overwrite):
         pytest.fail("entered")
     assert tree(tmp_path) == before
 
@@ -111,7 +112,7 @@ def test_an_empty_folder_is_used(tmp_path):
 
 def test_a_previous_run_is_replaced_only_on_demand(tmp_path):
     make_run(tmp_path / "run")
-    with pytest.raises(OutputError, match="overwrite=True"), OutputFolder(tmp_path / "run"):
+    with raises_error(OutputError, place="run"), OutputFolder(tmp_path / "run"):
         pytest.fail("entered")
     with OutputFolder(tmp_path / "run", overwrite=True) as staging:
         write_bytes(staging / "new.txt", b"new")
@@ -143,14 +144,14 @@ def test_a_target_that_appears_meanwhile_is_not_lost(tmp_path):
     staged.__enter__()
     (tmp_path / "run").mkdir()
     write_bytes(tmp_path / "run" / "other", b"precious")
-    with pytest.raises(OutputError, match="not empty"):
+    with raises_error(OutputError, place="run"):
         staged.__exit__(None, None, None)
     assert tree(tmp_path) == {"run": None, "run/other": b"precious"}
 
 
 def test_too_little_space(tmp_path):
     with (
-        pytest.raises(OutputError, match="free disk space"),
+        raises_error(OutputError, place="a"),
         OutputFolder(tmp_path / "a" / "run", required_bytes=10**18),
     ):
         pytest.fail("entered")
@@ -165,9 +166,8 @@ def test_a_folder_that_cannot_be_made(tmp_path, monkeypatch, code):
 
     monkeypatch.setattr(Path, "mkdir", refuse)
     for target in (tmp_path / "run", tmp_path / "parent" / "run"):
-        with pytest.raises(OutputError) as caught, OutputFolder(target):
+        with raises_error(OutputError, place="run") as caught, OutputFolder(target):
             pytest.fail("entered")
-        assert os.strerror(code) in str(caught.value)
         assert caught.value.hint
         assert "partial" not in str(caught.value)
 
@@ -175,7 +175,7 @@ def test_a_folder_that_cannot_be_made(tmp_path, monkeypatch, code):
 def test_a_long_name_works_and_a_longer_one_is_explained(tmp_path):
     make_run(tmp_path / ("n" * 255))
     assert [path.name for path in tmp_path.iterdir()] == ["n" * 255]
-    with pytest.raises(OutputError, match="shorter"), OutputFolder(tmp_path / ("n" * 256)):
+    with raises_error(OutputError), OutputFolder(tmp_path / ("n" * 256)):
         pytest.fail("entered")
 
 
@@ -193,18 +193,19 @@ def test_a_full_disk_while_writing(tmp_path, monkeypatch):
     make_run(tmp_path / "run")
     before = tree(tmp_path)
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OutputError) as caught, OutputFolder(tmp_path / "run", overwrite=True) as staging:
+    with (
+        raises_error(OutputError, place="frame.exr") as caught,
+        OutputFolder(tmp_path / "run", overwrite=True) as staging,
+    ):
         write_bytes(staging / "frame.exr", b"1")
     assert caught.value.where == str(tmp_path / "run" / "frame.exr")
-    assert "No space left" in str(caught.value)
-    assert "free some space" in str(caught.value)
     assert tree(tmp_path) == before
 
 
 def test_plain_oserrors_of_the_staging_folder_are_explained(tmp_path):
-    with pytest.raises(OutputError, match="run/no/such"), OutputFolder(tmp_path / "run") as staging:
+    with raises_error(OutputError, place="such"), OutputFolder(tmp_path / "run") as staging:
         (staging / "no" / "such").write_text("x")
-    with pytest.raises(OutputError, match="No space"), OutputFolder(tmp_path / "run"):
+    with raises_error(OutputError, place="run"), OutputFolder(tmp_path / "run"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert tree(tmp_path) == {}
 
@@ -227,9 +228,9 @@ def test_a_real_full_disk(tmp_path):
     if mounted.returncode != 0:
         pytest.skip("this machine does not let us mount a tmpfs")
     try:
-        with pytest.raises(OutputError, match="free disk space"), OutputFolder(disk / "run", required_bytes=2**21):
+        with raises_error(OutputError, place="disk"), OutputFolder(disk / "run", required_bytes=2**21):
             pytest.fail("entered")
-        with pytest.raises(OutputError, match="No space left"), OutputFolder(disk / "run") as staging:
+        with raises_error(OutputError, place="big"), OutputFolder(disk / "run") as staging:
             write_bytes(staging / "big", bytes(2**21))
         assert tree(disk) == {}
     finally:
@@ -259,7 +260,7 @@ def test_leftovers_of_dead_processes_go_and_others_stay(tmp_path, dead_pid):
 def test_a_replacement_that_was_killed_halfway_is_undone(tmp_path, dead_pid):
     make_run(tmp_path / "run")
     (tmp_path / "run").rename(tmp_path / f".run.replaced-{module._host()}-{dead_pid}-1-00000000")
-    with pytest.raises(OutputError, match="already holds"), OutputFolder(tmp_path / "run"):
+    with raises_error(OutputError, place="run"), OutputFolder(tmp_path / "run"):
         pytest.fail("entered")
     assert (tmp_path / "run" / "data.txt").read_bytes() == b"old"
     assert [path.name for path in tmp_path.iterdir()] == ["run"]

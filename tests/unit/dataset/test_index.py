@@ -8,6 +8,7 @@ import pytest
 from forestgen.core.errors import DatasetError, OutputError
 from forestgen.dataset.index import COLUMNS, DrawTypes, read_index, write_index
 from support.data_sets import write_rows
+from support.error_messages import raises_error
 
 EMPTY = dict.fromkeys(COLUMNS)
 
@@ -81,10 +82,10 @@ def test_an_unknown_column_is_a_bug(tmp_path):
 
 
 def test_what_cannot_be_read_or_written(tmp_path):
-    with pytest.raises(DatasetError, match="there is no index"):
+    with raises_error(DatasetError, place="none"):
         list(read_index(tmp_path / "none"))
     (tmp_path / "bad").write_bytes(b"PAR1 and no more")
-    with pytest.raises(DatasetError, match="cannot be read"):
+    with raises_error(DatasetError, place="bad"):
         list(read_index(tmp_path / "bad"))
     (tmp_path / "folder").mkdir()
     with pytest.raises(OutputError):

@@ -23,6 +23,7 @@ from forestgen.dataset.report.frames import read_frames
 from forestgen.dataset.report.page import BUDGET_BYTES, MOST_FRAMES, _mask, _photo, choose, write_report
 from forestgen.dataset.report.source import MOST_MESSAGES, read_run
 from support.data_sets import SPLITS, write_data_set, write_rows
+from support.error_messages import raises_error
 
 PICTURE = re.compile(r'src="data:image/webp;base64,([^"]*)"')
 
@@ -228,9 +229,8 @@ def test_a_page_of_many_images_stays_small(tmp_path):
 
 def test_a_folder_that_is_none_of_ours(tmp_path):
     for folder in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(RecipeError) as caught:
+        with raises_error(RecipeError):
             write_report(folder, tmp_path / "report.html")
-        assert str(folder) in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -238,7 +238,7 @@ def test_a_folder_that_is_none_of_ours(tmp_path):
 def test_a_damaged_index(tmp_path, content):
     write_data_set(tmp_path, 2)
     (tmp_path / INDEX_NAME).write_bytes(content)
-    with pytest.raises(DatasetError, match="the index cannot be read"):
+    with raises_error(DatasetError, place="index.parquet"):
         write_report(tmp_path, tmp_path / "report.html")
     assert not (tmp_path / "report.html").exists()
 
@@ -260,9 +260,8 @@ def test_a_page_that_cannot_be_written(tmp_path):
     write_data_set(tmp_path / "data", 1, run=False)
     (tmp_path / "data" / "taken").mkdir()
     for target in (tmp_path / "nowhere" / "report.html", tmp_path / "data" / "taken"):
-        with pytest.raises(OutputError) as caught:
+        with raises_error(OutputError):
             write_report(tmp_path / "data", target)
-        assert str(target) in str(caught.value)
     assert not any("report" in path.name for path in tmp_path.rglob("*"))
 
 
@@ -271,9 +270,8 @@ def test_a_page_replaces_nothing_unasked(tmp_path):
     write_data_set(tmp_path / "data", 1, run=False)
     target = tmp_path / "page.html"
     target.write_text("mine")
-    with pytest.raises(OutputError, match="the file exists") as caught:
+    with raises_error(OutputError, place="page.html"):
         write_page(tmp_path / "data", target)
-    assert "overwrite=True" in caught.value.hint
     assert target.read_text() == "mine"
     result = CliRunner().invoke(app, ["report", str(tmp_path / "data"), "-o", str(target)])
     assert result.exit_code == 4
@@ -288,7 +286,7 @@ def test_a_page_replaces_nothing_unasked(tmp_path):
     os.mkfifo(tmp_path / "data" / "report.html")
     (tmp_path / "linked.html").symlink_to(target)
     for strange in (None, tmp_path / "data" / "report.html", tmp_path / "linked.html"):
-        with pytest.raises(OutputError, match="no regular file"):
+        with raises_error(OutputError):
             write_page(tmp_path / "data", strange, overwrite=True)
     assert (tmp_path / "linked.html").is_symlink()
 

@@ -21,6 +21,7 @@ from forestgen.dataset.tables import write_plants
 from forestgen.dataset.writer import frame_bytes, frame_folder_name, write_dataset, write_frame
 from forestgen.recipe.registries import DATASET_FORMATS
 from support.data_sets import read_instance
+from support.error_messages import raises_error
 
 FILES = {
     "camera.json", "frame.exr", "instance.png", "overlay.png", "plants.parquet", "preview.png", "recipe.yaml",
@@ -75,7 +76,7 @@ def test_formats_are_those_asked_for(tmp_path, shot):
 
 
 def test_wide_ids_fail_before_anything_is_written(tmp_path, wide_shot):
-    with pytest.raises(OutputError, match="24 bits"):
+    with raises_error(OutputError, place="instance.png"):
         write(tmp_path / "f", wide_shot)
     assert not list((tmp_path / "f").iterdir())
 

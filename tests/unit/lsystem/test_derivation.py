@@ -17,6 +17,7 @@ from forestgen.lsystem.compiler import Program, compile_program, with_values
 from forestgen.lsystem.derivation import Derivation, axiom, derive, derive_step, interpret
 from forestgen.lsystem.multiset import Multiset, show_number, words_as_lists, words_as_text
 from forestgen.lsystem.parsing import parse_text
+from support.error_messages import raises_error
 
 
 def compiled(text: str) -> Program:
@@ -438,7 +439,7 @@ def test_functions_have_the_numbers_of_their_names() -> None:
     text = "function 2: (0,5) (1,5)\nfunction named: (0,9) (1,9)\nfunction 7: (0,7) (1,7)\n"
     assert words(text + "axiom: A(func(2,0),func(7,0),func(named,0),func(1,0))", 0) == ["A(5,7,9,9)"]
     assert words(text + "axiom: A(7)\nA(n) --> A(func(n,0))", 1) == ["A(7)"]
-    with pytest.raises(LsystemError, match="no function of this number"):
+    with raises_error(LsystemError, place="test.lsys:5:12"):
         words(text + "axiom: A(3)\nA(n) --> A(func(n,0))", 1)
 
 

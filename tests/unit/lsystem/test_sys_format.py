@@ -12,6 +12,7 @@ from forestgen.core.errors import LsystemError
 from forestgen.lsystem.compiler import compile_program
 from forestgen.lsystem.parsing import parse_file, parse_sys_text
 from forestgen.lsystem.turtle import draw, options_from
+from support.error_messages import raises_error
 
 EXAMPLE = "LSYSTEM\n1\nF\nF F [%>F]F[<&F][<&F][%F] 1\n"
 RULE = "F[%>F]F[<&F][<&F][%F]"
@@ -125,46 +126,44 @@ def test_probabilities_of_one_symbol_may_reach_one():
 
 
 @pytest.mark.parametrize(
-    ("text", "where", "message"),
+    ("text", "where"),
     [
-        ("", "1:1", "LSYSTEM in its first line"),
-        ("lsystem\n1\nF\nF FF 1\n", "1:1", "LSYSTEM"),
-        ("Lsystem: 1\n", "1:1", "LSYSTEM"),
-        ("LSYSTEM\n", "2:1", "before the number of rules"),
-        ("LSYSTEM\n1\n", "3:1", "before the axiom"),
-        ("LSYSTEM\none\nF\n", "2:1", "whole number"),
-        ("LSYSTEM\n 1.5\nF\n", "2:2", "whole number"),
-        ("LSYSTEM\n2\nF\nF FF 1\n", "5:1", "too few rules"),
-        ("LSYSTEM\n1\nF\nF FF .5\n F F .5\n", "5:2", "more rules than announced"),
-        ("LSYSTEM\n1\nF\nF FF\n", "4:1", "and a probability"),
-        ("LSYSTEM\n1\nF\nF\n", "4:1", "and a probability"),
-        ("LSYSTEM\n1\nF\nF FF 1.5\n", "4:6", "probability"),
-        ("LSYSTEM\n1\nF\nF FF -1\n", "4:6", "probability"),
-        ("LSYSTEM\n1\nF\nF FF nan\n", "4:1", "and a probability"),
-        ("LSYSTEM\n1\nF\nFF FF 1\n", "4:1", "one symbol"),
-        ("LSYSTEM\n1\nF\n[ FF 1\n", "4:1", "one symbol"),
-        ("LSYSTEM\n2\nF\nF FF 0.6\nF F 0.5\n", "5:5", "sum to more than 1"),
-        ("LSYSTEM\n1\nF\nF F[F 1\n", "4:4", "has no ]"),
-        ("LSYSTEM\n1\nF\nF F]F[ 1\n", "4:4", "has no ["),
-        ("LSYSTEM\n0\nF[\n", "3:2", "has no ]"),
-        ("LSYSTEM\n1\nF\nF F(1,2,3,4) 1\n", "4:3", "too many parameters of F"),
-        ("LSYSTEM\n0\nF>(1,2)\n", "3:2", "too many parameters of >"),
-        ("LSYSTEM\n0\nF|(1)\n", "3:2", "too many parameters of |"),
-        ("LSYSTEM\n0\nF(x)\n", "3:3", "a number"),
-        ("LSYSTEM\n0\nF(1,)\n", "3:5", "a number"),
-        ("LSYSTEM\n0\nF(1\n", "3:4", "not understood"),
-        ("LSYSTEM\n0\nF)\n", "3:2", "not understood"),
+        ("", "1:1"),
+        ("lsystem\n1\nF\nF FF 1\n", "1:1"),
+        ("Lsystem: 1\n", "1:1"),
+        ("LSYSTEM\n", "2:1"),
+        ("LSYSTEM\n1\n", "3:1"),
+        ("LSYSTEM\none\nF\n", "2:1"),
+        ("LSYSTEM\n 1.5\nF\n", "2:2"),
+        ("LSYSTEM\n2\nF\nF FF 1\n", "5:1"),
+        ("LSYSTEM\n1\nF\nF FF .5\n F F .5\n", "5:2"),
+        ("LSYSTEM\n1\nF\nF FF\n", "4:1"),
+        ("LSYSTEM\n1\nF\nF\n", "4:1"),
+        ("LSYSTEM\n1\nF\nF FF 1.5\n", "4:6"),
+        ("LSYSTEM\n1\nF\nF FF -1\n", "4:6"),
+        ("LSYSTEM\n1\nF\nF FF nan\n", "4:1"),
+        ("LSYSTEM\n1\nF\nFF FF 1\n", "4:1"),
+        ("LSYSTEM\n1\nF\n[ FF 1\n", "4:1"),
+        ("LSYSTEM\n2\nF\nF FF 0.6\nF F 0.5\n", "5:5"),
+        ("LSYSTEM\n1\nF\nF F[F 1\n", "4:4"),
+        ("LSYSTEM\n1\nF\nF F]F[ 1\n", "4:4"),
+        ("LSYSTEM\n0\nF[\n", "3:2"),
+        ("LSYSTEM\n1\nF\nF F(1,2,3,4) 1\n", "4:3"),
+        ("LSYSTEM\n0\nF>(1,2)\n", "3:2"),
+        ("LSYSTEM\n0\nF|(1)\n", "3:2"),
+        ("LSYSTEM\n0\nF(x)\n", "3:3"),
+        ("LSYSTEM\n0\nF(1,)\n", "3:5"),
+        ("LSYSTEM\n0\nF(1\n", "3:4"),
+        ("LSYSTEM\n0\nF)\n", "3:2"),
     ],
 )
-def test_errors_name_their_place(text, where, message):
-    with pytest.raises(LsystemError) as caught:
+def test_errors_name_their_place(text, where):
+    with raises_error(LsystemError, place=f"tree.sys:{where}"):
         compile_program(parse_sys_text(text, "tree.sys"))
-    assert str(caught.value).startswith(f"tree.sys:{where}: ")
-    assert message in str(caught.value)
 
 
 def test_what_is_not_text(tmp_path):
     path = tmp_path / "tree.sys"
     path.write_bytes(b"LSYSTEM\n1\n\xff\n")
-    with pytest.raises(LsystemError, match=r"tree\.sys:3:1: this is not a text file"):
+    with raises_error(LsystemError, place="tree.sys:3:1"):
         parse_file(path)

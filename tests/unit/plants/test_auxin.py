@@ -10,6 +10,7 @@ import pytest
 
 from forestgen.core.errors import RecipeError
 from forestgen.plants.generators.auxin_root import AuxinModel, Root, Zone, simulate
+from support.error_messages import raises_error
 
 
 def grown(model: AuxinModel, hours: float, zones: tuple[Zone, ...] = (Zone(),)) -> Root:
@@ -188,5 +189,5 @@ def test_centre_line_is_as_long_as_the_root():
 )
 def test_hopeless_roots_are_refused(change, length_mm, monkeypatch):
     monkeypatch.setattr("forestgen.plants.generators.auxin_root.MOST_WORK", 1e7)
-    with pytest.raises(RecipeError, match="root"):
+    with raises_error(RecipeError, place="plant"):
         simulate(AuxinModel(**change), length_mm)

@@ -15,6 +15,7 @@ from forestgen.core.parts import Part
 from forestgen.plants.build import build_exemplar, estimate_triangles
 from forestgen.plants.generators.branch_modules import FIRST_TWIG_ORDER, GENERATOR, _rank_on_axis
 from forestgen.plants.grown import wood_key, wood_skeleton
+from support.error_messages import raises_error
 
 SPECIES = SimpleNamespace(materials={"bark": 0, "twig": 0, "leaf": 0})
 
@@ -203,7 +204,7 @@ def test_the_key_of_a_plant_knows_all_of_its_wood():
 
 
 def test_alone_the_generator_says_that_it_needs_a_community():
-    with pytest.raises(RecipeError, match="grow by their species' modules"):
+    with raises_error(RecipeError, place="plant.generator"):
         GENERATOR.grow(parameters(), 5.0, 3.0, np.random.default_rng(0))
 
 

@@ -14,6 +14,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.generators.silhouette import Parameters
+from support.error_messages import raises_error
 
 RADII = {"poplar": (0.05, 0.3, 1.0, 2.9), "spruce": (0.05, 0.3, 1.0, 3.2), "fireweed": (0.05, 0.13, 0.3, 0.5)}
 BUDGET = {"poplar": 160_000, "spruce": 225_000, "fireweed": 12_000}
@@ -95,7 +96,7 @@ def test_leaf_area_index_is_that_of_a_crown() -> None:
 def test_a_missing_material_is_named() -> None:
     species, parameters = read("fireweed")
     species.materials = {"leaf": {}}
-    with pytest.raises(RecipeError, match="stem"):
+    with raises_error(RecipeError, place="species fireweed: plant"):
         build_exemplar("fireweed", species, parameters, 0.1, np.random.default_rng(0))
 
 

@@ -17,6 +17,7 @@ from forestgen.plants.generators.turtle import GENERATOR, Parameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.assets import find_asset, list_assets
+from support.error_messages import raises_error
 
 LEAF = {"form": "bud", "part": "leaf", "material": "leaf", "length_m": 0.1, "width_m": 0.02}
 
@@ -53,7 +54,7 @@ def test_shipped_programs_become_plants(name):
         "surfaces": surfaces,
     })  # fmt: skip
     if not drawn:
-        with pytest.raises(RecipeError, match="draws nothing"):
+        with raises_error(RecipeError):
             exemplar(plant)
         return
     made = exemplar(plant)
@@ -64,7 +65,7 @@ def test_shipped_programs_become_plants(name):
 @pytest.mark.parametrize("name", sorted({*list_assets("lsystems")} - {*PLANTS}))
 def test_the_other_programs_say_why_not(name):
     plant = Parameters.model_validate({"program": shipped(name), "wood": {"material": "bark"}, "steps": 2})
-    with pytest.raises((RecipeError, LsystemError), match=r"draws nothing|died out|never"):
+    with raises_error(RecipeError, LsystemError):
         exemplar(plant)
 
 
@@ -94,7 +95,7 @@ axiom: F(long)F(height_m)F(r[1])+(func(bent, 0.5))F(2)
 def test_organs_have_the_size_of_their_shape():
     """~K(s) is s times the shape, whatever a unit of the program is."""
     text = "scale: 0.01\nwidth: 1\naxiom: F(50)~K(2)F(50)~leaf"
-    with pytest.raises(LsystemError, match="surface"):
+    with raises_error(LsystemError):
         skeleton(text.replace("~leaf", "~Q"), steps=0, surfaces={"K": "leaf"})
     for fit in ("scale", "none", "stretch"):
         grown = skeleton("scale: 0.01\nwidth: 1\naxiom: F(50)~K(2)F(50)", 3.0, steps=0, surfaces={"K": "leaf"}, fit=fit)
@@ -119,7 +120,7 @@ def test_explosions_are_refused(rule):
     plant = parameters(f"axiom: F\n{rule}", steps=30)
     GENERATOR.grow(parameters("axiom: F", steps=0), 1.0, 1.0, np.random.default_rng(0))
     begin = time.process_time()
-    with pytest.raises(RecipeError, match="grows too long"):
+    with raises_error(RecipeError, place="plant.program a.lsys"):
         GENERATOR.grow(plant, 1.0, 1.0, np.random.default_rng(0))
     assert time.process_time() - begin < 10.0
 
@@ -143,10 +144,10 @@ def test_bad_parameters_are_named(others, message):
 
 
 def test_bad_programs_tell_their_line():
-    with pytest.raises(LsystemError, match=r"a\.lsys:3"):
+    with raises_error(LsystemError, place="a.lsys:3:11"):
         parameters("axiom: F\nF --> FF\nF --> F(((", steps=1)
     for steps in (-1, 20_000):
-        with pytest.raises(RecipeError, match="age is out of range"):
+        with raises_error(RecipeError, place="plant.steps"):
             skeleton("axiom: F", steps=steps)
 
 

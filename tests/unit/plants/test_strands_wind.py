@@ -11,6 +11,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.plants.generators.strands import GENERATOR, Parameters, branching_of
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from support.error_messages import raises_error
 
 WINDY = {"speed_directed": 2.0, "speed_undirected": 5.0}
 
@@ -176,10 +177,10 @@ def test_a_level_of_detail_keeps_the_leaf_area() -> None:
 def test_too_many_leaves_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("forestgen.plants.skeleton.free_bytes", lambda: 20_000_000)
     plant = parameters(leaves={"shape": "leaf", "density": 200})
-    with pytest.raises(RecipeError, match="leaves"):
+    with raises_error(RecipeError, place="plant"):
         GENERATOR.grow(plant, 12.0, 6.0, np.random.default_rng(0))
 
 
 def test_a_plant_with_a_variation_has_no_poses() -> None:
-    with pytest.raises(RecipeError, match="variation"):
+    with raises_error(RecipeError, place="plant.variation"):
         frames(parameters(variation={}), 0.0)

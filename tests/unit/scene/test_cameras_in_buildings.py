@@ -7,6 +7,7 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import make_plan
+from support.error_messages import raises_error
 
 # The house is 12 m along its ridge, which goes from north-west to south-east, and 6 m deep.
 STAND = """
@@ -33,7 +34,7 @@ def drawn_of(tmp_path, position, obstructed):
 
 @pytest.mark.parametrize("position", INSIDE)
 def test_a_camera_in_a_house_is_refused_at_its_line(tmp_path, position):
-    with pytest.raises(RecipeError, match="stands inside of a house") as told:
+    with raises_error(RecipeError, place="cameras.0.position_m") as told:
         make_plan(drawn_of(tmp_path, position, "error"))
     assert "stand.yaml:12: cameras.0.position_m" in str(told.value.where)
 

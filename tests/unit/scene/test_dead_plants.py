@@ -19,6 +19,7 @@ from forestgen.scene import growth
 from forestgen.scene.growth import MATERIAL, species_seen
 from forestgen.scene.plan import check_plan
 from forestgen.scene.surfaces import materials_of
+from support.error_messages import raises_error
 
 
 @cache
@@ -75,7 +76,7 @@ def test_dead_trees_that_would_bear_leaves_are_refused_before_anything_grows() -
         "community": {"model": "branch_modules", "steps": 2, "standing_dead_yr": 5},
         "cameras": [{"position_m": [8, -10, 3]}],
     }
-    with pytest.raises(RecipeError, match="dead trees of oak cannot be drawn"):
+    with raises_error(RecipeError, place="species.oak"):
         check_plan(load_recipe_data(data, "test"))
     check_plan(load_recipe_data(data, "test"), simulate_only=True)
     data["community"] = {"model": "branch_modules", "steps": 2}

@@ -16,6 +16,7 @@ from forestgen.recipe.load import dump_yaml, load_recipe
 from forestgen.scene import growth
 from forestgen.scene.exemplars import modelled_species
 from forestgen.scene.plan import Plan, make_plan
+from support.error_messages import raises_error
 
 RECIPE = """
 forestgen: 1
@@ -152,14 +153,14 @@ def test_proportions_stay_near_the_plants_own(recipe: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "message"),
+    "override",
     [
-        ("plants.library=0", "library"),
-        ("plants.library=1.5", "library"),
-        ("plants={library: 2, variants_per_size: 3}", r"library[\s\S]*at least variants_per_size = 3"),
-        ("plants={library: 2, traits: [age_yr]}", r"traits[\s\S]*leave out plants.traits"),
+        "plants.library=0",
+        "plants.library=1.5",
+        "plants={library: 2, variants_per_size: 3}",
+        "plants={library: 2, traits: [age_yr]}",
     ],
 )
-def test_bad_input_is_refused(recipe: Path, override: str, message: str) -> None:
-    with pytest.raises(RecipeError, match=message):
+def test_bad_input_is_refused(recipe: Path, override: str) -> None:
+    with raises_error(RecipeError):
         load_recipe(recipe, [override])

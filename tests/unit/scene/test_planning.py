@@ -11,6 +11,7 @@ from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.load import load_recipe
 from forestgen.scene import plan
 from forestgen.scene.plan import Plan, check_memory, check_plan, estimate_bytes, make_plan
+from support.error_messages import raises_error
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 PERIOD = "model: multiset_lsystem, program: self_thinning"
@@ -111,10 +112,10 @@ def test_the_limit_is_exact_and_the_message_names_the_largest_part(monkeypatch: 
     monkeypatch.setattr(plan, "free_bytes", lambda: int(need / 0.8) + 2)
     check_memory(one)
     monkeypatch.setattr(plan, "free_bytes", lambda: int(need / 0.8) - 2)
-    with pytest.raises(ResourceError, match="exemplars"):
+    with raises_error(ResourceError, place="plants.exemplars_per_species"):
         check_memory(one)
     monkeypatch.setattr(plan, "free_bytes", lambda: 10**12)
-    with pytest.raises(ResourceError, match=r"1,000,000,000 plants grew[\s\S]*smaller"):
+    with raises_error(ResourceError, place="site.size_m"):
         check_memory(one, plants=1_000_000_000)
 
 
@@ -123,18 +124,17 @@ def test_every_part_has_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     parts = estimate_bytes(one)
     for name in parts:
         monkeypatch.setattr(plan, "estimate_bytes", lambda *_, name=name, **__: {**parts, name: 10**15})
-        with pytest.raises(ResourceError, match=f"most of it for the {name}") as refused:
+        with raises_error(ResourceError) as refused:
             check_memory(one)
         assert refused.value.hint
-        assert "1,000 TB" in str(refused.value)
 
 
 def test_clouds_beyond_reach_and_cameras_in_them_are_refused() -> None:
     thick = "sky.clouds={type: noise, extinction_per_m: 0.2, thickness_m: 6000}"
-    with pytest.raises(RecipeError, match=r"too thick[\s\S]*0\.2 x 6000 = 1200"):
+    with raises_error(RecipeError, place="sky.clouds"):
         planned(thick)
     low = ("sky.clouds={type: noise, base_m: 30}", "cameras.0.position_m=[60,-14,31]")
-    with pytest.raises(RecipeError, match=r"above the clouds[\s\S]*render.clouds to exact"):
+    with raises_error(RecipeError, place="cameras.0.position_m"):
         planned(*low, "render.clouds=farfield")
     planned(*low, "render.clouds=exact")
     planned("sky.clouds={type: none, base_m: 30}", "cameras.0.position_m=[60,-14,31]")

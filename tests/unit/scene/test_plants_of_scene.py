@@ -19,6 +19,7 @@ from forestgen.scene import growth
 from forestgen.scene.plan import Plan, check_plan, estimate_bytes, make_plan
 from forestgen.scene.spec import Terrain
 from forestgen.scene.terrain import HeightField, build_terrain
+from support.error_messages import raises_error
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 ALONE = ("species={fireweed: }", "sky.clouds=none", "site.terrain=flat")
@@ -56,27 +57,27 @@ def _same_ground(ground: Terrain, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "message"),
+    "override",
     [
-        ("plants.variants_per_size=0", "variants_per_size"),
-        ("plants.variants_per_size=1.5", "variants_per_size"),
-        ("plants.exemplars_per_species=1e9", "exemplars_per_species"),
-        ("plants.levels=maybe", "levels"),
-        ("plants.cache=7", "cache"),
-        ("plants.traits=age_yr", "traits"),
-        ("plants.traits=[age_yr, age_yr]", "once"),
-        ("plants.traits=[age]", r"age_yr, height_m[\s\S]*age_yr"),
+        "plants.variants_per_size=0",
+        "plants.variants_per_size=1.5",
+        "plants.exemplars_per_species=1e9",
+        "plants.levels=maybe",
+        "plants.cache=7",
+        "plants.traits=age_yr",
+        "plants.traits=[age_yr, age_yr]",
+        "plants.traits=[age]",
     ],
 )
-def test_bad_input_is_refused_before_the_simulation(override: str, message: str) -> None:
-    with pytest.raises(RecipeError, match=message):
+def test_bad_input_is_refused_before_the_simulation(override: str) -> None:
+    with raises_error(RecipeError):
         check_plan(load_recipe(QUICKSTART, (*ALONE, override)))
 
 
 def test_a_models_own_column_may_be_a_trait() -> None:
     model = "community={model: forest_footprints}"
     check_plan(load_recipe(QUICKSTART, (*ALONE, model, "plants.traits=[vigour, age_yr]")))
-    with pytest.raises(RecipeError, match="vigour"):
+    with raises_error(RecipeError, place="plants.traits"):
         check_plan(load_recipe(QUICKSTART, (*ALONE, model, "plants.traits=[vigor]")))
 
 

@@ -10,6 +10,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import check_plan
 from forestgen.scene.site import sky_of
+from support.error_messages import raises_error
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 GOLDEN = ["site.latitude_deg=39.742476", "site.longitude_deg=-105.1786", "site.altitude_m=1830.14"]
@@ -36,26 +37,22 @@ def test_a_date_and_a_place_give_the_sun_of_nrels_example() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sun", "got"),
+    "sun",
     [
-        ("{date: 2026-06-21, time: '23:30', utc_offset_h: 2}", "2026-06-21 23:30:00"),
-        ("{date: 2026-06-21, time: {uniform: [10, 23.5]}, utc_offset_h: 2}", "degrees"),
-        ("{date: 2026-12-21T12:00-12:00}", "degrees"),
+        "{date: 2026-06-21, time: '23:30', utc_offset_h: 2}",
+        "{date: 2026-06-21, time: {uniform: [10, 23.5]}, utc_offset_h: 2}",
+        "{date: 2026-12-21T12:00-12:00}",
     ],
 )
-def test_a_sun_below_the_horizon_is_told_before_anything_is_simulated(sun: str, got: str) -> None:
+def test_a_sun_below_the_horizon_is_told_before_anything_is_simulated(sun: str) -> None:
     recipe = load_recipe(QUICKSTART, [f"sky.sun={sun}", "site.latitude_deg=51", "site.longitude_deg=13.7"])
-    with pytest.raises(RecipeError, match="below the horizon") as caught:
+    with raises_error(RecipeError):
         check_plan(recipe)
-    message = str(caught.value)
-    assert got in message
-    assert "set='sky.sun" in message
-    assert "utc_offset_h" in message
 
 
 def test_polar_night_is_told_and_the_midnight_sun_shines() -> None:
     place = ["site.latitude_deg=78.2", "site.longitude_deg=15.6"]
-    with pytest.raises(RecipeError, match="below the horizon"):
+    with raises_error(RecipeError, place="sky.sun.date"):
         check_plan(load_recipe(QUICKSTART, ["sky.sun={date: 2026-12-21T11:00Z}", *place]))
     plan = check_plan(load_recipe(QUICKSTART, ["sky.sun={date: 2026-06-21T23:00Z}", *place]))
     assert 10 < sky_of(plan.drawn.recipe, 0.2).sun_elevation_deg < 13

@@ -18,6 +18,7 @@ from forestgen.community.population import Site, SpeciesEcology, Status
 from forestgen.core import threads
 from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.species import Building, PlantType
+from support.error_messages import raises_error
 
 ROWS = {  # of Table 1
     "a": (20, 42, 0.19, 0.62, None, 0.25, None, 0, 0.52, 0.63, -0.38, 0.57, 0.47),
@@ -248,7 +249,7 @@ def test_a_step_leaves_its_state_alone_and_a_snapshot_resumes_to_the_bit(stand):
 def test_a_snapshot_without_modules_is_refused(stand):
     state = stand[3]
     bare = replace(MODEL.population(state), modules=None)
-    with pytest.raises(RecipeError, match="history_modules"):
+    with raises_error(RecipeError, place="community.history_modules"):
         MODEL.resume(state.parameters, state.site, state.species, state.seed, bare)
 
 
@@ -329,9 +330,9 @@ def test_two_equal_species_get_equal_room_for_their_seeds():
 
 
 def test_a_species_without_modules_is_told_and_too_many_modules_too():
-    with pytest.raises(RecipeError, match="does not grow by branch modules"):
+    with raises_error(RecipeError, place="species.oak.modules"):
         MODEL.init(MODEL.Parameters(), Site((10.0, 10.0)), [ecology("oak", None)], 1)
-    with pytest.raises(ResourceError, match="too many"):
+    with raises_error(ResourceError, place="community.most_modules"):
         last("b", 12, plants=5, most_modules=20)
     species = [ecology("x", plant_type("a"))]
     empty = MODEL.Parameters(initial_plants=0)

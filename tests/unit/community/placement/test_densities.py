@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy import stats
 
 from forestgen.community.placement.densities import (
@@ -20,6 +19,7 @@ from forestgen.community.placement.model import wanted_plants
 from forestgen.community.population import Site
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
+from support.error_messages import raises_error
 
 
 def test_radii_are_log_normal_and_cut_off(tree):
@@ -78,7 +78,7 @@ def test_plants_come_largest_first_and_another_species_leaves_their_sizes(tree):
 
 def test_a_radius_that_the_species_cannot_have_is_refused(tree):
     parameters = PlacementParameters.model_validate({"plants": {"tree": {"count": 3, "radius_m": 2.5}}})
-    with pytest.raises(RecipeError, match="no tree is so large"):
+    with raises_error(RecipeError, place="community.plants.tree.radius_m"):
         wanted_plants(parameters, Site((10.0, 10.0)), [tree()], child_rng(0, "community", 0))
 
 

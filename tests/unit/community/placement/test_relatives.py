@@ -13,6 +13,7 @@ from scipy.stats import chisquare
 from forestgen.community.population import Site
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.core.errors import RecipeError
+from support.error_messages import raises_error
 
 RELATIVES = ("halftone", "height_field", "jittered_grid", "poisson_disc", "strauss", "thomas", "uniform")
 ALONE = ("halftone", "strauss", "thomas", "uniform")  # each species has a pattern of its own
@@ -213,21 +214,21 @@ def test_bad_values_are_refused(name, key, value):
 
 
 @pytest.mark.parametrize(
-    ("name", "parameters", "said"),
+    ("name", "parameters"),
     [
-        ("poisson_disc", {"plants": {"tree": {"count": 30_000}}}, "at most 20,000"),
-        ("poisson_disc", {"plants": {"tree": {"count": 3}}, "distance_m": 0.01}, "community.distance_m"),
-        ("poisson_disc", {"plants": {"tree": {"count": 3}}, "distance_m": 1e-300}, "community.distance_m"),
-        ("thomas", {"plants": {"tree": {"count": 30}}, "sigma_m": 31.0}, "clusters are wider than the site"),
-        ("strauss", {"plants": {"tree": {"count": 100_000}}, "interaction_radius_m": 9.0}, "too long"),
-        ("strauss", {"plants": {"tree": {"count": 5_000_000}}, "sweeps": 100_000}, "too long"),
+        ("poisson_disc", {"plants": {"tree": {"count": 30_000}}}),
+        ("poisson_disc", {"plants": {"tree": {"count": 3}}, "distance_m": 0.01}),
+        ("poisson_disc", {"plants": {"tree": {"count": 3}}, "distance_m": 1e-300}),
+        ("thomas", {"plants": {"tree": {"count": 30}}, "sigma_m": 31.0}),
+        ("strauss", {"plants": {"tree": {"count": 100_000}}, "interaction_radius_m": 9.0}),
+        ("strauss", {"plants": {"tree": {"count": 5_000_000}}, "sweeps": 100_000}),
     ],
 )
-def test_what_cannot_be_done_is_said_before_anything_is_placed(name, parameters, said, tree):
+def test_what_cannot_be_done_is_said_before_anything_is_placed(name, parameters, tree):
     model = COMMUNITY_MODELS.load(name)
     chosen = model.Parameters(**parameters)
     for ask in (lambda: model.estimate_bytes(chosen, SITE, [tree()]), lambda: model.init(chosen, SITE, [tree()], 1)):
-        with pytest.raises(RecipeError, match=said):
+        with raises_error(RecipeError):
             ask()
 
 
