@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from forestgen.core.spectrum import LUMINANCE, Band
 from forestgen.recipe.dataset import View
 from forestgen.render.frame import Radiance
+from forestgen.scene.colour import colour_science
 
 MIDDLE_GREY = 0.18
 KEY_PERCENTILES = (5.0, 95.0)
@@ -139,7 +140,7 @@ def _srgb_table() -> NDArray[np.uint8]:
 
 def _acescct(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
     """In bands of rows: the encoding is computed in float64."""
-    import colour
+    colour = colour_science()
 
     matrix = colour.matrix_RGB_to_RGB("ITU-R BT.709", "ACEScct", "Bradford").T
     picture = np.empty(linear.shape, dtype=np.uint8)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,13 @@ Floats = NDArray[np.float64]
 # XYZ to Rec. 709: the inverse of its primaries (0.64, 0.33), (0.30, 0.60), (0.15, 0.06) and white (0.3127, 0.3290).
 _PRIMARIES_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
 _WHITE_XY = (0.3127, 0.3290)
+
+
+def colour_science() -> Any:
+    """The package colour, whose import takes seconds and would change how NumPy prints for the rest of the process."""
+    with np.printoptions():
+        import colour
+    return colour
 
 
 def _xyz(xy: tuple[float, float]) -> Floats:

@@ -26,7 +26,7 @@ from forestgen.core.parts import Part
 from forestgen.core.spectrum import LUMENS_PER_WATT, Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.scene.colour import colour_of_reflectance
+from forestgen.scene.colour import colour_of_reflectance, colour_science
 from forestgen.scene.spec import Camera, Material
 
 CHART = "ColorChecker N Ohta"
@@ -53,7 +53,7 @@ class White:
 @cache
 def patches() -> dict[str, Spectrum]:
     """Reflectances of the 24 patches by name, row by row from the upper left."""
-    import colour
+    colour = colour_science()
 
     return {
         str(name): Spectrum(np.asarray(sd.wavelengths, np.float64), np.asarray(sd.values, np.float64))
@@ -183,7 +183,7 @@ def xyz_of_radiance(wavelength_nm: Floats, radiance: NDArray[Any]) -> Floats:
 
 def xyz_of_colour(colour_cd_per_m2: NDArray[Any]) -> Floats:
     """(..., 3) tristimulus values of linear Rec. 709 colours."""
-    import colour
+    colour = colour_science()
 
     matrix = np.asarray(colour.RGB_COLOURSPACES["ITU-R BT.709"].matrix_RGB_to_XYZ)
     return np.asarray(colour_cd_per_m2 @ matrix.T)
@@ -191,7 +191,7 @@ def xyz_of_colour(colour_cd_per_m2: NDArray[Any]) -> Floats:
 
 def expected_xyz(light: Spectrum) -> Floats:
     """(25, 3) of all regions by colour-science's integration; a perfect white under the light has Y = 100."""
-    import colour
+    colour = colour_science()
 
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(colour.SpectralShape(380, 780, 5))
     grid = np.asarray(observer.wavelengths)
@@ -206,7 +206,7 @@ def expected_xyz(light: Spectrum) -> Floats:
 
 def delta_e(found_xyz: Floats, expected: Floats, white_xy: Floats) -> Floats:
     """(...,) CIE delta E 2000 of tristimulus values relative to a white of Y = 100 and this chromaticity."""
-    import colour
+    colour = colour_science()
 
     labs = [colour.XYZ_to_Lab(np.asarray(xyz) / 100.0, white_xy) for xyz in (found_xyz, expected)]
     return np.asarray(colour.delta_E(*labs, method="CIE 2000"), dtype=np.float64)
@@ -214,7 +214,7 @@ def delta_e(found_xyz: Floats, expected: Floats, white_xy: Floats) -> Floats:
 
 def shown(xyz: Floats, white_xy: Floats) -> NDArray[np.uint8]:
     """(..., 3) sRGB codes of tristimulus values as an eye that is used to the light sees them (CAT02)."""
-    import colour
+    colour = colour_science()
 
     rgb: Any = colour.XYZ_to_sRGB(np.asarray(xyz) / 100.0, white_xy, chromatic_adaptation_transform="CAT02")
     return np.asarray(np.round(255 * np.clip(rgb, 0.0, 1.0)), dtype=np.uint8)
@@ -223,7 +223,7 @@ def shown(xyz: Floats, white_xy: Floats) -> NDArray[np.uint8]:
 @cache
 def _observer() -> tuple[Floats, Floats]:
     """(W,) nm, (3, W) the observer's matching functions, at its 1 nm steps."""
-    import colour
+    colour = colour_science()
 
     matching = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     return np.asarray(matching.wavelengths), np.asarray(matching.values).T

@@ -21,6 +21,7 @@ from forestgen.instruments import colour_chart as stage
 from forestgen.instruments.calibration import Calibration
 from forestgen.instruments.light_meter import Quantity, with_error
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.scene.colour import colour_science
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky, Terrain
 from support.error_messages import raises_error
 from support.radiometry import under_uniform_sky
@@ -66,7 +67,7 @@ def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> Calibrati
 
 
 def illuminant(name: str) -> Spectrum:
-    import colour  # takes seconds
+    colour = colour_science()
 
     found = colour.SDS_ILLUMINANTS[name]
     return Spectrum(np.asarray(found.wavelengths), 0.01 * np.asarray(found.values))

@@ -27,7 +27,7 @@ from forestgen.render.variant import SCALAR, mitsuba, using
 from forestgen.render.views import build_view
 from forestgen.render.wavelengths import BandsBySpectrum, ColourAtOnce, ColourBySpectrum, quadrature_of
 from forestgen.scene.build import build_scene
-from forestgen.scene.colour import Channels, colour_of_radiance, colour_of_reflectance, observer
+from forestgen.scene.colour import Channels, colour_of_radiance, colour_of_reflectance, colour_science, observer
 from forestgen.scene.plan import make_plan
 from forestgen.scene.spec import Camera, Material, SceneSpec, Sky
 from support.guides import trace_guides
@@ -187,7 +187,7 @@ def peer(camera: Camera, bands: tuple[Band, ...], samples: int, seed: int) -> np
 
 def test_bands_and_colour_agree_with_the_spectral_renderer(monkeypatch):
     """Means of patches, leaf and wall, bands and colours: within 4.5 standard errors; and of all within 1.5%."""
-    import colour
+    colour = colour_science()
 
     monkeypatch.setattr(wavelengths, "_BAND_STEP_NM", 6.0)  # so that what differs is not a band's few nodes
     monkeypatch.setattr(wavelengths, "_MOST_BAND_NODES", 16)
@@ -276,7 +276,7 @@ def regions(spec: SceneSpec) -> dict[str, np.ndarray]:
 
 def delta_e(one: np.ndarray, other: np.ndarray, white: np.ndarray) -> float:
     """CIE 2000 difference of two colours, linear Rec. 709, seen under a light whose white is given."""
-    import colour
+    colour = colour_science()
 
     matrix = np.asarray(colour.RGB_COLOURSPACES["ITU-R BT.709"].matrix_RGB_to_XYZ)
     luminance = (matrix @ white)[1]

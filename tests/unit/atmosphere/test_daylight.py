@@ -18,6 +18,7 @@ from forestgen.atmosphere.daylight import (
 from forestgen.core.spectrum import Spectrum
 from forestgen.render.skies.model import daylight_of
 from forestgen.render.skies.overcast import overcast_daylight, overcast_illuminance
+from forestgen.scene.colour import colour_science
 from forestgen.scene.spec import Sky
 
 
@@ -149,7 +150,7 @@ def lights() -> list[Spectrum]:
 
 
 def illuminant(name: str) -> Spectrum:
-    import colour
+    colour = colour_science()
 
     light = colour.SDS_ILLUMINANTS[name]
     return Spectrum(np.asarray(light.wavelengths), np.asarray(light.values))
@@ -157,14 +158,14 @@ def illuminant(name: str) -> Spectrum:
 
 @pytest.mark.slow
 def test_colour_temperatures_are_those_of_colour_science() -> None:
-    import colour
-    from colour.temperature import uv_to_CCT_Ohno2013
+    colour = colour_science()
+    cct_of_uv = colour.temperature.uv_to_CCT_Ohno2013
 
     matching = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
     for light in lights():
         x, y, z = np.asarray(matching.values).T @ light.at(matching.wavelengths)
         assert illuminance(light) == pytest.approx(683.002 * y, rel=2e-4)
-        kelvins, distance = uv_to_CCT_Ohno2013(np.array([4 * x, 6 * y]) / (x + 15 * y + 3 * z))
+        kelvins, distance = cct_of_uv(np.array([4 * x, 6 * y]) / (x + 15 * y + 3 * z))
         ours = colour_temperature(light)
         assert ours[0] == pytest.approx(kelvins, rel=1e-3)
         assert ours[1] == pytest.approx(distance, abs=1e-4)

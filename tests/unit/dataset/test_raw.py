@@ -17,6 +17,7 @@ from forestgen.dataset.writer import frame_bytes, write_frame
 from forestgen.recipe.cameras import Exposure
 from forestgen.recipe.spectra import load_bands
 from forestgen.render.frame import Radiance
+from forestgen.scene.colour import colour_science
 
 
 def replace(one, **changes):
@@ -190,7 +191,7 @@ def test_a_camera_sees_white_in_its_own_colours():
 
 
 def test_d65_is_of_one_candela_and_of_its_colour():
-    import colour
+    colour = colour_science()
 
     sd = colour.SpectralDistribution(dict(zip(d65().wavelength_nm, d65().value, strict=True)))
     with colour.utilities.suppress_warnings(colour_usage_warnings=True):

@@ -9,13 +9,14 @@ from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import (
     colour_of_radiance,
     colour_of_reflectance,
+    colour_science,
     colours_of_surface,
     observer,
     primaries,
     rec709_from_xyz,
 )
 
-colour = pytest.importorskip("colour")
+colour = colour_science()
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -106,3 +107,9 @@ def test_shipped_surfaces_have_the_colours_of_their_spectra():
                 raw = colour_of_reflectance(spectrum)
                 found, _ = colours_of_surface(spectrum, columns.get(key.replace("reflectance", "transmittance")))
                 np.testing.assert_allclose(found, raw, atol=1e-9, err_msg=f"{name}: {key}")
+
+
+def test_numbers_print_as_before() -> None:
+    """colour-science asks NumPy for its printing of 2017."""
+    assert colour_science() is colour
+    assert (repr(np.array([np.nan])), repr(np.float64(1.5))) == ("array([nan])", "np.float64(1.5)")

@@ -8,11 +8,12 @@ import pytest
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.scene import colour_checker as checker
+from forestgen.scene.colour import colour_science
 from forestgen.scene.projection import project
 
 
 def illuminant(name: str) -> Spectrum:
-    import colour  # takes seconds
+    colour = colour_science()
 
     found = colour.SDS_ILLUMINANTS[name]
     return Spectrum(np.asarray(found.wavelengths), np.asarray(found.values))
@@ -93,7 +94,7 @@ def test_expected_colours_are_the_tables(name: str) -> None:
 
 def test_delta_e_is_ciede2000() -> None:
     """Sharma, Wu and Dalal (2005), table 1, pairs 1 and 20."""
-    import colour
+    colour = colour_science()
 
     white = np.array([0.31270, 0.32900])
     pairs = [((50, 2.6772, -79.7751), (50, 0, -82.7485), 2.0425), ((50, 2.5, 0), (61, -5, 29), 22.8977)]
