@@ -1,0 +1,142 @@
+"""Measured trees, and the laws of their sizes.
+
+`tests/unit/plants/data/baad_trees.csv` has 3,336 trees of 22 genera from BAAD (Falster et al. 2015, Ecology 96:1445,
+doi:10.1890/14-1889.1; CC0), compiled from its sources. Crown width is 2 sqrt(area / pi) where only the area was
+measured.
+
+Laws
+----
+Of a tree of height H metres, with D the diameter at breast height in metres::
+
+    D = d (H / 10)^p e^(s x)                                  p from H - 1.3: D is 0 at breast height
+    W, M, C / (1 - C) = v (H / 10)^p (D / D(H))^q e^(s x)     D(H): the median diameter at this height
+
+for crown width W in metres, dry leaf mass M in kg and crown length C as a share of H. Each x is a standard normal
+number of the tree's own. The spread s is linear in the logarithm of H. Laws are fitted by least absolute deviations,
+since it is the median that a law gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+FILE = Path(__file__).parents[1] / "unit" / "plants" / "data" / "baad_trees.csv"
+IN_STANDS = ("FW", "PM", "PU")  # growing conditions: natural forests and plantations
+CLASSES_M = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)  # of height
+_SHORTEST_M = 3.0  # tree that a law is fitted to
+_BREAST_M = 1.3
+_ROUNDS = 100  # of least absolute deviations
+_NARROW = (0.02, 0.98)  # crown ratios
+MEASURES = {"width": "crown_width_m", "leaves": "leaf_mass_kg", "crown": "crown_ratio"}
+
+#: Measured relatives of the shipped trees.
+RELATIVES: Mapping[str, Sequence[str]] = {
+    "spruce": ("Picea abies",),
+    "pine": ("Pinus sylvestris",),
+    "birch": ("Betula papyrifera", "Betula pendula", "Betula platyphylla", "Betula ermanii"),
+    "beech": ("Fagus crenata",),
+    "oak": ("Quercus serrata", "Quercus crispula"),
+    "maple": ("Acer mono",),
+    "poplar": ("Populus tremuloides",),
+    "larch": ("Larix kaempferi",),
+    "meranti": ("Shorea stenoptera",),
+    "eucalyptus": ("Eucalyptus saligna", "Eucalyptus muellerana", "Eucalyptus regnans"),
+}
+
+
+def field_trees(species: Sequence[str] | None = None) -> pd.DataFrame:
+    """Trees of stands of at least 2 m whose diameter is known; `species`: Latin names, None: all."""
+    trees = pd.read_csv(FILE)
+    chosen = trees.condition.isin(IN_STANDS) & (trees.height_m >= 2.0) & (trees.dbh_m > 0.0)
+    if species is not None:
+        chosen &= trees.species.isin(species)
+    trees = trees[chosen].reset_index(drop=True)
+    base_m = trees.crown_base_m.where((trees.crown_base_m > 0) & (trees.crown_base_m < trees.height_m))
+    return trees.assign(crown_ratio=(1.0 - base_m / trees.height_m).clip(*_NARROW))
+
+
+@dataclass(frozen=True)
+class Law:
+    """Median and spread of a size over height and stoutness, in the logarithm (of the odds, for the crown ratio)."""
+
+    at_10_m: float  # logarithm
+    exponent: float  # of the height
+    stoutness: float  # exponent of the diameter over its median at this height
+    spread: tuple[float, float]  # standard deviation at 10 m, and its change for each e-fold of height
+    trees: int
+
+    def median(self, height_m: Floats, log_stoutness: Floats | float = 0.0) -> Floats:
+        return np.asarray(self.at_10_m + self.exponent * np.log(height_m / 10.0) + self.stoutness * log_stoutness)
+
+    def deviation(self, height_m: Floats) -> Floats:
+        return np.asarray(np.clip(self.spread[0] + self.spread[1] * np.log(height_m / 10.0), 0.05, 1.2))
+
+
+@dataclass(frozen=True)
+class Laws:
+    """A species' laws; those of what too few trees were measured for are missing."""
+
+    dbh: Law
+    others: Mapping[str, Law]
+
+    def draw(self, height_m: Floats, rng: np.random.Generator) -> dict[str, Floats]:
+        """Sizes of a tree of each height: ``dbh`` in metres, and those of `MEASURES` that are known."""
+        stout = self.dbh.deviation(height_m) * rng.normal(size=height_m.shape)
+        sizes = {"dbh": np.exp(self.dbh.median(height_m - _BREAST_M) + stout)}
+        for name, law in self.others.items():
+            value = law.median(height_m, stout) + law.deviation(height_m) * rng.normal(size=height_m.shape)
+            sizes[name] = 1.0 / (1.0 + np.exp(-value)) if name == "crown" else np.exp(value)
+        return sizes
+
+
+def fitted(trees: pd.DataFrame, fewest: int = 8) -> Laws:
+    """Laws of `field_trees`; of a size that fewer than `fewest` trees have there is none."""
+    trees = trees[trees.height_m >= _SHORTEST_M]
+    height = trees.height_m.to_numpy()
+    dbh = _law(height - _BREAST_M, np.log(trees.dbh_m.to_numpy()))
+    stout = np.log(trees.dbh_m.to_numpy()) - dbh.median(height - _BREAST_M)
+    others = {}
+    for name, column in MEASURES.items():
+        value = trees[column].to_numpy()
+        known = value > 0.0
+        if known.sum() >= fewest:
+            share = value[known]
+            logarithm = np.log(share / (1.0 - share)) if name == "crown" else np.log(share)
+            others[name] = _law(height[known], logarithm, stout[known])
+    return Laws(dbh, others)
+
+
+def _law(height_m: Floats, value: Floats, stout: Floats | None = None) -> Law:
+    columns = [np.ones_like(height_m), np.log(height_m / 10.0), *([] if stout is None else [stout])]
+    terms = np.stack(columns, axis=1)
+    found = np.linalg.lstsq(terms, value, rcond=None)[0]
+    for _ in range(_ROUNDS):
+        weight = 1.0 / np.sqrt(np.maximum(np.abs(value - terms @ found), 2e-3))
+        found = np.linalg.lstsq(terms * weight[:, None], value * weight, rcond=None)[0]
+    # The mean of |x| of a normal number is sqrt(2 / pi) of its standard deviation.
+    away = np.sqrt(np.pi / 2.0) * np.abs(value - terms @ found)
+    spread = np.linalg.lstsq(terms[:, :2], away, rcond=None)[0]
+    at_10_m, exponent, *others = (float(one) for one in found)
+    return Law(at_10_m, exponent, sum(others), (float(spread[0]), float(spread[1])), len(value))
+
+
+def classes(trees: pd.DataFrame, fewest: int = 5) -> list[tuple[float, float, pd.DataFrame]]:
+    """Classes of height, lower and upper end in metres, that have at least `fewest` trees."""
+    pairs = pairwise(CLASSES_M)
+    found = [(low, high, trees[(trees.height_m >= low) & (trees.height_m < high)]) for low, high in pairs]
+    return [one for one in found if len(one[2]) >= fewest]
+
+
+def spread_of_median(values: Floats, rng: np.random.Generator, draws: int = 400) -> float:
+    """Standard error of the logarithm of a sample's median, by bootstrap."""
+    chosen = rng.choice(values, (draws, len(values)))
+    return float(np.std(np.log(np.median(chosen, axis=1))))
