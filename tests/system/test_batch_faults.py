@@ -183,6 +183,7 @@ def test_of_two_runs_on_one_folder_the_second_is_refused(tmp_path: Path, faults:
     assert serial(path, target, 2, make, resume=True, discard=True).images == 2  # a dead run's lock is nobody's
 
 
+@pytest.mark.slow
 def test_a_full_disk_stops_the_run_and_loses_nothing(tmp_path: Path, faults: Path) -> None:
     """A limit on the size of files stands in for a full disk: the kernel refuses a frame's EXR file."""
     path, target = recipe(tmp_path), tmp_path / "data"

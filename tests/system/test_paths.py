@@ -358,6 +358,7 @@ def wet_terrain(albedo: float, low_m: float, high_m: float, cells: int = 1):
     return replace(ground, wet=WetGround(share, (0.4 * albedo, 0.5 * albedo, 0.6 * albedo), Spectrum(nm, film)))
 
 
+@pytest.mark.slow
 def test_wet_ground_is_lit_as_mitsuba_lights_it():
     spec = replace(leafy_stand(), terrain=wet_terrain(0.4, -60.0, 84.0, 48))
     assert_same(images_of(spec, 12, 32), by_mitsuba(spec, 12, 32))

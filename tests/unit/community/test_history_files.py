@@ -65,6 +65,7 @@ def test_a_community_in_files(tmp_path: Path) -> None:
     assert (tmp_path / "animation.gif").stat().st_size < 3_000_000
 
 
+@pytest.mark.slow
 def test_the_same_plan_makes_the_same_bytes(tmp_path: Path) -> None:
     plan = plan_of("community.steps=12")
     for name in ("a", "b"):

@@ -42,6 +42,7 @@ def test_more_vapour_makes_more_clouds_and_none_are_made_of_nothing() -> None:
     assert max(dry.water_error, wet.water_error) < 1e-5
 
 
+@pytest.mark.slow
 def test_each_year_has_the_same_days_and_each_seed_its_own() -> None:
     assert np.array_equal(sky(number=5).wetness, sky(number=17).wetness)
     assert not np.array_equal(sky(number=5).wetness, sky(number=6).wetness)

@@ -247,6 +247,7 @@ def test_months_between_simulated_ones_have_the_last_ones_rain_and_warmth(
     assert course[-1].books.rain_mm == pytest.approx(60.0 * (5 * 1.5 + 7 * 2.0))
 
 
+@pytest.mark.slow
 def test_less_vapour_from_the_region_is_less_rain_and_the_books_close() -> None:
     weather = {
         "hours": 0.5, "extent_m": 800, "cell_m": 100, "height_m": 1200, "cell_height_m": 100, "mixed_layer_m": 300,
