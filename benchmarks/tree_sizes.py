@@ -1,11 +1,11 @@
-"""Plants of `forestgen plant`, and laws of tree sizes, beside measured trees of stands.
+"""Plants of `forestgen plant`, and allometries of tree sizes, beside measured trees of stands.
 
     uv run python benchmarks/tree_sizes.py [--species oak] [--plants]
 
-For each species and class of height: the median of the measured trees, that of trees drawn from the laws fitted to them
-over it, the ratio of their coefficients of variation, and two standard errors of the measured median. "Left out" draws
-from laws that are fitted to the other studies, where there are several. `--plants` adds grown plants of the middle
-height over the measured median, which takes minutes.
+For each species and class of height: the median of the measured trees; over it that of trees drawn from allometries
+fitted to them; the ratio of their coefficients of variation; and two standard errors of the measured median. "Left out"
+compares each study with allometries fitted to the others. `--plants` grows a plant of each class's middle height, and
+compares it with the measured medians; this takes a minute for each species.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ import argparse
 import numpy as np
 
 import forestgen as fg
-from support.field_trees import MEASURES, RELATIVES, Laws, classes, field_trees, fitted, spread_of_median
+from support.field_trees import MEASURES, RELATIVES, Allometries, classes, field_trees, fitted, spread_of_median
 
 DRAWS = 200  # trees drawn for each measured one
 COLUMNS = {"dbh": "dbh_m", **MEASURES}
 
 
-def drawn_over_measured(laws: Laws, trees, name: str, rng) -> str:  # type: ignore[no-untyped-def]
+def drawn_over_measured(allometries: Allometries, trees, name: str, rng) -> str:  # type: ignore[no-untyped-def]
     """Ratio of medians, of coefficients of variation, and two standard errors of the measured median."""
     known = trees[trees[COLUMNS[name]] > 0.0]
-    if len(known) < 5 or not (name == "dbh" or name in laws.others):
+    if len(known) < 5 or not (name == "dbh" or name in allometries.others):
         return ""
     measured = known[COLUMNS[name]].to_numpy()
-    drawn = laws.draw(np.repeat(known.height_m.to_numpy(), DRAWS), rng)[name]
+    drawn = allometries.draw(np.repeat(known.height_m.to_numpy(), DRAWS), rng)[name]
     ratio = np.median(drawn) / np.median(measured)
     variation = np.std(drawn) / np.mean(drawn) / (np.std(measured) / np.mean(measured))
     error = 2.0 * spread_of_median(measured, rng)
@@ -35,16 +35,16 @@ def drawn_over_measured(laws: Laws, trees, name: str, rng) -> str:  # type: igno
 
 
 def left_out(trees, name: str, rng) -> str:  # type: ignore[no-untyped-def]
-    """Median ratio of each study to laws of the others, over trees of all heights."""
+    """Median ratio of each study to allometries of the others, over trees of all heights."""
     ratios = []
     for study in sorted(trees.study.unique()):
         own = trees[(trees.study == study) & (trees.height_m >= 5.0) & (trees[COLUMNS[name]] > 0.0)]
         others = trees[trees.study != study]
         if len(own) < 5 or (others[COLUMNS[name]] > 0.0).sum() < 8:
             continue
-        laws = fitted(others)
-        if name == "dbh" or name in laws.others:
-            drawn = laws.draw(np.repeat(own.height_m.to_numpy(), DRAWS), rng)[name]
+        allometries = fitted(others)
+        if name == "dbh" or name in allometries.others:
+            drawn = allometries.draw(np.repeat(own.height_m.to_numpy(), DRAWS), rng)[name]
             ratios.append(f"{study} {np.median(drawn) / np.median(own[COLUMNS[name]]):.2f}")
     return ", ".join(ratios)
 
@@ -52,8 +52,9 @@ def left_out(trees, name: str, rng) -> str:  # type: ignore[no-untyped-def]
 def grown(species: str, height_m: float, leaf_kg: float, width_m: float) -> str:
     """Leaf mass and crown width of a plant over the measured medians."""
     plant = fg.plant(species, height_m)
-    leaves, width = plant.measures.leaf_kg / leaf_kg, plant.crown_width_m / width_m
-    return f"plant of {height_m:.0f} m: leaves x {leaves:.2f}, width x {width:.2f}"
+    ratios = {"leaves": plant.measures.leaf_kg / leaf_kg, "width": plant.crown_width_m / width_m}
+    known = [f"{name} x {ratio:.2f}" for name, ratio in ratios.items() if np.isfinite(ratio)]
+    return f"plant of {height_m:.0f} m: {', '.join(known) or 'nothing was measured'}"
 
 
 def main() -> None:
@@ -64,16 +65,15 @@ def main() -> None:
     for species in arguments.species:
         rng = np.random.default_rng(1)
         trees = field_trees(RELATIVES[species])
-        laws = fitted(trees)
+        allometries = fitted(trees)
         print(f"\n{species}: {len(trees)} trees of {trees.study.nunique()} studies, {', '.join(RELATIVES[species])}")
-        for name, law in {"dbh": laws.dbh, **laws.others}.items():
-            value = np.exp(law.at_10_m) if name != "crown" else 1.0 / (1.0 + np.exp(-law.at_10_m))
-            print(
-                f"  {name:<6} {value:7.3f} at 10 m, exponent {law.exponent:5.2f}, of stoutness {law.stoutness:5.2f}, "
-                f"spread {law.spread[0]:.2f} {law.spread[1]:+.2f} ln(H/10), {law.trees} trees"
-            )
+        for name, allometry in {"dbh": allometries.dbh, **allometries.others}.items():
+            value = np.exp(allometry.at_10_m) if name != "crown" else 1.0 / (1.0 + np.exp(-allometry.at_10_m))
+            at_10_m, slope = f"{name:<6} {value:7.3f} at 10 m, exponent {allometry.exponent:5.2f}", allometry.spread[1]
+            spread = f"spread {allometry.spread[0]:.2f} {slope:+.2f} ln(H/10), {allometry.trees} trees"
+            print(f"  {at_10_m}, of relative dbh {allometry.relative_dbh:5.2f}, {spread}")
         for low, high, members in classes(trees):
-            shown = {name: drawn_over_measured(laws, members, name, rng) for name in COLUMNS}
+            shown = {name: drawn_over_measured(allometries, members, name, rng) for name in COLUMNS}
             print(f"  {low:.0f}-{high:.0f} m: " + "; ".join(f"{name} {text}" for name, text in shown.items() if text))
             if arguments.plants:
                 leaf_kg, width_m = members.leaf_mass_kg.median(), members.crown_width_m.median()

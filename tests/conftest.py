@@ -48,29 +48,13 @@ settings.register_profile("explore", deadline=None)
 settings.load_profile("forestgen")
 
 
-def _folder(file: str) -> str:
-    return "/".join(file.split("/")[:3])
-
-
 @pytest.hookimpl(tryfirst=True)  # before those marked slow are left out
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Of a product of parameters, cases that have each value once run by default; the others are slow.
 
-    Files of one folder are spread over the run, and those that need many compiled kernels come last: processes that
-    need a kernel at the same time would each compile it.
+    Files that need many compiled kernels come last: processes that need one at the same time would each compile it.
     """
-    folders: dict[str, dict[str, int]] = {}  # their files, numbered
-    for item in items:
-        file = item.nodeid.partition("::")[0]
-        files = folders.setdefault(_folder(file), {})
-        files.setdefault(file, len(files))
-
-    def place(item: pytest.Item) -> tuple[bool, float, str]:
-        file = item.nodeid.partition("::")[0]
-        folder = _folder(file)
-        return not folder.startswith("tests/unit/"), (folders[folder][file] + 0.5) / len(folders[folder]), file
-
-    items.sort(key=place)
+    items.sort(key=lambda item: not item.nodeid.startswith("tests/unit/"))
     seen: dict[str, set[tuple[int, str]]] = {}
     for item in items:
         ids = getattr(getattr(item, "callspec", None), "_idlist", ())  # one for each `parametrize`

@@ -1,19 +1,19 @@
-"""Measured trees, and the laws of their sizes.
+"""Measured trees, and the allometries of their sizes.
 
 `tests/unit/plants/data/baad_trees.csv` has 3,336 trees of 22 genera from BAAD (Falster et al. 2015, Ecology 96:1445,
 doi:10.1890/14-1889.1; CC0), compiled from its sources. Crown width is 2 sqrt(area / pi) where only the area was
 measured.
 
-Laws
-----
+Allometries
+-----------
 Of a tree of height H metres, with D the diameter at breast height in metres::
 
-    D = d (H / 10)^p e^(s x)                                  p from H - 1.3: D is 0 at breast height
+    D = d ((H - 1.3) / 8.7)^p e^(s x)
     W, M, C / (1 - C) = v (H / 10)^p (D / D(H))^q e^(s x)     D(H): the median diameter at this height
 
 for crown width W in metres, dry leaf mass M in kg and crown length C as a share of H. Each x is a standard normal
-number of the tree's own. The spread s is linear in the logarithm of H. Laws are fitted by least absolute deviations,
-since it is the median that a law gives.
+number of the tree's own. The spread s is linear in the logarithm of H. The fit is by least absolute deviations, since
+an allometry gives the median.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from forestgen.core.frames import BREAST_HEIGHT_M
+
 Floats = NDArray[np.float64]
 
 FILE = Path(__file__).parents[1] / "unit" / "plants" / "data" / "baad_trees.csv"
 IN_STANDS = ("FW", "PM", "PU")  # growing conditions: natural forests and plantations
 CLASSES_M = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)  # of height
-_SHORTEST_M = 3.0  # tree that a law is fitted to
-_BREAST_M = 1.3
+_SHORTEST_M = 3.0  # tree that a allometry is fitted to
 _ROUNDS = 100  # of least absolute deviations
 _NARROW = (0.02, 0.98)  # crown ratios
 MEASURES = {"width": "crown_width_m", "leaves": "leaf_mass_kg", "crown": "crown_ratio"}
@@ -64,46 +65,53 @@ def field_trees(species: Sequence[str] | None = None) -> pd.DataFrame:
     return trees.assign(crown_ratio=(1.0 - base_m / trees.height_m).clip(*_NARROW))
 
 
+def _above_breast(height_m: Floats) -> Floats:
+    """Height above breast height, stretched so that 10 m stay 10 m."""
+    return (height_m - BREAST_HEIGHT_M) * (10.0 / (10.0 - BREAST_HEIGHT_M))
+
+
 @dataclass(frozen=True)
-class Law:
-    """Median and spread of a size over height and stoutness, in the logarithm (of the odds, for the crown ratio)."""
+class Allometry:
+    """Median and spread of a size over height and relative_dbh, in the logarithm (of the odds, for the crown ratio)."""
 
     at_10_m: float  # logarithm
     exponent: float  # of the height
-    stoutness: float  # exponent of the diameter over its median at this height
+    relative_dbh: float  # exponent of the diameter over its median at this height
     spread: tuple[float, float]  # standard deviation at 10 m, and its change for each e-fold of height
     trees: int
 
-    def median(self, height_m: Floats, log_stoutness: Floats | float = 0.0) -> Floats:
-        return np.asarray(self.at_10_m + self.exponent * np.log(height_m / 10.0) + self.stoutness * log_stoutness)
+    def median(self, height_m: Floats, log_relative_dbh: Floats | float = 0.0) -> Floats:
+        return np.asarray(self.at_10_m + self.exponent * np.log(height_m / 10.0) + self.relative_dbh * log_relative_dbh)
 
     def deviation(self, height_m: Floats) -> Floats:
         return np.asarray(np.clip(self.spread[0] + self.spread[1] * np.log(height_m / 10.0), 0.05, 1.2))
 
 
 @dataclass(frozen=True)
-class Laws:
-    """A species' laws; those of what too few trees were measured for are missing."""
+class Allometries:
+    """A species' allometries; those of what too few trees were measured for are missing."""
 
-    dbh: Law
-    others: Mapping[str, Law]
+    dbh: Allometry
+    others: Mapping[str, Allometry]
 
     def draw(self, height_m: Floats, rng: np.random.Generator) -> dict[str, Floats]:
         """Sizes of a tree of each height: ``dbh`` in metres, and those of `MEASURES` that are known."""
-        stout = self.dbh.deviation(height_m) * rng.normal(size=height_m.shape)
-        sizes = {"dbh": np.exp(self.dbh.median(height_m - _BREAST_M) + stout)}
-        for name, law in self.others.items():
-            value = law.median(height_m, stout) + law.deviation(height_m) * rng.normal(size=height_m.shape)
+        relative = self.dbh.deviation(height_m) * rng.normal(size=height_m.shape)
+        sizes = {"dbh": np.exp(self.dbh.median(_above_breast(height_m)) + relative)}
+        for name, allometry in self.others.items():
+            value = allometry.median(height_m, relative) + allometry.deviation(height_m) * rng.normal(
+                size=height_m.shape
+            )
             sizes[name] = 1.0 / (1.0 + np.exp(-value)) if name == "crown" else np.exp(value)
         return sizes
 
 
-def fitted(trees: pd.DataFrame, fewest: int = 8) -> Laws:
-    """Laws of `field_trees`; of a size that fewer than `fewest` trees have there is none."""
+def fitted(trees: pd.DataFrame, fewest: int = 8) -> Allometries:
+    """Allometries of `field_trees`; of a size that fewer than `fewest` trees have there is none."""
     trees = trees[trees.height_m >= _SHORTEST_M]
     height = trees.height_m.to_numpy()
-    dbh = _law(height - _BREAST_M, np.log(trees.dbh_m.to_numpy()))
-    stout = np.log(trees.dbh_m.to_numpy()) - dbh.median(height - _BREAST_M)
+    dbh = _allometry(_above_breast(height), np.log(trees.dbh_m.to_numpy()))
+    relative = np.log(trees.dbh_m.to_numpy()) - dbh.median(_above_breast(height))
     others = {}
     for name, column in MEASURES.items():
         value = trees[column].to_numpy()
@@ -111,12 +119,12 @@ def fitted(trees: pd.DataFrame, fewest: int = 8) -> Laws:
         if known.sum() >= fewest:
             share = value[known]
             logarithm = np.log(share / (1.0 - share)) if name == "crown" else np.log(share)
-            others[name] = _law(height[known], logarithm, stout[known])
-    return Laws(dbh, others)
+            others[name] = _allometry(height[known], logarithm, relative[known])
+    return Allometries(dbh, others)
 
 
-def _law(height_m: Floats, value: Floats, stout: Floats | None = None) -> Law:
-    columns = [np.ones_like(height_m), np.log(height_m / 10.0), *([] if stout is None else [stout])]
+def _allometry(height_m: Floats, value: Floats, relative: Floats | None = None) -> Allometry:
+    columns = [np.ones_like(height_m), np.log(height_m / 10.0), *([] if relative is None else [relative])]
     terms = np.stack(columns, axis=1)
     found = np.linalg.lstsq(terms, value, rcond=None)[0]
     for _ in range(_ROUNDS):
@@ -126,7 +134,7 @@ def _law(height_m: Floats, value: Floats, stout: Floats | None = None) -> Law:
     away = np.sqrt(np.pi / 2.0) * np.abs(value - terms @ found)
     spread = np.linalg.lstsq(terms[:, :2], away, rcond=None)[0]
     at_10_m, exponent, *others = (float(one) for one in found)
-    return Law(at_10_m, exponent, sum(others), (float(spread[0]), float(spread[1])), len(value))
+    return Allometry(at_10_m, exponent, sum(others), (float(spread[0]), float(spread[1])), len(value))
 
 
 def classes(trees: pd.DataFrame, fewest: int = 5) -> list[tuple[float, float, pd.DataFrame]]:

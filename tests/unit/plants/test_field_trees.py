@@ -1,4 +1,4 @@
-"""Measured trees, and the laws that are fitted to them."""
+"""Measured trees, and the allometries that are fitted to them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import pytest
 from support.field_trees import RELATIVES, classes, field_trees, fitted, spread_of_median
 
 
-def test_laws_are_found_again_in_trees_drawn_from_them() -> None:
-    """Fitted to 4,000 trees that a law draws, the law comes out again."""
+def test_allometries_are_found_again_in_trees_drawn_from_them() -> None:
+    """Fitted to 4,000 trees that a allometry draws, the allometry comes out again."""
     rng = np.random.default_rng(5)
-    laws = fitted(field_trees(RELATIVES["spruce"]))
+    allometries = fitted(field_trees(RELATIVES["spruce"]))
     height_m = rng.uniform(4.0, 35.0, 4000)
-    drawn = laws.draw(height_m, rng)
+    drawn = allometries.draw(height_m, rng)
     trees = field_trees(RELATIVES["spruce"]).iloc[:1].loc[[0] * len(height_m)].reset_index(drop=True)
     trees = trees.assign(
         height_m=height_m,
@@ -23,12 +23,12 @@ def test_laws_are_found_again_in_trees_drawn_from_them() -> None:
         crown_ratio=drawn["crown"],
     )
     again = fitted(trees)
-    for name, law in {"dbh": laws.dbh, **laws.others}.items():
+    for name, allometry in {"dbh": allometries.dbh, **allometries.others}.items():
         found = again.dbh if name == "dbh" else again.others[name]
-        assert found.at_10_m == pytest.approx(law.at_10_m, abs=0.06)
-        assert found.exponent == pytest.approx(law.exponent, abs=0.06)
-        assert found.stoutness == pytest.approx(law.stoutness, abs=0.1)
-        assert found.spread == pytest.approx(law.spread, abs=0.05)
+        assert found.at_10_m == pytest.approx(allometry.at_10_m, abs=0.06)
+        assert found.exponent == pytest.approx(allometry.exponent, abs=0.06)
+        assert found.relative_dbh == pytest.approx(allometry.relative_dbh, abs=0.1)
+        assert found.spread == pytest.approx(allometry.spread, abs=0.05)
 
 
 @pytest.mark.parametrize("name", RELATIVES)
@@ -36,10 +36,10 @@ def test_drawn_diameters_have_the_measured_median(name: str) -> None:
     """In each class of height within 25%, or within two standard errors of the measured median."""
     rng = np.random.default_rng(1)
     trees = field_trees(RELATIVES[name])
-    laws = fitted(trees)
+    allometries = fitted(trees)
     for low, high, members in classes(trees, fewest=10):
         measured = members.dbh_m.to_numpy()
-        drawn = laws.draw(np.repeat(members.height_m.to_numpy(), 200), rng)["dbh"]
+        drawn = allometries.draw(np.repeat(members.height_m.to_numpy(), 200), rng)["dbh"]
         away = abs(np.log(np.median(drawn) / np.median(measured)))
         assert away <= max(np.log(1.25), 2.0 * spread_of_median(measured, rng)), (low, high)
 
@@ -48,4 +48,4 @@ def test_stout_trees_have_wide_and_long_crowns() -> None:
     """At one height, crowns are wider, longer and leafier where the stem is thicker."""
     for species in ("spruce", "pine", "birch", "oak"):
         others = fitted(field_trees(RELATIVES[species])).others
-        assert min(law.stoutness for law in others.values()) > 0.5
+        assert min(allometry.relative_dbh for allometry in others.values()) > 0.5
