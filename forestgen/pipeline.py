@@ -71,7 +71,7 @@ def assemble_image(
     Raises `RecipeError`: a camera stands in a trunk, or in clouds that are rendered from afar.
     """
     with timings("community"):
-        population = final_population(plan.community, progress)
+        population = plan.community.with_tree_sizes(final_population(plan.community, progress))
     check_memory(plan, plants=len(population), memory_budget_bytes=memory_budget_bytes)
     scene = build_scene(plan, population, progress, timings)
     clouds, where = plan.drawn.recipe.render.clouds, plan.drawn.where("render", "clouds")
@@ -236,7 +236,7 @@ def simulate(
         write_graphs(plan, last, graphs)
         lifeless = lifeless_note(plan, plan.obstacles.left_out_of(last))
         notes = tuple(note for note in (other_code, *last.notes, lifeless) if note)
-        return SimulationSummary(plan, last, notes, dict(timings.seconds), timings.total())
+        return SimulationSummary(plan, plan.with_tree_sizes(last), notes, dict(timings.seconds), timings.total())
 
     if target is None:
         with timings("community"):

@@ -8,12 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.api.display import display_of
-from forestgen.core.arguments import PathLike, number_of, path_of, paths_of, whole_of
+from forestgen.core.arguments import PathLike, number_of, path_of, paths_of, shown, whole_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.progress import Progress, Silent
@@ -23,7 +24,7 @@ from forestgen.geometry.export import Model, Piece, Surface, Value, exporter_of,
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.geometry.simplify import with_light_wood
 from forestgen.plants.bark.texture import texture_images
-from forestgen.plants.build import check_sways, sway
+from forestgen.plants.build import check_sways, sway, tree_size
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.growing import ExemplarRequest, grow_exemplar
 from forestgen.plants.parameters import with_detail
@@ -32,6 +33,7 @@ from forestgen.recipe.assets import SUFFIXES, find_asset
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.recipe.schema import NO_PLANTS
 from forestgen.recipe.species import TALLEST_M, Species
+from forestgen.recipe.tree_sizes import Grown, own_normals
 from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph
 from forestgen.scene.spec import Camera, Material
 from forestgen.scene.surfaces import materials_of
@@ -61,14 +63,22 @@ class SinglePlant:
     files: dict[Path, int] = field(default_factory=dict)  # size in bytes
 
 
-def plant(species: PathLike, height_m: float | None = None, *, seed: int = 0, detail: int | None = None) -> Plant:
+def plant(
+    species: PathLike,
+    height_m: float | None = None,
+    *,
+    grown: Grown = "stand",
+    seed: int = 0,
+    detail: int | None = None,
+) -> Plant:
     """Grow one plant.
 
     Parameters
     ----------
     species : a shipped species' name (see `forestgen.species`), or the path of a species file.
     height_m : by default that of a mature plant.
-    seed : another seed is another plant.
+    grown : how a tree grew: in a closed "stand", without neighbours ("open"), or overgrown by others ("suppressed").
+    seed : another seed is another plant; trees of one height differ in diameter, crown and leaves, as in a stand.
     detail : how finely leaves and flowers are drawn, 0 to 2; by default as the species' file says.
 
     Raises
@@ -78,8 +88,8 @@ def plant(species: PathLike, height_m: float | None = None, *, seed: int = 0, de
     source = str(path_of(species, "species"))
     check_numbers(height_m=height_m, seed=seed, detail=detail)
     plan, name = plan_of(source, seed, detail), name_of(source)
-    radius_m = radius_of_m(plan.drawn.species[name], height_m)
-    return Plant(plan, grow(plan, name, radius_m, seed), seed)
+    request = request_of(plan, name, height_m, seed, grown)
+    return Plant(plan, grow_exemplar(request), request)
 
 
 def grow_files(
@@ -87,6 +97,7 @@ def grow_files(
     out: Sequence[PathLike] | None = None,
     *,
     height_m: float | None = None,
+    grown: Grown = "stand",
     seed: int = 0,
     count: int = 1,
     frames: int | None = None,
@@ -128,7 +139,7 @@ def grow_files(
     plan, display, camera = plan_of(source, seed, detail), display_of(progress), None
     title = "plants" if frames is None else "frames"
     with display.running(), FileSet(overwrite=overwrite) as files, display.stage(title, len(names)) as advance:
-        plants = _grown(plan, height_m, range(seed, seed + count), frames, frames_per_s)
+        plants = _grown(plan, height_m, grown, range(seed, seed + count), frames, frames_per_s)
         for one, paths in zip(plants, names, strict=True):
             if camera is None or frames is None:  # frames are all seen from one place
                 camera = camera_of(one._exemplar, settings)
@@ -147,25 +158,29 @@ def numbered(outputs: Sequence[Path], count: int, *, several: bool) -> Iterator[
 
 
 def _grown(
-    plan: PlantPlan, height_m: float | None, seeds: range, frames: int | None, frames_per_s: float
+    plan: PlantPlan, height_m: float | None, grown: Grown, seeds: range, frames: int | None, frames_per_s: float
 ) -> Iterator[Plant]:
     """A plant of each seed, or poses of the first one."""
     (name,) = plan.drawn.species
     if frames is not None:
         check_sways(name, plan.generators[name])
-    radius_m = radius_of_m(plan.drawn.species[name], height_m)
+    requests = [request_of(plan, name, height_m, seed, grown) for seed in seeds]
     if frames is None:
-        yield from (Plant(plan, grow(plan, name, radius_m, seed), seed) for seed in seeds)
+        yield from (Plant(plan, grow_exemplar(one), one) for one in requests)
         return
-    for exemplar in sway(plan, name, radius_m, seeds[0], frames, frames_per_s):
-        yield Plant(plan, exemplar, seeds[0])
+    for exemplar in _poses(plan, requests[0], frames, frames_per_s):
+        yield Plant(plan, exemplar, requests[0])
+
+
+def _poses(plan: PlantPlan, of: ExemplarRequest, frames: int, frames_per_s: float) -> Iterator[Exemplar]:
+    return sway(plan, of.species_name, of.radius_m, of.seed, frames, frames_per_s, of.tree)
 
 
 class Plant:
     """One plant: origin at the foot of the stem, z up, metres."""
 
-    def __init__(self, plan: PlantPlan, exemplar: Exemplar, seed: int) -> None:
-        self._plan, self._exemplar, self.seed = plan, exemplar, seed
+    def __init__(self, plan: PlantPlan, exemplar: Exemplar, request: ExemplarRequest) -> None:
+        self._plan, self._exemplar, self._request, self.seed = plan, exemplar, request, request.seed
 
     @property
     def species(self) -> str:
@@ -271,8 +286,9 @@ class Plant:
         """The plant's poses in the wind; `RecipeError` unless its species' generator is strands."""
         check_numbers(frames=frames, frames_per_s=frames_per_s)
         check_sways(self.species, self._plan.generators[self.species])
-        posed = sway(self._plan, self.species, self._exemplar.radius_m, self.seed, frames, frames_per_s)
-        return [Plant(self._plan, one, self.seed) for one in posed]
+        return [
+            Plant(self._plan, one, self._request) for one in _poses(self._plan, self._request, frames, frames_per_s)
+        ]
 
     def _model(self, wood_triangles: int | None = None) -> Model:
         """For mesh files, with wood of about `wood_triangles` and one baked texture, or as grown."""
@@ -376,10 +392,23 @@ def plan_of(species: str, seed: int, detail: int | None = None) -> PlantPlan:
     return replace(plan, generators=finer)
 
 
-def grow(plan: PlantPlan, name: str, radius_m: float, seed: int) -> Exemplar:
-    """The plant of a species, a radius and a seed."""
+def request_of(
+    plan: PlantPlan, name: str, height_m: float | None, seed: int, grown: Grown = "stand"
+) -> ExemplarRequest:
+    """The plant of a species, a height and a seed; a tree also of how it grew."""
     species, parameters = plan.drawn.species[name], plan.generators[name]
-    return grow_exemplar(ExemplarRequest(name, species, parameters, radius_m, seed, ("exemplar", name)))
+    radius_m, law, tree = radius_of_m(species, height_m), species.tree, None
+    if grown not in get_args(Grown):
+        expected = "stand, open or suppressed"
+        raise RecipeError("no such way to grow", parameter="grown", expected=expected, got=shown(grown))
+    if law is not None:
+        tall = np.array([species.mature_height_m if height_m is None else height_m])
+        own = own_normals(seed, np.ones(1, dtype=np.uint64))
+        tree = tree_size(species, float(tall[0]), law.sizes(tall, own, law.shift(grown)))
+    elif grown != "stand":
+        problem, hint = "this species has no sizes of trees, which depend on how they grow", "leave `grown` out"
+        raise RecipeError(problem, parameter="grown", expected="a species with a `tree` section", got=name, hint=hint)
+    return ExemplarRequest(name, species, parameters, radius_m, seed, ("exemplar", name), tree=tree)
 
 
 def radius_of_m(species: Species, height_m: float | None) -> float:

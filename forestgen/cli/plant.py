@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _MOST_FILES = 6  # named one by one
 _OPTIONS = (  # of `grow_files`
-    "height_m", "seed", "frames", "frames_per_s", "detail", "wood_triangles", "size_px", "samples", "distance_m",
+    "height_m", "grown", "seed", "frames", "frames_per_s", "detail", "wood_triangles", "size_px", "samples", "distance_m",
     "look_at_m", "overwrite",
 )  # fmt: skip
 
@@ -26,6 +26,7 @@ def plant(
     species: str | None = None,
     list_: bool = False,
     height_m: float | None = None,
+    grown: str = "stand",
     seed: int = 0,
     out: list[Path] | None = None,
     count_: int = 1,
@@ -46,6 +47,8 @@ def plant(
     SPECIES  A species' name, see --list, or its YAML file.
     --list  List the species that come with forestgen.
     --height-m METRES  By default that of a mature plant.
+    --grown HOW  How a tree grew: stand, in a closed one; open, without neighbours; suppressed, overgrown by others.
+        [default: stand]
     --out -o FILE  A mesh: .glb, .ply, .obj (with its .mtl), .usd, .usda, .usdc, .usdz; or a picture: .png. May be
         repeated; by default outputs/SPECIES.glb and .png.
     --count N  So many plants, of seeds from --seed on: tree-0001.glb, ...

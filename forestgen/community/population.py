@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from forestgen.architecture.modules import Modules
 from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.recipe.species import Building, PlantType, Species
+from forestgen.recipe.tree_sizes import TreeSizes
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
@@ -66,6 +67,8 @@ class SpeciesEcology:
     height_scale: float  # A_H of H = A_H r^c_H, metres of height at r = 1 m, > 0
     height_exponent: float  # c_H of H = A_H r^c_H, >= 0
     modules: PlantType | None = None  # how it grows as a graph of branch modules; None: not at all
+    tree: TreeSizes | None = None  # sizes of its trees by their height; None: it is no tree
+    leaf_mass_per_area_kg_per_m2: float = 0.08  # dry leaf over one side's area
 
 
 Ecologies = Sequence[SpeciesEcology]  # the recipe's species, in its order: a species index counts them
@@ -74,7 +77,15 @@ Ecologies = Sequence[SpeciesEcology]  # the recipe's species, in its order: a sp
 def ecology_of(name: str, species: Species) -> SpeciesEcology:
     """The ecology of a recipe's species."""
     law, own = species.allometry.height_m, species.ecology.model_dump()
-    return SpeciesEcology(name, height_scale=law.scale, height_exponent=law.exponent, modules=species.modules, **own)
+    return SpeciesEcology(
+        name,
+        height_scale=law.scale,
+        height_exponent=law.exponent,
+        modules=species.modules,
+        tree=species.tree,
+        leaf_mass_per_area_kg_per_m2=species.tissue.leaf_mass_per_area_kg_per_m2,
+        **own,
+    )
 
 
 class Status(IntEnum):

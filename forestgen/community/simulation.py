@@ -20,6 +20,7 @@ from pydantic import BaseModel
 from forestgen.architecture.modules import Modules
 from forestgen.community.model import CommunityParameters, simulate
 from forestgen.community.population import Population, Site, SpeciesEcology, Status, ecology_of
+from forestgen.community.tree_columns import with_tree_sizes
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.progress import Progress
@@ -108,6 +109,11 @@ class CommunityPlan:
     @property
     def steps(self) -> int:
         return self.parameters.steps
+
+    def with_tree_sizes(self, population: Population) -> Population:
+        """A snapshot with the columns of `tree_columns`."""
+        seed, periodic = self.drawn.image_seed, self.parameters.periodic
+        return with_tree_sizes(population, self.ecologies, self.site, seed, periodic=periodic)
 
     @property
     def empty_reason(self) -> str | None:

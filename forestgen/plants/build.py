@@ -19,12 +19,14 @@ from forestgen.plants.grown import ModuleWood
 from forestgen.plants.levels import simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.organs.base import OrganForm
-from forestgen.plants.parameters import Fit, Sways
+from forestgen.plants.parameters import Fit, ShapesTrees, Sways
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
+from forestgen.plants.tree_fit import TreeSize, fit_tree
 from forestgen.plants.variation.model import vary
 from forestgen.recipe.species import Species
+from forestgen.recipe.tree_sizes import Sizes
 
 _TRIANGLE_BYTES = 150  # of an organ's triangle while it is meshed
 _LEAST_ORGAN_M = 5e-5  # single precision at a tree's top tells no points of a smaller organ apart
@@ -42,6 +44,17 @@ def size_m(species: Species, radius_m: float) -> tuple[float, float]:
     return height.scale * radius_m**height.exponent, width.scale * radius_m**width.exponent
 
 
+def tree_size(species: Species, height_m: float, sizes: Sizes, row: int = 0) -> TreeSize:
+    """What a tree of a species, one of `sizes`, is built to."""
+    return TreeSize(
+        height_m=height_m,
+        crown_width_m=float(sizes.crown_width_m[row]),
+        dbh_m=float(sizes.dbh_m[row]),
+        crown_base_m=float(sizes.crown_base_m[row]),
+        leaf_area_m2=float(sizes.leaf_kg[row]) / species.tissue.leaf_mass_per_area_kg_per_m2,
+    )
+
+
 def build_exemplar(
     species_name: str,
     species: Species,
@@ -51,19 +64,24 @@ def build_exemplar(
     *,
     pixel_m: float = 0.0,
     wood: ModuleWood | None = None,
+    tree: TreeSize | None = None,
 ) -> Exemplar:
     """Grow and mesh one plant.
 
     `plant`: the generator's own `Parameters`; their `generator` names it in `GENERATORS`. `radius_m`: community radius.
     `pixel_m`: what a pixel covers of the plant, metres, which sets the detail; 0: all. The plant is the same one.
     `wood`: branches that it has grown already: the generator clothes them, and they give its height.
+    `tree`: its sizes; None: height and width by the radius.
 
     Raises `RecipeError`: a plant too large for memory, or a material that the species does not have.
     """
+    generator = GENERATORS.load(plant.generator)
     if wood is None:
-        height_m, width_m = size_m(species, radius_m)
+        height_m, width_m = size_m(species, radius_m) if tree is None else (tree.height_m, tree.crown_width_m)
         wood_rng, foliage_rng, level_rng, variation_rng = rng.spawn(4)
-        skeleton = GENERATORS.load(plant.generator).grow(plant, height_m, width_m, wood_rng)
+        if tree is not None and isinstance(generator, ShapesTrees):
+            plant = generator.shaped(plant, tree)
+        skeleton = generator.grow(plant, height_m, width_m, wood_rng)
         if plant.variation is not None:
             skeleton = vary(skeleton, plant.variation, variation_rng)
         _check_grown(species_name, skeleton)
@@ -72,10 +90,15 @@ def build_exemplar(
     else:
         clothing_rng, level_rng = rng.spawn(2)
         height_m, width_m = max(wood.height_m, 0.01), float(np.ptp(wood.position_m[:, :2], axis=0).max())
-        skeleton = GENERATORS.load(plant.generator).clothe(plant, wood, height_m, clothing_rng)
+        skeleton = generator.clothe(plant, wood, height_m, clothing_rng)
     _check_grown(species_name, skeleton)
     templates = plant.templates()
-    skeleton = _with_visible_organs(fit(skeleton, templates, plant.fit, height_m, width_m), templates)
+    if tree is None:
+        fitted = fit(skeleton, templates, plant.fit, height_m, width_m)
+    else:
+        height_m, leaf_rng = tree.height_m, rng.spawn(1)[0]
+        fitted = fit_tree(skeleton, plant.shapes, templates, plant.wood.flare, tree, leaf_rng)
+    skeleton = _with_visible_organs(fitted, templates)
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
     seen = simplified(skeleton, templates, pixel_m, level_rng)
@@ -254,16 +277,23 @@ def check_sways(species_name: str, parameters: Any) -> None:
 
 
 def sway(
-    plan: PlantPlan, species_name: str, radius_m: float, seed: int, frames: int, frames_per_s: float
+    plan: PlantPlan,
+    species_name: str,
+    radius_m: float,
+    seed: int,
+    frames: int,
+    frames_per_s: float,
+    tree: TreeSize | None = None,
 ) -> Iterator[Exemplar]:
-    """The plant of a seed at times 0, 1 / frames_per_s, ..."""
+    """The plant of a seed at times 0, 1 / frames_per_s, ...; `tree`: its sizes; None: by the radius."""
     species, parameters = plan.drawn.species[species_name], plan.generators[species_name]
     generator: Sways = GENERATORS.load(parameters.generator)
     parameters = generator.in_wind(parameters)
     anew = partial(child_rng, seed, "exemplar", species_name)
-    still = build_exemplar(species_name, species, parameters, radius_m, anew())
+    still = build_exemplar(species_name, species, parameters, radius_m, anew(), tree=tree)
     times_s = (np.arange(frames) / frames_per_s).tolist()
-    for skeleton in generator.poses(parameters, *size_m(species, radius_m), anew(), times_s):
+    size = size_m(species, radius_m) if tree is None else (tree.height_m, tree.crown_width_m)
+    for skeleton in generator.poses(parameters, *size, anew(), times_s, tree):
         organs = organ_meshes(skeleton, parameters.shapes, parameters.wood)
         posed = replace(still, organs=_with_the_faces_of(still.organs, organs))
         low, high = posed.bounds_m()

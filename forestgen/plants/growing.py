@@ -13,7 +13,7 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 from forestgen.core.array_serialization import pack, read_packed
@@ -26,6 +26,7 @@ from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood, wood_key
 from forestgen.plants.registry import GENERATORS, clothes_modules
+from forestgen.plants.tree_fit import TreeSize
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.species import Species
 
@@ -49,6 +50,7 @@ class ExemplarRequest:
     identity: tuple[str | int, ...]  # of its randomness, see `core.randomness.child_rng`
     pixel_m: float = 0.0  # what a pixel covers of the plant where it is seen closest, metres; 0: all detail
     wood: ModuleWood | None = None  # branches that its community grew; None: the generator grows it by the radius
+    tree: TreeSize | None = None  # its sizes; None: height and width by the radius
     is_kept: bool = True  # on disk: other runs may ask for the same
     is_shared: bool = False  # in memory: this process' next images may ask for the same
 
@@ -70,6 +72,7 @@ class ExemplarRequest:
             "seed": [int(self.seed), *self.identity],
             "level": {"pixel_m": self.pixel_m},
             "wood": None if self.wood is None else wood_key(self.wood),
+            "tree": None if self.tree is None else [repr(one) for one in astuple(self.tree)],
             "code": code_hash(_SOURCES, _COMPUTE_WITH),
         }
         if self.grows_alone:
@@ -100,11 +103,14 @@ def grow_exemplar(request: ExemplarRequest) -> Exemplar:
     """The plant of a request, grown and meshed."""
     name, species, plant, wood = request.species_name, request.species, request.parameters, request.wood
     if request.grows_alone:
-        size, seed = size_m(species, request.radius_m), child_seed(request.seed, *request.identity, "wood")
+        tree, seed = request.tree, child_seed(request.seed, *request.identity, "wood")
+        size = size_m(species, request.radius_m) if tree is None else (tree.height_m, tree.crown_width_m)
         wood = GENERATORS.load(plant.generator).wood_alone(name, species, size, seed)
         plant = plant.model_copy(update={"fit": "scale_all"})  # leaves reach beyond the wood
     rng = child_rng(request.seed, *request.identity)
-    return build_exemplar(name, species, plant, request.radius_m, rng, pixel_m=request.pixel_m, wood=wood)
+    return build_exemplar(
+        name, species, plant, request.radius_m, rng, pixel_m=request.pixel_m, wood=wood, tree=request.tree
+    )
 
 
 def grow_exemplars(

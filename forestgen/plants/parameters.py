@@ -21,6 +21,7 @@ from forestgen.recipe.fields import Section
 
 if TYPE_CHECKING:
     from forestgen.plants.grown import ModuleWood
+    from forestgen.plants.tree_fit import TreeSize
     from forestgen.recipe.species import Species
 
 Tile = Annotated[float, Field(ge=0.01, le=10)]
@@ -125,6 +126,15 @@ class CrownProfile(Protocol):
 
 
 @runtime_checkable
+class ShapesTrees(Protocol):
+    """A generator that can place the crown of a tree."""
+
+    def shaped(self, parameters: Any, size: TreeSize) -> Any:
+        """The parameters of a tree whose crown begins about at `size.crown_base_m`; `plants.tree_fit` does the rest."""
+        ...
+
+
+@runtime_checkable
 class Lifeless(Protocol):
     """A generator of what does not grow, such as dead wood."""
 
@@ -157,7 +167,13 @@ class Sways(Protocol):
         ...
 
     def poses(
-        self, parameters: Any, height_m: float, width_m: float, rng: np.random.Generator, times_s: Iterable[float]
+        self,
+        parameters: Any,
+        height_m: float,
+        width_m: float,
+        rng: np.random.Generator,
+        times_s: Iterable[float],
+        tree: TreeSize | None = None,
     ) -> Iterator[Skeleton]:
         """The plant that `plants.build.build_exemplar` makes of the same `rng`, at each time, ready to be meshed.
 

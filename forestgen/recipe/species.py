@@ -33,6 +33,7 @@ from forestgen.recipe.fields import (
 )  # fmt: skip
 from forestgen.recipe.registries import BUILDINGS, DEFAULT_BUILDING
 from forestgen.recipe.spectra import MOST_BYTES, Season
+from forestgen.recipe.tree_sizes import TreeSizes
 
 TALLEST_M = 200.0
 _Side = Annotated[Positive, Field(ge=0.5, le=200)]
@@ -308,6 +309,9 @@ class Species(Section):
     )
     ecology: Ecology = Field(description="How the species grows, competes and spreads.")
     allometry: Allometry = Field(description="Size of a plant from its radius.")
+    tree: TreeSizes | None = Field(
+        None, description="Sizes of its trees by their height; null: height and width by the allometry alone."
+    )
     tissue: Tissue = Field(Tissue.model_validate({}), description="Density of wood and leaves, for mass.")
     sources: tuple[Text, ...] = Field(
         (), max_length=20, description="Where the proportions come from, one reference each."

@@ -59,6 +59,7 @@ from forestgen.geometry.mesh import Floats
 from forestgen.plants.branching import Assembly, Order, Shoots, grow, lateral_sites
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton, check_budget
+from forestgen.plants.tree_fit import TreeSize
 from forestgen.recipe import curves
 from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
@@ -194,6 +195,10 @@ class SilhouetteGenerator:
             grown = grow(shoots, orders[order], rng)
             index = assembly.add_branches(order, grown, shoots, orders[order])
         return assembly.skeleton()
+
+    def shaped(self, parameters: _Parameters, size: TreeSize) -> _Parameters:
+        """See `plants.parameters.ShapesTrees`."""
+        return parameters.model_copy(update={"crown_base": ((0.0, size.crown_base_m / size.height_m),)})
 
     def crown_profile(self, parameters: _Parameters, height_m: float, width_m: float) -> tuple[Floats, Floats]:
         """(K,) heights and (K,) radii of the silhouette, metres, from the crown's base to its top."""

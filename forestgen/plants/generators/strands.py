@@ -91,6 +91,7 @@ from forestgen.plants.build import fit, moved
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.plants.strands import JITTERS, ORDERS, Branching, Leaves, Pose, Wind, carried, divide, leaf_places, pose
+from forestgen.plants.tree_fit import TreeSize, blade_areas_m2, fit_leaves, fit_wood, stretch_to
 from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 
@@ -284,6 +285,14 @@ class StrandGenerator:
         stance = pose(branching, parameters.wind, parameters.stiffness, phases_rad)
         return skeleton_of(parameters, branching, stance, tuple(carried(one, rest, stance) for one in organs))
 
+    def shaped(self, parameters: _Parameters, size: TreeSize) -> _Parameters:
+        """See `plants.parameters.ShapesTrees`: a longer or shorter trunk below the first division."""
+        own = evaluate_one(parameters.trunk_length_m, size.height_m)
+        usual = float(np.clip(own * evaluate_one(parameters.scale_by_height, size.height_m) / size.height_m, 0.03, 0.9))
+        wanted = float(np.clip(size.crown_base_m / size.height_m, 0.03, 0.9))
+        length_m = own * (wanted / usual) * (1.0 - usual) / (1.0 - wanted)
+        return parameters.model_copy(update={"trunk_length_m": ((0.0, length_m),)})
+
     def in_wind(self, parameters: _Parameters) -> _Parameters:
         """See `plants.parameters.Sways`."""
         if parameters.wind.speed_undirected * (1.0 - parameters.stiffness) > 0.0:
@@ -298,6 +307,7 @@ class StrandGenerator:
         width_m: float,
         rng: np.random.Generator,
         times_s: Iterable[float],
+        tree: TreeSize | None = None,
     ) -> Iterator[Skeleton]:
         """See `plants.parameters.Sways`. The fit is that of the plant at rest, so that its size does not breathe.
 
@@ -305,11 +315,16 @@ class StrandGenerator:
         """
         if parameters.variation is not None:
             raise RecipeError("a plant with a variation has no poses in the wind", where="plant.variation")
-        wood_rng, foliage_rng = rng.spawn(2)
+        if tree is not None:
+            parameters = self.shaped(parameters, tree)
+        wood_rng, foliage_rng, *_, leaf_rng = rng.spawn(5)  # as build_exemplar's
         branching, rest, organs, phases_rad = grow_at_rest(parameters, height_m, wood_rng)
         at_rest = skeleton_of(parameters, branching, rest, organs)
         placed = parameters.place_foliage(at_rest, height_m, foliage_rng)
         at_rest = replace(at_rest, organs=(*at_rest.organs, *placed))
+        if tree is not None:
+            yield from self._tree_poses(parameters, branching, rest, at_rest, phases_rad, leaf_rng, times_s, tree)
+            return
         fitted = fit(at_rest, parameters.templates(), parameters.fit, height_m, width_m)
         stretch = _largest(fitted.position_m) / np.maximum(_largest(at_rest.position_m), 1e-9)
         for time_s in times_s:
@@ -320,6 +335,29 @@ class StrandGenerator:
                 for placement, final in zip(at_rest.organs, fitted.organs, strict=True)
             )
             yield replace(fitted, position_m=(stance.position_m * stretch).astype(np.float32), organs=organs)
+
+    def _tree_poses(
+        self,
+        parameters: _Parameters,
+        branching: Branching,
+        rest: Pose,
+        at_rest: Skeleton,
+        phases_rad: Floats,
+        leaf_rng: np.random.Generator,
+        times_s: Iterable[float],
+        tree: TreeSize,
+    ) -> Iterator[Skeleton]:
+        """Poses of a tree of given sizes."""
+        shapes = parameters.shapes
+        leafy = fit_leaves(at_rest, shapes, tree.leaf_area_m2, leaf_rng)
+        stretch = stretch_to(leafy, parameters.templates(), blade_areas_m2(shapes), tree)
+        still = fit_wood(stretch.skeleton(leafy), parameters.wood.flare, tree.dbh_m)
+        for time_s in times_s:
+            wind = parameters.wind.model_copy(update={"time_s": time_s})
+            stance = pose(branching, wind, parameters.stiffness, phases_rad)
+            organs = stretch.organs([carried(one, rest, stance) for one in leafy.organs])
+            position_m = stretch.points(stance.position_m.astype(np.float64)).astype(np.float32)
+            yield replace(still, position_m=position_m, organs=organs)
 
 
 def _largest(position_m: NDArray[np.float32]) -> Floats:

@@ -1,0 +1,255 @@
+"""A tree of given sizes: height, crown width, stem diameter, crown base and leaf area.
+
+A generator grows a plant of about the right height and width. Here it gets the other sizes too:
+
+- Leaves: their number and their size share the change. What is too many is left out at random, so that the crown keeps
+  its form; of what is too few, some leaves get others beside them.
+- Heights are stretched apart above and below the crown's base, which is the height that 2% of the leaf area lie below,
+  widths throughout, until the geometry's extents fit. Organs keep their attitude.
+- Wood is made thinner or thicker by a power of its radius, so that the stem has its diameter 1.3 m above the ground,
+  flare included, and the finest twigs stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from forestgen.core.frames import BREAST_HEIGHT_M
+from forestgen.core.parts import Part
+from forestgen.geometry.mesh import Bools, Floats, Mesh, surface_area_m2
+from forestgen.plants.organs.base import OrganForm
+from forestgen.plants.skeleton import OrganPlacements, Skeleton
+
+BELOW_CROWN = 0.02  # share of the leaf area below the crown's base
+_ROUNDS = 12
+_LEAF_SIZE = (0.5, 1.25)  # factor on the length of leaves; their number makes up for the rest
+_SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the length
+_MOST_LEAVES = 8.0  # times as many leaves as the generator placed
+_TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
+_POWER = (0.3, 3.0)  # of the radius
+_HIGHEST_BASE, _LOWEST_BASE = 0.95, 0.02  # of the crown, over the height, where heights are stretched apart
+
+
+@dataclass(frozen=True)
+class TreeSize:
+    """What a tree's geometry is made to measure."""
+
+    height_m: float
+    crown_width_m: float  # mean of the extents in x and y
+    dbh_m: float  # outside bark at 1.3 m; NaN below that height
+    crown_base_m: float
+    leaf_area_m2: float  # one side
+
+
+def blade_areas_m2(shapes: Mapping[str, OrganForm]) -> dict[str, float]:
+    """Area of the blades of one organ of each shape, one side, at size 1: what `build.leaf_area_m2` counts."""
+    stalks = {getattr(shape, "stalk_material", None) for shape in shapes.values()}
+    stalks -= {shape.material for shape in shapes.values()}
+    return {
+        name: sum(
+            surface_area_m2(piece.mesh)
+            for piece in shape.pieces()
+            if piece.part == Part.LEAF and piece.material not in stalks
+        )
+        for name, shape in shapes.items()
+    }
+
+
+def fit_tree(
+    skeleton: Skeleton,
+    shapes: Mapping[str, OrganForm],
+    templates: Mapping[str, Mesh],
+    flare: float,
+    size: TreeSize,
+    rng: np.random.Generator,
+) -> Skeleton:
+    """The tree at its sizes. `flare`: of the stem's foot, see `plants.parameters.Wood`."""
+    leafy = fit_leaves(skeleton, shapes, size.leaf_area_m2, rng)
+    stretched = stretch_to(leafy, templates, blade_areas_m2(shapes), size).skeleton(leafy)
+    return fit_wood(stretched, flare, size.dbh_m)
+
+
+def fit_leaves(
+    skeleton: Skeleton, shapes: Mapping[str, OrganForm], leaf_area_m2: float, rng: np.random.Generator
+) -> Skeleton:
+    """The skeleton with leaves of this area; organs without blades stay."""
+    blade = blade_areas_m2(shapes)
+    made = sum(float(np.sum(_areas(one, blade))) for one in skeleton.organs)
+    if made <= 0.0:
+        return skeleton
+    ratio = leaf_area_m2 / made
+    size = float(np.clip(ratio**_SIZE_SHARE, *_LEAF_SIZE))
+    number = min(ratio / size**2, _MOST_LEAVES)
+    organs = []
+    for one in skeleton.organs:
+        if blade[one.shape] <= 0.0 or not len(one.node):
+            organs.append(one)
+            continue
+        frame = one.frame.copy()
+        frame[:, :, :3] *= np.float32(size)
+        organs.append(_numbered(replace(one, frame=frame), number, skeleton, rng))
+    left = sum(float(np.sum(_areas(one, blade))) for one in organs)
+    last = np.float32(np.clip(np.sqrt(leaf_area_m2 / left), 0.9, 1.1)) if left > 0.0 else np.float32(1.0)
+    for one in organs:
+        if blade[one.shape] > 0.0:
+            one.frame[:, :, :3] *= last  # whole numbers of leaves are not all
+    return replace(skeleton, organs=tuple(organs))
+
+
+def _areas(organs: OrganPlacements, blade: Mapping[str, float]) -> Floats:
+    """(M,) blade area of each organ."""
+    size = np.linalg.norm(organs.frame[:, :, 1].astype(np.float64), axis=1)
+    return np.asarray(blade[organs.shape] * size**2)
+
+
+def _numbered(organs: OrganPlacements, number: float, skeleton: Skeleton, rng: np.random.Generator) -> OrganPlacements:
+    """So many times the organs: some of them, or all and some once more, turned and moved along their twig."""
+    count = len(organs.node)
+    rank = rng.permutation(count)  # an organ's own: more organs include those of fewer
+    copies = (round(number * count) - rank + count - 1) // count
+    chosen = np.repeat(np.arange(count), np.maximum(copies, 0))
+    turn, along = rng.uniform(0.6, 2.0 * np.pi - 0.6, len(chosen)), rng.uniform(0.15, 0.85, len(chosen))
+    first = np.ones(len(chosen), dtype=bool)
+    first[1:] = chosen[1:] != chosen[:-1]
+    frame, node = organs.frame[chosen], organs.node[chosen]
+    more = ~first
+    cos, sin = np.cos(turn[more]), np.sin(turn[more])
+    x, y = frame[more, 0, :3].copy(), frame[more, 1, :3].copy()
+    frame[more, 0, :3] = cos[:, None] * x - sin[:, None] * y
+    frame[more, 1, :3] = sin[:, None] * x + cos[:, None] * y
+    bearer = skeleton.parent[node[more]]
+    way = skeleton.position_m[np.maximum(bearer, 0)] - skeleton.position_m[node[more]]
+    frame[more, :, 3] += along[more, None].astype(np.float32) * way
+    return OrganPlacements(organs.shape, frame.astype(np.float32), node)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Widths times `wide`; heights below `knee` and above it each in proportion, so that it comes to `base`."""
+
+    wide: float
+    knee: float
+    base: float
+    raw_top: float
+    top: float  # where `raw_top` comes to
+
+    def heights(self, z: Floats) -> Floats:
+        above = self.base + (z - self.knee) * ((self.top - self.base) / (self.raw_top - self.knee))
+        return np.where(z < self.knee, z * (self.base / self.knee), above)
+
+    def points(self, points: Floats) -> Floats:
+        """(M, 3) points stretched."""
+        return np.concatenate([points[:, :2] * self.wide, self.heights(points[:, 2:])], axis=1)
+
+    def organs(self, organs: Sequence[OrganPlacements]) -> tuple[OrganPlacements, ...]:
+        """The organs at their stretched places, of the same size and attitude."""
+        moved = []
+        for one in organs:
+            frame = one.frame.copy()
+            frame[:, :, 3] = self.points(frame[:, :, 3].astype(np.float64))
+            moved.append(replace(one, frame=frame))
+        return tuple(moved)
+
+    def skeleton(self, skeleton: Skeleton) -> Skeleton:
+        position_m = self.points(skeleton.position_m.astype(np.float64)).astype(np.float32)
+        return replace(skeleton, position_m=position_m, organs=self.organs(skeleton.organs))
+
+
+def stretch_to(
+    skeleton: Skeleton, templates: Mapping[str, Mesh], blade: Mapping[str, float], size: TreeSize
+) -> Stretch:
+    """What gives the skeleton, with its organs, the tree's height, crown width and crown base."""
+    feet, low, high, area = _organ_boxes(skeleton.organs, templates, blade)
+    nodes = skeleton.position_m.astype(np.float64)
+    raw_top = max(float((feet + high)[:, 2].max()), float(nodes[:, 2].max()), 1e-6)
+    middle = 0.5 * (low + high)[:, 2]
+    found = _low_quantile(feet[:, 2] + middle, area)
+    knee = float(np.clip(0.5 * raw_top if found is None else found, 0.05 * raw_top, 0.9 * raw_top))
+    wanted = float(np.clip(size.crown_base_m, _LOWEST_BASE * size.height_m, _HIGHEST_BASE * size.height_m))
+    base = knee * size.height_m / raw_top if found is None else wanted
+    wide = size.crown_width_m / max(_mean_width(nodes, feet + low, feet + high), 1e-6)
+    span = max(_mean_width(nodes, feet, feet), 1e-6)
+    stretch = Stretch(wide, knee, base, raw_top, size.height_m)
+    for _ in range(_ROUNDS):
+        at = stretch.heights(feet[:, 2])
+        top = max(float((at + high[:, 2]).max()), float(stretch.heights(nodes[:, 2]).max()))
+        wood, organs = stretch.points(nodes), stretch.points(feet)
+        width = _mean_width(wood, organs + low, organs + high)
+        wide = stretch.wide + (size.crown_width_m - width) / span
+        if found is not None:
+            made = _low_quantile(at + middle, area)
+            base = float(np.clip(stretch.base + wanted - (made or 0.0), 0.2 * wanted, _HIGHEST_BASE * stretch.top))
+        stretch = replace(
+            stretch,
+            wide=float(np.clip(wide, 0.05 * stretch.wide, 20.0 * stretch.wide)),
+            base=base,
+            top=max(stretch.top + size.height_m - top, 0.2 * size.height_m, 1.02 * base),
+        )
+    return stretch
+
+
+def _mean_width(nodes: Floats, low: Floats, high: Floats) -> float:
+    """Mean of the extents in x and y of nodes and organs' boxes."""
+    least = np.minimum(nodes[:, :2].min(axis=0), low[:, :2].min(axis=0))
+    most = np.maximum(nodes[:, :2].max(axis=0), high[:, :2].max(axis=0))
+    return float(np.mean(most - least))
+
+
+def _organ_boxes(
+    organs: Sequence[OrganPlacements], templates: Mapping[str, Mesh], blade: Mapping[str, float]
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Feet of all organs, the corners of their boxes relative to them, each (M, 3), and (M,) areas of their blades."""
+    feet, low, high, area = [np.zeros((1, 3))], [np.zeros((1, 3))], [np.zeros((1, 3))], [np.zeros(1)]
+    for one in organs:
+        reach = templates[one.shape].vertices_m @ one.frame[:, :, :3].transpose(0, 2, 1)
+        feet.append(one.frame[:, :, 3].astype(np.float64))
+        low.append(reach.min(axis=1).astype(np.float64))
+        high.append(reach.max(axis=1).astype(np.float64))
+        area.append(_areas(one, blade))
+    return np.concatenate(feet), np.concatenate(low), np.concatenate(high), np.concatenate(area)
+
+
+def _low_quantile(height_m: Floats, area: Floats) -> float | None:
+    """Height below which `BELOW_CROWN` of the area lies; None without leaves."""
+    total = float(area.sum())
+    if total <= 0.0:
+        return None
+    order = np.argsort(height_m, kind="stable")
+    return float(height_m[order][np.searchsorted(np.cumsum(area[order]), BELOW_CROWN * total)])
+
+
+def fit_wood(skeleton: Skeleton, flare: float, dbh_m: float) -> Skeleton:
+    """Wood thinner or thicker, so that the stem has this diameter at breast height; the skeleton at its final size."""
+    stem = _stem(skeleton)
+    heights = np.maximum.accumulate(skeleton.position_m[stem, 2].astype(np.float64))
+    radius = skeleton.radius_m.astype(np.float64)
+    if not np.isfinite(dbh_m) or len(heights) < 2 or float(heights.max()) <= BREAST_HEIGHT_M:
+        return skeleton
+    twig = min(_TWIG_RADIUS_M, 0.1 * dbh_m)
+
+    def powered(power: float) -> Floats:
+        return np.where(radius > twig, twig * (radius / twig) ** power, radius)
+
+    def diameter(power: float) -> float:
+        now = powered(power)[stem]
+        widened = 1.0 + flare * np.exp(-BREAST_HEIGHT_M / (3.5 * max(float(now[0]), 1e-9)))
+        return float(2.0 * np.interp(BREAST_HEIGHT_M, heights, now) * widened)
+
+    low, high = _POWER
+    for _ in range(40):  # the diameter rises with the power
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if diameter(middle) < dbh_m else (low, middle)
+    made = powered(low)
+    thin = np.minimum(1.0, dbh_m / diameter(low))  # where no power is small enough
+    return replace(skeleton, radius_m=(made * thin).astype(np.float32))
+
+
+def _stem(skeleton: Skeleton) -> Bools:
+    """(N,) nodes of the first stem, from the foot on, as long as they rise."""
+    axis = skeleton.axis[min(1, len(skeleton.axis) - 1)]
+    own = skeleton.axis == axis
+    own[0] = True
+    return own

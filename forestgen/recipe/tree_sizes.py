@@ -1,0 +1,160 @@
+"""Sizes of trees by their height: stem diameter, crown width, crown length and leaf mass, with their spread.
+
+Of a tree of height H metres, with D the diameter at breast height::
+
+    D = d ((H - 1.3) / 8.7)^p e^x
+    W, M, C / (H - C) = v (H / 10)^p (D / D(H))^q e^x      D(H): the median diameter at this height
+
+for crown width W, dry leaf mass M and crown length C. Each x is a normal number of the tree's own, of standard
+deviation s + t ln(H / 10); so trees of one height differ, and a tree with a stouter stem than others has a wider,
+longer and leafier crown. Competition shifts D: what grows in the open is stouter, what is suppressed is slender.
+
+Below 3 m, where few trees are measured, a seedling is a smaller tree: W is in proportion to H, M to H^2.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from forestgen.core.frames import BREAST_HEIGHT_M
+from forestgen.recipe.fields import NonNegative, Number, Positive, Section, Text
+
+Floats = NDArray[np.float64]
+Grown = Literal["stand", "open", "suppressed"]
+
+NUMBERS = 4  # standard normal numbers of a tree: of D, W, C and M
+MOST_NORMAL = 2.5  # a tree's own numbers are no further from 0
+_SAPLING_M = 3.0
+_LEAF_POWER = 2.5
+_ABOVE_BREAST_M = 10.0 - BREAST_HEIGHT_M
+_SPREAD = (0.02, 1.0)
+_WIDEST = 1.2  # crown width over height, whatever the allometry says
+_CROWN = (0.1, 0.98)  # crown length over height
+_LEAST_DBH_M = 0.002
+
+
+class SizeLaw(Section):
+    """Median and spread of one size over the height of a tree, and how it follows the stem's diameter."""
+
+    at_10_m: Positive = Field(description="Median of trees 10 m tall.")
+    height_exponent: Number = Field(0.0, ge=-5, le=6, description="Power p of the height.")
+    dbh_exponent: Number = Field(0.0, ge=-1, le=5, description="Power q of the diameter over its median.")
+    spread: NonNegative = Field(0.0, le=1, description="Standard deviation s of the logarithm, 10 m tall.")
+    spread_slope: Number = Field(0.0, ge=-1, le=1, description="Its change t with the logarithm of the height.")
+
+    def log_median(self, log_height: Floats) -> Floats:
+        """Logarithm of the median; `log_height`: of the height over 10 m."""
+        return np.asarray(np.log(self.at_10_m) + self.height_exponent * log_height)
+
+    def deviation(self, log_height: Floats) -> Floats:
+        return np.asarray(np.clip(self.spread + self.spread_slope * log_height, *_SPREAD))
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Sizes of N trees, each (N,)."""
+
+    dbh_m: Floats  # NaN of trees below breast height
+    crown_width_m: Floats
+    crown_base_m: Floats  # height above the foot
+    leaf_kg: Floats  # dry
+
+
+class TreeSizes(Section):
+    """How a species' trees are proportioned, where they grow in a closed stand."""
+
+    dbh_m: SizeLaw = Field(description="Diameter at breast height, metres; its power is that of height above 1.3 m.")
+    crown_width_m: SizeLaw = Field(description="Mean diameter of the crown, metres.")
+    crown_ratio: SizeLaw = Field(description="Crown length over the length of the stem below it.")
+    leaf_kg: SizeLaw = Field(description="Dry mass of the leaves, kg.")
+    open_grown: Positive = Field(
+        1.5, ge=1, le=4, description="Diameter of a tree without neighbours over that of one in a stand, equally tall."
+    )
+    suppressed: Positive = Field(
+        0.85, ge=0.3, le=1, description="The same of a tree that taller ones have overgrown: below 1, slender."
+    )
+    source: Text = Field("", max_length=500, description="Where the numbers come from.")
+
+    def shift(self, grown: Grown) -> float:
+        """Logarithm of the diameter over that of a tree in a stand."""
+        return float(np.log({"stand": 1.0, "open": self.open_grown, "suppressed": self.suppressed}[grown]))
+
+    def log_dbh(self, height_m: Floats) -> Floats:
+        """Logarithm of the median diameter; of trees below breast height that of the least one."""
+        above = np.maximum(height_m - BREAST_HEIGHT_M, 1e-3) / _ABOVE_BREAST_M
+        return np.maximum(self.dbh_m.log_median(np.log(above)), np.log(_LEAST_DBH_M))
+
+    def sizes(
+        self, height_m: Floats, normals: Floats, shift: Floats | float = 0.0, dbh_m: Floats | None = None
+    ) -> Sizes:
+        """Sizes of trees.
+
+        Parameters
+        ----------
+        height_m : (N,) heights, above 0.
+        normals : (N, 4) standard normal numbers of each tree's own, for diameter, width, crown length and leaves.
+        shift : (N,) logarithm of the diameter over its median that competition makes, before the tree's own number.
+        dbh_m : (N,) diameters that are known; NaN, None: by the allometry.
+        """
+        own = np.clip(normals, -MOST_NORMAL, MOST_NORMAL)
+        log_height = np.log(np.maximum(height_m, _SAPLING_M) / 10.0)
+        median = self.log_dbh(height_m)
+        relative = shift + self.dbh_m.deviation(np.log(np.maximum(height_m, 0.1) / 10.0)) * own[:, 0]
+        if dbh_m is not None:
+            known = np.log(np.maximum(np.where(np.isnan(dbh_m), 1.0, dbh_m), 1e-4)) - median
+            relative = np.where(np.isnan(dbh_m), relative, known)
+        relative = np.broadcast_to(relative, height_m.shape)
+
+        def of(law: SizeLaw, column: int) -> Floats:
+            value = law.log_median(log_height) + law.dbh_exponent * relative
+            return np.asarray(np.exp(value + law.deviation(log_height) * own[:, column]))
+
+        sapling = np.asarray(np.minimum(height_m / _SAPLING_M, 1.0))
+        odds = of(self.crown_ratio, 2)
+        diameter = np.exp(median + relative)
+        return Sizes(
+            dbh_m=np.where(height_m > BREAST_HEIGHT_M, diameter, np.nan),
+            crown_width_m=np.minimum(of(self.crown_width_m, 1) * sapling, _WIDEST * height_m),
+            crown_base_m=height_m * (1.0 - np.clip(odds / (1.0 + odds), *_CROWN)),
+            leaf_kg=of(self.leaf_kg, 3) * sapling**_LEAF_POWER,
+        )
+
+    def height_of(self, dbh_m: Floats, normals: Floats, shift: Floats | float = 0.0) -> Floats:
+        """(N,) heights of trees whose diameters are known: the diameter's allometry the other way round.
+
+        The height is the most likely one of a tree of this diameter in a stand of all heights where its own number and
+        the height share the deviation evenly: the number counts half.
+        """
+        own = np.clip(normals[:, 0], -MOST_NORMAL, MOST_NORMAL)
+        height = np.full(dbh_m.shape, 10.0)
+        for _ in range(20):
+            spread = self.dbh_m.deviation(np.log(np.maximum(height, 0.1) / 10.0))
+            wanted = np.log(dbh_m) - shift - 0.5 * spread * own - np.log(self.dbh_m.at_10_m)
+            above = np.exp(wanted / max(self.dbh_m.height_exponent, 0.1))
+            height = BREAST_HEIGHT_M + _ABOVE_BREAST_M * above
+        return np.asarray(height)
+
+
+def own_normals(seed: int, plant_id: NDArray[np.unsignedinteger]) -> Floats:
+    """(N, 4) standard normal numbers of trees, each of the seed and the tree's own id alone."""
+    from scipy.special import ndtri  # slow to import
+
+    key = np.uint64(seed & (2**64 - 1))
+    with np.errstate(over="ignore"):
+        state = (plant_id.astype(np.uint64)[:, None] << np.uint64(3)) + np.arange(NUMBERS, dtype=np.uint64)
+        bits = _mixed(_mixed(state) ^ _mixed(np.full(1, key)))
+    uniform = (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53 + 2.0**-54
+    return np.asarray(ndtri(uniform))
+
+
+def _mixed(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """SplitMix64 (Steele, Lea & Flood 2014, Fast splittable pseudorandom number generators): one to one, well mixed."""
+    value = value + np.uint64(0x9E3779B97F4A7C15)
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return np.asarray(value ^ (value >> np.uint64(31)))
