@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 _MOST_FILES = 6  # named one by one
 _OPTIONS = (  # of `grow_files`
-    "height_m", "grown", "seed", "frames", "frames_per_s", "detail", "wood_triangles", "size_px", "samples", "distance_m",
-    "look_at_m", "overwrite",
+    "height_m", "grown", "seed", "frames", "frames_per_s", "detail", "wood_triangles", "size_px", "samples",
+    "distance_m", "look_at_m", "overwrite",
 )  # fmt: skip
 
 

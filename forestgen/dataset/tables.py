@@ -16,6 +16,7 @@ or nothing there. How the image's columns are defined stands in `forestgen.label
 | exemplar | uint32 | which of the modelled plants stands for it | |
 | crown_width_m | double | mean of the extents along its own x and y | |
 | dbh_m | double | stem diameter at 1.3 m | no living stem there |
+| crown_base_m | double | height that 2% of the leaf area lie below | no leaves |
 | leaf_area_m2 | double | one side of all blades | |
 | distance_m | double | from the camera to the stem base | |
 | visible_pixels | int64 | pixels won in the instance mask | |
@@ -82,7 +83,7 @@ def plants_table(labelled: LabelledFrame) -> Any:
         "status": _column("uint8", population.status),
         "adaptation": _numbers(np.asarray(adaptation, dtype=np.float64)),
         "exemplar": _column("uint32", labelled.measures.exemplar),
-        **_attributes(labelled.measures, "crown_width_m", "dbh_m", "leaf_area_m2"),
+        **_attributes(labelled.measures, "crown_width_m", "dbh_m", "crown_base_m", "leaf_area_m2"),
         **_attributes(views, "distance_m"),
         "visible_pixels": _column("int64", visible.visible_pixels),
         **_attributes(visible, "visible_area_px"),

@@ -250,6 +250,6 @@ def fit_wood(skeleton: Skeleton, flare: float, dbh_m: float) -> Skeleton:
 def _stem(skeleton: Skeleton) -> Bools:
     """(N,) nodes of the first stem, from the foot on, as long as they rise."""
     axis = skeleton.axis[min(1, len(skeleton.axis) - 1)]
-    own = skeleton.axis == axis
+    own: Bools = skeleton.axis == axis
     own[0] = True
     return own

@@ -146,8 +146,11 @@ def own_normals(seed: int, plant_id: NDArray[np.unsignedinteger]) -> Floats:
 
     key = np.uint64(seed & (2**64 - 1))
     with np.errstate(over="ignore"):
-        state = (plant_id.astype(np.uint64)[:, None] << np.uint64(3)) + np.arange(NUMBERS, dtype=np.uint64)
-        bits = _mixed(_mixed(state) ^ _mixed(np.full(1, key)))
+        ids = np.asarray(plant_id, dtype=np.uint64)[:, None]
+        state = np.asarray((ids << np.uint64(3)) + np.arange(NUMBERS, dtype=np.uint64), dtype=np.uint64)
+        bits: NDArray[np.uint64] = _mixed(
+            np.asarray(_mixed(state), dtype=np.uint64) ^ _mixed(np.full(1, key, dtype=np.uint64))
+        )
     uniform = (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53 + 2.0**-54
     return np.asarray(ndtri(uniform))
 

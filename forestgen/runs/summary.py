@@ -117,11 +117,11 @@ def _size_errors(errors: Sequence[Mapping[str, Any]]) -> list[str]:
     """How well the exemplars stand for the plants: root mean squares of relative errors."""
     if not errors:
         return []
-    rows = [("species", "plants", "exemplars", "rms size error", "rms crown width error")]
+    rows = [("species", "plants", "exemplars", "rms size error", "rms crown width error", "rms diameter error")]
     for one in errors:
         rms = (
-            "-" if one[name] is None else f"{100 * one[name]:.1f} %"  # no species of its kind has a crown
-            for name in ("radius_rms", "crown_width_rms")
+            "-" if one[name] is None else f"{100 * one[name]:.1f} %"  # no plant of its kind has it
+            for name in ("radius_rms", "crown_width_rms", "dbh_rms")
         )
         rows.append((one["species"], f"{one['plants']:,}", f"{one['exemplars']:,}", *rms))
     return table_lines(rows)

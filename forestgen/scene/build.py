@@ -23,6 +23,7 @@ from forestgen.scene.site import sky_of, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from forestgen.scene.surfaces import infrared_notes, materials_of, surface_of
 from forestgen.scene.terrain import HeightField, build_terrain
+from forestgen.scene.tree_exemplars import instance_scales, tree_sizes_of
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.views import check_trunks, drawn_cameras, next_frame
 from forestgen.scene.wind import Sway, spec_at, sway_in
@@ -142,7 +143,8 @@ def place_instances(
     stands_for_m: NDArray[np.float64] | None = None,
     is_unique: NDArray[np.bool_] | None = None,
 ) -> Instances:
-    """One instance a plant: its exemplar scaled to the plant's exact height and turned by the plant's own angle.
+    """One instance a plant: its exemplar scaled to the plant's exact height, a tree's also to its crown width, and
+    turned by the plant's own angle.
 
     The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it; a community
     that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not.
@@ -156,15 +158,17 @@ def place_instances(
     heights = np.array([exemplar.height_m for exemplar in exemplars], dtype=np.float64)
     if stands_for_m is not None:
         heights = np.where(np.isnan(stands_for_m), heights, stands_for_m)
-    scale = population.height_m / heights[exemplar_of_plant]
+    widths = np.array([exemplar.crown_width_m for exemplar in exemplars], dtype=np.float64)
+    sizes = tree_sizes_of(population)
+    scale, across = instance_scales(sizes, population.height_m, exemplar_of_plant, heights, widths)
     angle = np.array([child_rng(seed, "plant", int(i)).random() for i in population.plant_id]) * 2 * np.pi
     if "azimuth_deg" in population.columns:
         turned = -np.radians(population.columns["azimuth_deg"].astype(np.float64))
         angle = np.where(np.isnan(turned), angle, turned)
     if is_unique is not None:
         own = is_unique[exemplar_of_plant]
-        scale, angle = np.where(own, 1.0, scale), np.where(own, 0.0, angle)
-    cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
+        scale, across, angle = np.where(own, 1.0, scale), np.where(own, 1.0, across), np.where(own, 0.0, angle)
+    cos, sin = np.cos(angle) * across, np.sin(angle) * across
     zero = np.zeros_like(cos)
     transform = np.empty((len(population), 3, 4))
     transform[:, :, :3] = np.array([[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]]).transpose(2, 0, 1)

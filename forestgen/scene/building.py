@@ -13,7 +13,7 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.registries import BUILDINGS
 from forestgen.recipe.species import Building, Material
-from forestgen.scene.exemplars import ExemplarPlan
+from forestgen.scene.exemplar_plan import ExemplarPlan
 
 KeysT = TypeVar("KeysT", bound=Building)
 

@@ -4,6 +4,7 @@ Each species' plants fall into at most `exemplars_per_species` clusters. One pla
 the same size and different seed (variants), which the cluster's plants share among them.
 
 The clusters are of the radius, in its logarithm, so that errors are relative: a sapling's counts as much as a tree's.
+Of trees see `tree_exemplars`.
 A trait, such as the age, is a further dimension. It is standardised among the species' plants (mean 0, standard
 deviation 1) and multiplied by `TRAIT_WEIGHT` times the standard deviation of the logarithm of the radius, at least
 `LEAST_SPREAD`: a trait counts half as much as the size, since the size is what the geometry follows. Values that are no
@@ -35,7 +36,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,14 +46,16 @@ from forestgen.core.randomness import child_rng, child_seed
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Species
 from forestgen.recipe.suggestions import did_you_mean
+from forestgen.scene.exemplar_plan import OF_EXEMPLARS, SIZE_STEP, ExemplarPlan, cluster, rung_of, rungs_of
+from forestgen.scene.tree_exemplars import LibraryTree, instance_scales, plan_library_trees, plan_trees, tree_sizes_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+
 TRAIT_WEIGHT = 0.5  # of a trait against the radius
 LEAST_SPREAD = 0.1  # standard deviation of the radius' logarithm at least, where traits are weighed against it
-SIZE_STEP = 1.25  # of radii: a plant is at most 12% from its rung
 SLENDERNESS_STEP = 1.15  # of the scale of the heights' allometry, which a recipe may draw for each image
 LEAST_PIXELS = 24.0  # height of a unique plant in the image that shows it largest
 MOST_TRIANGLES = 10_000_000  # of all unique plants
@@ -63,71 +65,14 @@ _OWN_TRAITS = ("age_yr", "height_m")  # columns that every population has, besid
 
 
 @dataclass(frozen=True)
-class ExemplarPlan:
-    """Which exemplars to grow, and which plant uses which. Every exemplar has plants."""
-
-    species: NDArray[np.uint16]  # (E,) index into the population's species_names
-    radius_m: Floats  # (E,) size of each exemplar
-    rank: Ints  # (E,) of its cluster among the species', by radius: 0, 1, ...; of a library, its rung
-    variant: Ints  # (E,) which of the plants of that size
-    level: Ints  # (E,) index of its level of detail, see plants/levels.py: 0 is all detail
-    exemplar_of_plant: NDArray[np.uint32]  # (N,) index into the exemplars
-    plant: Ints  # (E,) row of the plant whose own branches it has; -1: its species' generator grows it by its radius
-    is_unique: NDArray[np.bool_]  # (E,) of that plant alone, which keeps its place, size and attitude
-
-    def __len__(self) -> int:
-        return len(self.radius_m)
-
-    @classmethod
-    def of_species(
-        cls,
-        index: int,
-        radius_m: Floats,
-        exemplar_of_plant: NDArray[np.integer],
-        *,
-        rank: Ints | None = None,
-        plant: Ints | None = None,
-        unique: int = 0,
-    ) -> ExemplarPlan:
-        """Exemplars of one species, variant 0 with all detail; the first `unique` are of one plant alone."""
-        count = len(radius_m)
-        zeros = np.zeros(count, dtype=np.int64)
-        return cls(
-            species=np.full(count, index, dtype=np.uint16),
-            radius_m=radius_m,
-            rank=np.arange(count) if rank is None else rank,
-            variant=zeros,
-            level=zeros,
-            exemplar_of_plant=exemplar_of_plant.astype(np.uint32),
-            plant=zeros - 1 if plant is None else plant,
-            is_unique=np.arange(count) < unique,
-        )
-
-    def stands_for_m(self, height_m: Floats) -> Floats:
-        """(E,) height of the plant whose own branches each exemplar has, of (N,) of the plants; NaN: of none."""
-        own, found = self.plant >= 0, np.full(len(self), np.nan)
-        found[own] = height_m[self.plant[own]]
-        return found
-
-    def split(self, field: Literal["variant", "level"], value_of_plant: Ints) -> ExemplarPlan:
-        """An exemplar for each pair of exemplar and value that some plant has, in the order of both."""
-        pairs = np.stack([self.exemplar_of_plant.astype(np.int64), value_of_plant], axis=1)
-        used, chosen = np.unique(pairs, axis=0, return_inverse=True)
-        columns = {name: getattr(self, name)[used[:, 0]] for name in _OF_EXEMPLARS} | {field: used[:, 1]}
-        return ExemplarPlan(**columns, exemplar_of_plant=chosen.reshape(-1).astype(np.uint32))
-
-
-_OF_EXEMPLARS = ("species", "radius_m", "rank", "variant", "level", "plant", "is_unique")
-
-
-@dataclass(frozen=True)
 class SizeError:
     """How far the exemplars' proportions are from the plants' own. Heights are exact: instances are scaled."""
 
     species: str
     plants: int
     exemplars: int
-    radius_rms: float  # root mean square of (exemplar radius / plant radius - 1)
+    radius_rms: float | None  # root mean square of (exemplar radius / plant radius - 1); None: trees, built to sizes
+    dbh_rms: float | None  # of (scaled exemplar's diameter / tree's - 1); None: no trees
     crown_width_rms: float | None  # of (scaled exemplar's crown width / allometric width - 1); None without a crown
 
 
@@ -155,6 +100,7 @@ def plan_exemplars(
     variants: int = 1,
     given: Mapping[int, ExemplarPlan] | None = None,
     library: int | None = None,
+    library_tree: LibraryTree | None = None,
 ) -> ExemplarPlan:
     """Cluster each species' plants into at most `per_species` sizes; species without plants get none.
 
@@ -165,11 +111,13 @@ def plan_exemplars(
     given : plans of species that have one, by their index, see `plan_own`; `exemplar_of_plant` of those
         has a species' plants alone.
     library : variants of each size that all images share, instead of clusters; `variants` of these are shown.
+    library_tree : of these, the sizes of a species' tree by its rung of height and its variant.
     """
     columns = [
         np.asarray(getattr(population, trait) if trait in _OWN_TRAITS else population.columns[trait], dtype=np.float64)
         for trait in traits
     ]
+    sizes, radius_m = tree_sizes_of(population), population.radius_m
     own = np.array([child_seed(seed, "variant", int(i)) % variants for i in population.plant_id], dtype=np.int64)
     parts: list[ExemplarPlan] = []
     for index, name in enumerate(population.species_names):
@@ -178,6 +126,13 @@ def plan_exemplars(
             continue
         if given is not None and index in given:
             part = given[index]
+        elif library is not None and library_tree is not None and np.isfinite(sizes[rows, 0]).all():
+            part = plan_library_trees(
+                index, name, sizes[rows], radius_m[rows], per_species, seed, (library, variants), library_tree
+            )
+        elif np.isfinite(sizes[rows, 0]).all():
+            part = plan_trees(index, sizes[rows], radius_m[rows], per_species, child_seed(seed, "k-means", name))
+            part = part.split("variant", own[rows])
         elif library is not None:
             rungs, label = np.unique(rungs_of(population.radius_m[rows], per_species), return_inverse=True)
             # By rung, the variants of a size that the image has, of as many as the library has.
@@ -201,7 +156,7 @@ def _joined(parts: Sequence[ExemplarPlan], species: NDArray[np.uint16]) -> Exemp
         assignment[species == part.species[0]] = before + part.exemplar_of_plant
         before += len(part)
     none = ExemplarPlan.of_species(0, np.zeros(0), assignment)
-    columns = {name: np.concatenate([getattr(part, name) for part in (none, *parts)]) for name in _OF_EXEMPLARS}
+    columns = {name: np.concatenate([getattr(part, name) for part in (none, *parts)]) for name in OF_EXEMPLARS}
     return ExemplarPlan(**columns, exemplar_of_plant=assignment)
 
 
@@ -217,20 +172,6 @@ def _features(radius_m: Floats, traits: Sequence[Floats]) -> Floats:
     return np.stack(columns, axis=1)
 
 
-def cluster(features: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:
-    """Centres, sorted by their first feature and then the next, and each row's centre."""
-    distinct, rank = np.unique(features, axis=0, return_inverse=True)
-    if len(distinct) <= clusters:
-        return distinct, rank.reshape(-1)
-    from forestgen.scene.k_means import k_means  # brings SciPy's BLAS
-
-    centres, labels = k_means(features, clusters, seed)
-    order = np.lexsort(centres.T[::-1])
-    place = np.empty(clusters, dtype=np.int64)
-    place[order] = np.arange(clusters)
-    return centres[order], place[labels]
-
-
 def size_errors(
     population: Population,
     plan: ExemplarPlan,
@@ -243,46 +184,32 @@ def size_errors(
     `exemplar_height_m`, `exemplar_width_m`: (E,) measured on the geometry. `plant_width_m`: (N,) crown width that each
     plant should have by its species' allometry; NaN where it has no crown.
     """
-    errors = []
+    errors, sizes = [], tree_sizes_of(population)
+
+    def rms(ratio: Floats) -> float:
+        return float(np.sqrt(np.mean((ratio - 1.0) ** 2)))
+
     for index, name in enumerate(population.species_names):
         rows = population.species == index
         if not rows.any():
             continue
         mine = plan.exemplar_of_plant[rows]
-        scale = population.height_m[rows] / exemplar_height_m[mine]
-        width = exemplar_width_m[mine] * scale / plant_width_m[rows] - 1
-        has_crown = not np.isnan(plant_width_m[rows]).any()
-        radius = plan.radius_m[mine] / population.radius_m[rows] - 1
+        made = exemplar_height_m, exemplar_width_m
+        across = instance_scales(sizes[rows], population.height_m[rows], mine, *made)[1]
+        width = exemplar_width_m[mine] * across / plant_width_m[rows]
+        trees = np.isfinite(sizes[rows, 0]) & (plan.plant[mine] < 0)
+        thick = trees & np.isfinite(sizes[rows, 2]) & np.isfinite(plan.tree[mine, 2])
         errors.append(
             SizeError(
                 species=name,
                 plants=int(rows.sum()),
                 exemplars=len(np.unique(mine)),
-                radius_rms=float(np.sqrt(np.mean(radius**2))),
-                crown_width_rms=float(np.sqrt(np.mean(width**2))) if has_crown else None,
+                radius_rms=None if trees.any() else rms(plan.radius_m[mine] / population.radius_m[rows]),
+                crown_width_rms=None if np.isnan(plant_width_m[rows]).any() else rms(width),
+                dbh_rms=rms((plan.tree[mine, 2] * across / sizes[rows, 2])[thick]) if thick.any() else None,
             )
         )
     return errors
-
-
-def rung_of(value: float, step: float) -> int:
-    """The nearest rung of a ladder that has one at 1."""
-    return round(float(np.log(value) / np.log(step)))
-
-
-def rungs_of(radius_m: Floats, most: int) -> Ints:
-    """(N,) rung that stands for each plant: its own, or where there are more than `most`, one of those evenly between.
-
-    `radius_m`: (N,) of a species' plants, at least one.
-    """
-    own: Ints = np.rint(np.log(radius_m) / np.log(SIZE_STEP)).astype(np.int64)
-    if len(np.unique(own)) <= most:
-        return own
-    low, high = int(own.min()), int(own.max())
-    count = min(most, high - low + 1)
-    chosen = np.rint(low - 0.5 + (np.arange(count) + 0.5) * (high - low + 1) / count).astype(np.int64)
-    place = np.searchsorted((chosen[:-1] + chosen[1:]) / 2, own)
-    return np.asarray(chosen[place], dtype=np.int64)
 
 
 def modelled_species(drawn: DrawnRecipe, name: str) -> Species:

@@ -8,8 +8,8 @@ snag. Leaves, flowers and fruits are gone; twigs go with the years. Fresh snags 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import cache
+from dataclasses import astuple, replace
+from functools import cache, partial
 from itertools import product
 from typing import Any
 
@@ -20,19 +20,21 @@ from forestgen.architecture.prototypes import Tables
 from forestgen.community.capabilities import OwnSkeletons, capability
 from forestgen.community.population import Population, Status
 from forestgen.core.progress import Progress
-from forestgen.core.randomness import child_rng
+from forestgen.core.randomness import child_rng, child_root
 from forestgen.plants.bark.texture import with_bark_tiles
-from forestgen.plants.build import estimate_triangles, size_m
+from forestgen.plants.build import estimate_triangles, size_m, tree_size
 from forestgen.plants.exemplar import Exemplar, as_solids
 from forestgen.plants.growing import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store, grow_exemplars
 from forestgen.plants.grown import woods_of
 from forestgen.plants.levels import PIXEL_STEPS_M, level_for
-from forestgen.plants.parameters import CrownProfile
+from forestgen.plants.parameters import CrownProfile, ShapesTrees
 from forestgen.plants.registry import GENERATORS
+from forestgen.plants.tree_fit import TreeSize
 from forestgen.recipe.species import Building, Material, Species
+from forestgen.recipe.tree_sizes import own_normals
 from forestgen.scene.building import exemplar_of, plan_buildings
+from forestgen.scene.exemplar_plan import SIZE_STEP, ExemplarPlan
 from forestgen.scene.exemplars import (
-    ExemplarPlan,
     SizeError,
     check_traits,
     modelled_species,
@@ -45,6 +47,7 @@ from forestgen.scene.exemplars import (
 from forestgen.scene.plan import Plan, check_own_triangles
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
+from forestgen.scene.tree_exemplars import tree_sizes_of
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
 Floats = NDArray[np.float64]
@@ -79,6 +82,7 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
         variants=section.variants_per_size,
         given=given,
         library=section.library,
+        library_tree=partial(_library_tree, plan),
     )
     if not section.levels or pixel_m is None:
         return chosen
@@ -88,10 +92,22 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
         exemplar_radius_m = chosen.radius_m[chosen.exemplar_of_plant[rows]]
         if name in plan.drawn.species:
             own_height_m[rows] = modelled_species(plan.drawn, name).allometry.height(exemplar_radius_m)
+            made_m = chosen.tree[chosen.exemplar_of_plant[rows], 0]
+            own_height_m[rows] = np.where(np.isnan(made_m), own_height_m[rows], made_m)
     stand_in = chosen.plant[chosen.exemplar_of_plant]
     own_height_m = np.where(stand_in < 0, own_height_m, population.height_m[np.maximum(stand_in, 0)])
     scale = population.height_m / own_height_m  # of the instance
     return chosen.split("level", level_for(pixel_m / scale))
+
+
+def _library_tree(plan: Plan, name: str, rung: int, variant: int) -> Floats:
+    """(5,) sizes of a library's tree, in the order of `TreeSize`: of a stand, with numbers of its own."""
+    species, drawn = plan.drawn.species[name], plan.drawn
+    assert species.tree is not None  # its plants have sizes
+    root = child_root(drawn.recipe.seed, "library", drawn.split, name, rung)
+    height_m = np.array([SIZE_STEP**rung])
+    sizes = species.tree.sizes(height_m, own_normals(root, np.array([variant], dtype=np.uint64)))
+    return np.array(astuple(tree_size(species, float(height_m[0]), sizes)))
 
 
 def pixel_size_m(
@@ -128,7 +144,8 @@ def _widths_m(plan: Plan, population: Population) -> NDArray[np.float64]:
         grown = population.modules is not None and name in plan.plants.foliage
         species = None if grown else plan.drawn.species.get(name)  # none: a building, or as wide as its branches
         width[rows] = 2.0 * radius_m if species is None else species.allometry.width(radius_m)
-    return width
+    of_trees = tree_sizes_of(population)[:, 1]
+    return np.where(np.isnan(of_trees), width, of_trees)
 
 
 def has_branches(plan: Plan, population: Population) -> NDArray[np.bool_]:
@@ -213,9 +230,12 @@ def grow_planned(
 
 def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
     """The plant's solid: of its generator's own curve where there is one, otherwise as wide as the plant grew."""
-    generator, size = GENERATORS.load(request.parameters.generator), size_m(request.species, request.radius_m)
+    generator, parameters, tree = GENERATORS.load(request.parameters.generator), request.parameters, request.tree
+    size = size_m(request.species, request.radius_m) if tree is None else (tree.height_m, tree.crown_width_m)
+    if tree is not None and isinstance(generator, ShapesTrees):
+        parameters = generator.shaped(parameters, tree)
     known = isinstance(generator, CrownProfile)
-    return as_solids(exemplar, generator.crown_profile(request.parameters, *size) if known else None)
+    return as_solids(exemplar, generator.crown_profile(parameters, *size) if known else None)
 
 
 def _buildings(plan: Plan, exemplar_plan: ExemplarPlan, population: Population) -> dict[int, tuple[Building, float]]:
@@ -243,10 +263,16 @@ def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Popul
             radius_m=float(exemplar_plan.radius_m[index]),
             seed=seed,
             identity=identity,
+            tree=_tree(exemplar_plan.tree[index]),
             pixel_m=PIXEL_STEPS_M[exemplar_plan.level[index]],
             is_shared=plan.drawn.recipe.plants.library is not None,
         )
     return [requests[index] for index in sorted(requests)]
+
+
+def _tree(sizes: Floats) -> TreeSize | None:
+    """(5,) sizes of an exemplar's tree; None of a plant that goes by the radius."""
+    return None if np.isnan(sizes[0]) else TreeSize(*sizes.tolist())
 
 
 def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Population) -> dict[int, ExemplarRequest]:

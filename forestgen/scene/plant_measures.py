@@ -1,7 +1,8 @@
 """What a forester would measure on the plants of a scene, from the geometry that is rendered.
 
-Each exemplar is measured once, and its measures go through the instances' transforms: lengths with the scale, which is
-the cube root of the transform's determinant, since a lean keeps volumes; points as they are.
+Each exemplar is measured once, and its measures go through the instances' transforms: lengths with their scales across
+the plant's axis and along it, areas with those and the attitude of each triangle, points as they are. A lean turns a
+plant as a whole.
 
 - Diameter at breast height: that of the circle whose area the trunk's section has, 1.3 m from the stem base along the
   plant's own axis, across that axis. Stems that overlap there count once; several stems give the diameter of one stem
@@ -10,6 +11,7 @@ the cube root of the transform's determinant, since a lean keeps volumes; points
   at its slant: 7% wider at 30 degrees.
 - Crown width: the mean of the extents along the exemplar's x and y.
 - Leaf area: one side of all blades.
+- Crown base: the height that 2% of the leaf area lie below, along the plant's axis.
 - Stem base: the origin of the plant, where it stands. Tip: its highest vertex in the world. Crown centre: the centroid
   of the surface of the leaves, else of the flowers, else of all, in the exemplar; carried along.
 """
@@ -27,11 +29,13 @@ from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, hull_of
 from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.tree_fit import BELOW_CROWN
 from forestgen.scene.spec import Instances
 
 Floats = NDArray[np.float64]
 
 _DIRECTIONS_AT_ONCE = 1024
+_ATTITUDES = 64  # classes of the leaves' attitude
 _MOST_SECTIONS = 64  # of an exemplar: its instances are of many scales
 
 
@@ -43,6 +47,7 @@ class PlantMeasures:
     world_from_exemplar: NDArray[np.float64]  # (N, 3, 4) metres: the instance's transform
     crown_width_m: NDArray[np.float64]  # (N,) mean of its geometry's extents in x and y of its own frame
     dbh_m: NDArray[np.float64]  # (N,) stem diameter at 1.3 m; NaN for plants that have no trunk there
+    crown_base_m: NDArray[np.float64]  # (N,) above its foot, along its axis; NaN of plants without leaves
     leaf_area_m2: NDArray[np.float64]  # (N,) one side of all blades
     stem_base_m: NDArray[np.float64]  # (N, 3) world
     tip_m: NDArray[np.float64]  # (N, 3) world: the highest point of its geometry
@@ -56,13 +61,13 @@ class PlantMeter:
         self._exemplars = exemplars
         self._centre = np.array([crown_centre(exemplar) for exemplar in exemplars]).reshape(-1, 3)
         self._top = np.array([_top(exemplar) for exemplar in exemplars]).reshape(-1, 3)
+        self._leaves = [_Leaves.of(exemplar) for exemplar in exemplars]
         self._hulls: dict[int, Floats] = {}  # of exemplars that have been seen leaning
 
     def measure(self, instances: Instances) -> PlantMeasures:
         """Measures of plants as they stand."""
         linear, origin = instances.transform[:, :, :3], instances.transform[:, :, 3]
-        scale = np.cbrt(np.abs(np.linalg.det(linear)))  # that of a leaning plant too: a lean keeps volumes
-        along = np.linalg.norm(linear[:, :, 2], axis=1)  # of a stem's length
+        across, along = (np.linalg.norm(linear[:, :, k], axis=1) for k in (0, 2))  # scales of widths and of lengths
         mine = instances.exemplar.astype(np.intp)
         tip, diameter = self._top[mine], np.full(len(instances), np.nan)
         for index in np.unique(mine).tolist():
@@ -71,17 +76,20 @@ class PlantMeter:
             lean = rows[np.any(linear[rows, 2, :2], axis=1)]
             if len(lean):
                 tip[lean] = _furthest(self._hull(index), linear[lean, 2])
-        width, leaf_area = (
-            np.array([getattr(exemplar, name) for exemplar in self._exemplars], dtype=np.float64)[mine]
-            for name in ("crown_width_m", "leaf_area_m2")
-        )
+        width = np.array([exemplar.crown_width_m for exemplar in self._exemplars], dtype=np.float64)[mine]
+        base = np.array([one.base_m for one in self._leaves], dtype=np.float64)[mine]
+        leaf_area = np.zeros(len(instances))
+        for index in np.unique(mine).tolist():
+            rows = mine == index
+            whole = self._exemplars[index].leaf_area_m2
+            leaf_area[rows] = whole * self._leaves[index].area_factor(across[rows], along[rows])
         return PlantMeasures(
             exemplar=instances.exemplar.astype(np.uint32),
             world_from_exemplar=instances.transform,
-            crown_width_m=width * scale,
-            # Volume over length is the area across the axis, whatever the transform does besides.
-            dbh_m=diameter * np.sqrt(scale**3 / along),
-            leaf_area_m2=leaf_area * scale**2,
+            crown_width_m=width * across,
+            dbh_m=diameter * across,
+            crown_base_m=base * along,
+            leaf_area_m2=leaf_area,
             stem_base_m=origin.copy(),
             tip_m=_moved(linear, tip) + origin,
             crown_centre_m=_moved(linear, self._centre[mine]) + origin,
@@ -92,6 +100,43 @@ class PlantMeter:
         if index not in self._hulls:
             self._hulls[index] = hull_of([organ.mesh for organ in self._exemplars[index].organs]).vertices_m
         return self._hulls[index]
+
+
+@dataclass(frozen=True)
+class _Leaves:
+    """Attitude and height of an exemplar's leaves."""
+
+    steepness: Floats  # (K,) squares of the normals' z
+    share: Floats  # (K,) of the area
+    base_m: float
+
+    @classmethod
+    def of(cls, exemplar: Exemplar) -> _Leaves:
+        corners = [
+            organ.mesh.vertices_m.astype(np.float64)[organ.mesh.faces]
+            for organ in exemplar.organs
+            if organ.part == Part.LEAF and len(organ.mesh.faces)
+        ]
+        if not corners:
+            return cls(np.zeros(1), np.zeros(1), np.nan)
+        normal, height = (np.concatenate(one) for one in zip(*map(_normals, corners), strict=True))
+        area = np.linalg.norm(normal, axis=1)
+        square = np.divide(normal[:, 2] ** 2, area**2, out=np.zeros_like(area), where=area > 0.0)
+        share, edges = np.histogram(square, bins=_ATTITUDES, range=(0.0, 1.0), weights=area)
+        order = np.argsort(height, kind="stable")
+        total = np.cumsum(area[order])
+        base_m = float(height[order][np.searchsorted(total, BELOW_CROWN * total[-1])])
+        return cls(0.5 * (edges[1:] + edges[:-1]), share / max(float(share.sum()), 1e-300), base_m)
+
+    def area_factor(self, across: Floats, along: Floats) -> Floats:
+        """(M,) area of the leaves over that in the exemplar, scaled by (M,) across and (M,) along the axis."""
+        steep = (along**2)[:, None] * (1.0 - self.steepness) + (across**2)[:, None] * self.steepness
+        return np.asarray(across * (np.sqrt(steep) @ self.share))
+
+
+def _normals(corners: Floats) -> tuple[Floats, Floats]:
+    """(F, 3) normals as long as twice the area, and (F,) heights of the middles, of (F, 3, 3) triangles."""
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners[:, :, 2].mean(axis=1)
 
 
 def _top(exemplar: Exemplar) -> Floats:

@@ -50,15 +50,15 @@ class Trunks:
             if len(corners):
                 low[index], high[index] = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
         self._low, self._high = low, high
-        self._scale = np.cbrt(np.abs(np.linalg.det(self._transform[:, :, :3])))
+        self._scale, self._upright = (np.linalg.norm(self._transform[:, :, k], axis=1) for k in (0, 2))
 
     def clearance_m(self, position_m: Floats, reach_m: float) -> tuple[float, int]:
         """Distance from a point to the nearest stem's surface, negative inside, and its plant; at most `reach_m`, 0."""
         nearest, plant = reach_m, 0
-        # In the exemplar's frame, which is turned and scaled; a lean changes lengths by little.
+        # In the exemplar's frame, which is turned and scaled; stems are nearest sideways.
         inverse = np.linalg.inv(self._transform[:, :, :3])
         local = np.einsum("nij,nj->ni", inverse, position_m - self._transform[:, :, 3])
-        margin = (reach_m / self._scale)[:, None]
+        margin = (reach_m / np.minimum(self._scale, self._upright))[:, None]
         near = np.all((local > self._low[self._mine] - margin) & (local < self._high[self._mine] + margin), axis=1)
         for row in np.flatnonzero(near).tolist():
             corners = self._corners[self._mine[row]]
@@ -76,7 +76,7 @@ class Trunks:
             rows = np.flatnonzero(self._mine == index)
             if not len(rows) or not len(corners):
                 continue
-            top = height_m / float(self._scale[rows].min())  # as far up as the smallest of its plants needs
+            top = height_m / float(self._upright[rows].min())  # as far up as the smallest of its plants needs
             points = _clipped(corners, top)
             if not len(points):
                 continue

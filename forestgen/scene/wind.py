@@ -105,10 +105,10 @@ def _mechanics(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """(N,) each: height in m, frontal area by mass in m^2/kg (0 for dead wood, houses), stem diameter in m."""
     which = instances.exemplar
-    scale = np.linalg.norm(instances.transform[:, :, 2], axis=1)
-    height = np.array([one.height_m for one in exemplars])[which] * scale
-    leaf_m2 = np.array([one.leaf_area_m2 for one in exemplars])[which] * scale**2
-    wood_m3 = np.array([one.wood_volume_m3 for one in exemplars])[which] * scale**3
+    across, along = (np.linalg.norm(instances.transform[:, :, k], axis=1) for k in (0, 2))
+    height = np.array([one.height_m for one in exemplars])[which] * along
+    leaf_m2 = np.array([one.leaf_area_m2 for one in exemplars])[which] * across * along
+    wood_m3 = np.array([one.wood_volume_m3 for one in exemplars])[which] * across**2 * along
     stiff = (Part.DEAD_WOOD, Part.STRUCTURE)
     living = np.array([any(organ.part not in stiff for organ in one.organs) for one in exemplars], dtype=bool)
     similar = (height / 35.0) ** 1.5

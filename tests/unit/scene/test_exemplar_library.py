@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.scene.exemplars import SIZE_STEP, plan_exemplars, rungs_of, size_errors
+from forestgen.scene.exemplar_plan import SIZE_STEP, rungs_of
+from forestgen.scene.exemplars import plan_exemplars, size_errors
 from tests.unit.scene.test_exemplars import population
 
 
