@@ -54,10 +54,10 @@ def origin(plan: CommunityPlan) -> dict[str, Any]:
 
 
 def _about_species(ecology: SpeciesEcology) -> dict[str, Any]:
-    """What a community may depend on of a species; how it grows by modules, if it does."""
+    """What a community may depend on of a species."""
     about = {one.name: getattr(ecology, one.name) for one in fields(ecology)}
-    modules = about.pop("modules", None)
-    return about if modules is None else {**about, "modules": modules.model_dump(mode="json")}
+    sections = {name: about.pop(name) for name in ("modules", "tree")}
+    return about | {name: one.model_dump(mode="json") for name, one in sections.items() if one is not None}
 
 
 def _about_site(plan: CommunityPlan) -> dict[str, Any]:

@@ -12,18 +12,19 @@ import pytest
 from forestgen.api.plants import (
     default_outputs,
     described,
-    grow,
     model_of,
     name_of,
     numbered,
     plan_of,
     radius_of_m,
+    request_of,
 )
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.parts import Part
 from forestgen.dataset.files import FileSet
 from forestgen.plants.bark.texture import texture_images
 from forestgen.plants.build import size_m
+from forestgen.plants.growing import grow_exemplar
 from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import materials_of
 from support.error_messages import raises_error
@@ -32,7 +33,7 @@ from support.error_messages import raises_error
 @pytest.fixture(scope="module")
 def fireweed():
     plan = plan_of("fireweed", 3)
-    return plan, grow(plan, "fireweed", radius_of_m(plan.drawn.species["fireweed"], 1.2), 3)
+    return plan, grow_exemplar(request_of(plan, "fireweed", 1.2, 3))
 
 
 def test_numbers_follow_from_the_geometry(fireweed) -> None:

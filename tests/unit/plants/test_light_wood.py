@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from forestgen.api.plants import grow, grow_files, model_of, plan_of, radius_of_m
+from forestgen.api.plants import grow_files, model_of, plan_of, request_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry import simplify
 from forestgen.geometry.simplify import with_light_wood
+from forestgen.plants.growing import grow_exemplar
 from forestgen.scene.surfaces import materials_of
 from support.error_messages import raises_error
 
@@ -21,7 +22,7 @@ def test_wood_has_few_triangles_and_one_texture(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(simplify, "ATLAS_PX", 256)
     plan = plan_of("birch", 3)
     species, materials = plan.drawn.species["birch"], materials_of(plan.drawn.species)
-    plant = grow(plan, "birch", radius_of_m(species, 4.0), 3)
+    plant = grow_exemplar(request_of(plan, "birch", 4.0, 3))
     whole = model_of(plant, species, materials, 3)
     textures = {name: one.texture.colour for (_, name), one in materials.items() if one.texture is not None}
     light = with_light_wood(whole.pieces, textures, 2000)
@@ -46,7 +47,7 @@ def test_wood_has_few_triangles_and_one_texture(monkeypatch: pytest.MonkeyPatch)
 def test_a_plant_without_bark_stays() -> None:
     plan = plan_of("fireweed", 3)
     species, materials = plan.drawn.species["fireweed"], materials_of(plan.drawn.species)
-    whole = model_of(grow(plan, "fireweed", 0.2, 3), species, materials, 3)
+    whole = model_of(grow_exemplar(request_of(plan, "fireweed", 0.6, 3)), species, materials, 3)
     assert all(one is same for one, same in zip(with_light_wood(whole.pieces, {}, 100), whole.pieces, strict=True))
 
 

@@ -1,0 +1,79 @@
+"""Trees are built to their height, crown width, diameter, crown base and leaf area."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import forestgen as fg
+from forestgen.api.plants import plan_of, request_of
+from forestgen.core.parts import Part
+from forestgen.plants.build import leaf_area_m2
+from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.growing import grow_exemplar
+from forestgen.plants.tree_fit import BELOW_CROWN
+from forestgen.scene.plant_measures import stem_diameter_m
+from support.error_messages import raises_error
+
+SILHOUETTES_AND_STRANDS = ("spruce", "pine", "birch", "beech", "oak", "maple", "poplar")
+
+
+def leaf_heights(exemplar: Exemplar) -> tuple[np.ndarray, np.ndarray]:
+    """Height and area of every triangle of the leaves."""
+    leaves = [organ.mesh for organ in exemplar.organs if organ.part == Part.LEAF]
+    corners = np.concatenate([mesh.vertices_m.astype(float)[mesh.faces] for mesh in leaves])
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return corners[:, :, 2].mean(axis=1), 0.5 * np.linalg.norm(normal, axis=1)
+
+
+def check_sizes(name: str, height_m: float, grown: str, seed: int) -> None:
+    plan = plan_of(name, seed)
+    request = request_of(plan, name, height_m, seed, grown)  # type: ignore[arg-type]
+    tree, exemplar = request.tree, grow_exemplar(request)
+    assert tree is not None
+    assert exemplar.height_m == pytest.approx(height_m, rel=1e-3)
+    assert exemplar.crown_width_m == pytest.approx(tree.crown_width_m, rel=0.05)
+    assert leaf_area_m2(exemplar.organs, request.parameters.shapes) == pytest.approx(tree.leaf_area_m2, rel=0.05)
+    assert stem_diameter_m(exemplar, np.array([1.3]))[0] == pytest.approx(tree.dbh_m, rel=0.05)
+    height, area = leaf_heights(exemplar)
+    order = np.argsort(height)
+    base_m = height[order][np.searchsorted(np.cumsum(area[order]), BELOW_CROWN * area.sum())]
+    assert base_m == pytest.approx(tree.crown_base_m, rel=0.05, abs=0.02 * height_m)
+
+
+@pytest.mark.parametrize("name", SILHOUETTES_AND_STRANDS)
+@pytest.mark.parametrize(("height_m", "grown"), [(5.0, "stand"), (14.0, "open"), (14.0, "suppressed"), (24.0, "stand")])
+def test_a_tree_has_its_sizes(name: str, height_m: float, grown: str) -> None:
+    check_sizes(name, height_m, grown, seed=3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*SILHOUETTES_AND_STRANDS, "larch", "eucalyptus", "meranti"])
+@pytest.mark.parametrize("height_m", [4.0, 8.0, 16.0, 30.0])
+@pytest.mark.parametrize("grown", ["stand", "open", "suppressed"])
+def test_any_tree_has_its_sizes(name: str, height_m: float, grown: str) -> None:
+    for seed in (1, 2):
+        check_sizes(name, height_m, grown, seed)
+
+
+def test_trees_of_one_height_differ_and_a_seed_is_one_tree() -> None:
+    plan = plan_of("spruce", 0)
+    trees = [request_of(plan, "spruce", 20.0, seed).tree for seed in range(200)]
+    spread = np.std(np.log([tree.dbh_m for tree in trees if tree is not None]))
+    assert 0.15 < spread < 0.3  # 0.22 in the species' file
+    assert request_of(plan, "spruce", 20.0, 5).tree == trees[5]
+
+
+def test_open_grown_trees_are_stout_with_a_low_crown() -> None:
+    plan = plan_of("oak", 0)
+    trees = [request_of(plan, "oak", 16.0, 1, grown).tree for grown in ("suppressed", "stand", "open")]  # type: ignore[arg-type]
+    for name, direction in (("dbh_m", 1), ("crown_width_m", 1), ("leaf_area_m2", 1), ("crown_base_m", -1)):
+        values = [getattr(tree, name) for tree in trees]
+        assert sorted(values) == values[::direction]
+
+
+def test_the_way_of_growing_is_checked() -> None:
+    with raises_error(fg.RecipeError, place="grown"):
+        fg.plant("spruce", 10.0, grown="lonely")  # type: ignore[arg-type]
+    with raises_error(fg.RecipeError, place="grown"):
+        fg.plant("fireweed", grown="open")

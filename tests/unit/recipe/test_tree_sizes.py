@@ -1,0 +1,105 @@
+"""Allometries of species' files against measured trees, and the numbers that make trees differ."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from forestgen.api.plants import drawn_of
+from forestgen.recipe.tree_sizes import TreeSizes, own_normals
+from support.field_trees import RELATIVES, classes, field_trees, spread_of_median
+
+COLUMNS = {"dbh": "dbh_m", "width": "crown_width_m", "leaves": "leaf_mass_kg", "crown": "crown_ratio"}
+#: Medians that the allometries miss: measured trees of few studies at that height.
+MISSED = {
+    ("spruce", 20.0, "leaves"), ("pine", 5.0, "leaves"), ("pine", 10.0, "leaves"), ("pine", 15.0, "leaves"),
+    ("larch", 10.0, "leaves"), ("larch", 15.0, "crown"),
+}  # fmt: skip
+
+
+def sizes_of(name: str) -> TreeSizes:
+    tree = drawn_of(name, 0).species[name].tree
+    assert tree is not None
+    return tree
+
+
+def drawn(law: TreeSizes, height_m: np.ndarray, shift: float = 0.0) -> dict[str, np.ndarray]:
+    made = law.sizes(height_m, own_normals(1, np.arange(len(height_m), dtype=np.uint64)), shift)
+    crown = 1.0 - made.crown_base_m / height_m
+    return {"dbh": made.dbh_m, "width": made.crown_width_m, "leaves": made.leaf_kg, "crown": crown}
+
+
+@pytest.mark.parametrize("name", RELATIVES)
+def test_medians_are_the_measured_ones(name: str) -> None:
+    """From 5 to 30 m within 25%, or within two standard errors of the measured median."""
+    rng, law = np.random.default_rng(1), sizes_of(name)
+    for low, high, members in classes(field_trees(RELATIVES[name]), fewest=10):
+        for size, column in COLUMNS.items():
+            known = members[members[column] > 0.0]
+            if len(known) < 10 or (name, size) in {("eucalyptus", "leaves")}:  # trees of 60 m and more
+                continue
+            measured = known[column].to_numpy()
+            ours = drawn(law, np.repeat(known.height_m.to_numpy(), 200))[size]
+            away = abs(np.log(np.median(ours) / np.median(measured)))
+            near = away <= max(np.log(1.25), 2.0 * spread_of_median(measured, rng))
+            assert near or (name, low, size) in MISSED, (name, low, high, size, np.exp(away))
+
+
+@pytest.mark.parametrize("name", RELATIVES)
+def test_trees_of_a_height_differ_as_measured_ones(name: str) -> None:
+    """Coefficients of variation of diameter and crown width within a factor of 1.5 and the measured one's error."""
+    law = sizes_of(name)
+    for low, high, members in classes(field_trees(RELATIVES[name]), fewest=12):
+        for size in ("dbh", "width"):
+            known = members[members[COLUMNS[size]] > 0.0]
+            if len(known) < 12 or (name, low) == ("eucalyptus", 10.0):  # one plantation, of one age
+                continue
+            measured = known[COLUMNS[size]].to_numpy()
+            ours = drawn(law, np.repeat(known.height_m.to_numpy(), 200))[size]
+            ratio = (ours.std() / ours.mean()) / (measured.std() / measured.mean())
+            # Of n values: a coefficient of variation has a relative error of about 1 / sqrt(2 n), of log-normal more.
+            assert abs(np.log(ratio)) < np.log(1.5) + 2.0 / np.sqrt(len(measured)), (name, low, high, size, ratio)
+
+
+def test_suppressed_trees_differ_as_their_status_says() -> None:
+    """Spruces and pines whose crowns are overgrown (status 0 and 1) against codominant ones (3), at one height."""
+    for name in ("spruce", "pine"):
+        trees, law = field_trees(RELATIVES[name]), sizes_of(name)
+        trees = trees[trees.height_m >= 5.0]
+        relative = np.log(trees.dbh_m) - law.log_dbh(trees.height_m.to_numpy())
+        below, above = relative[trees.status <= 1], relative[trees.status >= 3]
+        if len(below) < 8 or len(above) < 8:
+            continue
+        measured = below.median() - above.median()
+        error = 2.0 * np.hypot(below.std() / np.sqrt(len(below)), above.std() / np.sqrt(len(above)))
+        assert law.shift("suppressed") < 0.0 < law.shift("open")
+        assert measured < error  # not stouter
+
+
+def test_numbers_are_normal_and_a_trees_own() -> None:
+    ids = np.arange(1, 40_001, dtype=np.uint64)
+    normals = own_normals(7, ids)
+    for column in range(4):
+        assert stats.kstest(normals[:, column], "norm").pvalue > 1e-3
+    assert np.abs(np.corrcoef(normals.T) - np.eye(4)).max() < 0.02
+    np.testing.assert_array_equal(own_normals(7, ids[::-1][:100]), normals[::-1][:100])
+    assert not np.any(own_normals(8, ids) == normals)
+
+
+def test_heights_follow_from_diameters() -> None:
+    """Without a number of its own a tree's height is where its diameter is the median."""
+    law, height_m = sizes_of("spruce"), np.linspace(3.0, 40.0, 20)
+    found = law.height_of(np.exp(law.log_dbh(height_m)), np.zeros((20, 4)))
+    np.testing.assert_allclose(found, height_m, rtol=1e-6)
+
+
+def test_seedlings_are_small_trees() -> None:
+    for name in RELATIVES:
+        height_m = np.array([0.1, 0.5, 1.0, 2.0, 3.0, 10.0, 40.0])
+        made = sizes_of(name).sizes(height_m, np.zeros((7, 4)))
+        assert np.all(np.isnan(made.dbh_m) == (height_m <= 1.3))
+        assert np.all(np.diff(made.leaf_kg) > 0.0)
+        assert np.all(np.diff(made.crown_width_m) > 0.0)
+        assert np.all((made.crown_base_m > 0.0) & (made.crown_base_m < height_m))
+        assert np.all(made.crown_width_m <= 1.2 * height_m)
