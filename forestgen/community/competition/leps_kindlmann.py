@@ -50,7 +50,7 @@ def lens_area(d, r, s):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _weighted(i, j, circle, size_m, periodic):  # type: ignore[no-untyped-def]
+def shared_area(i, j, circle, size_m, periodic):  # type: ignore[no-untyped-def]
     """Area that circle `i` shares with circle `j` and its images."""
     r, s = circle[i, 2], circle[j, 2]
     dx, dy = circle[j, 0] - circle[i, 0], circle[j, 1] - circle[i, 1]
@@ -82,7 +82,7 @@ def _factors(first, end, g, height, tolerance, out):  # type: ignore[no-untyped-
                     if j == i or not grid.near(x, y, circle[j, 0], circle[j, 1], r + s, size_m, periodic):
                         continue
                     if grid.first_shared(a, b, x0, y0, circle[j, 0], circle[j, 1], s, n, per_m, periodic):
-                        total += _weighted(i, j, circle, size_m, periodic) * height[int(circle[j, 3])]
+                        total += shared_area(i, j, circle, size_m, periodic) * height[int(circle[j, 3])]
         row = int(circle[i, 3])
         out[row] = max(0.0, 1.0 - total / (height[row] * tolerance * pi * r * r))
 
