@@ -15,9 +15,11 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.phenology import SUMMER
 from forestgen.scene.building import building_materials
 from forestgen.scene.exemplars import SizeError
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
+from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
@@ -119,10 +121,9 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
 
 def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:
     """Of the species and the buildings."""
-    season = plan.drawn.recipe.plants.season
-    materials = materials_of(species_seen(plan.drawn.species, population), season)
+    materials = materials_of(species_seen(plan.drawn.species, population), leaf_states(plan.drawn))
     for (kind, key), one in building_materials(plan.community.obstacles.entries).items():
-        materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
+        materials[kind, key] = surface_of(one, SUMMER, f"{kind}/{key}")
     return materials
 
 

@@ -42,9 +42,11 @@ from forestgen.scene.exemplars import (
     size_errors,
     unique_plants,
 )
+from forestgen.scene.phenology import leaf_class_of_plant, leaf_states
 from forestgen.scene.plan import Plan, check_own_triangles
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
+from forestgen.scene.surfaces import material_of_class
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
 Floats = NDArray[np.float64]
@@ -80,6 +82,7 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
         given=given,
         library=section.library,
     )
+    chosen = chosen.split("leaves", leaf_class_of_plant(plan.drawn, population))
     if not section.levels or pixel_m is None:
         return chosen
     own_height_m = np.ones(len(population))
@@ -207,8 +210,14 @@ def grow_planned(
         grown = tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
     plants = iter(grown)
     exemplars = (built[index] if index in built else next(plants) for index in range(len(exemplar_plan)))
-    pairs = zip(exemplars, exemplar_plan.is_unique.tolist(), strict=True)
-    return tuple(replace(one, is_unique=unique) for one, unique in pairs)
+    columns = zip(exemplars, exemplar_plan.is_unique.tolist(), exemplar_plan.leaves.tolist(), strict=True)
+    return tuple(replace(_of_class(one, leaves), is_unique=unique) for one, unique, leaves in columns)
+
+
+def _of_class(exemplar: Exemplar, leaves: int) -> Exemplar:
+    """The plant with the materials of its class of phenology."""
+    organs = (replace(one, material=material_of_class(one.material, leaves)) for one in exemplar.organs)
+    return replace(exemplar, organs=tuple(organs)) if leaves else exemplar
 
 
 def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
@@ -230,7 +239,7 @@ def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Popul
 
     A plant's randomness belongs to its species, cluster's rank and variant; if it grew branches of its own, to itself.
     """
-    names = list(plan.drawn.species)
+    names, states = list(plan.drawn.species), leaf_states(plan.drawn)
     requests = _own_requests(plan, exemplar_plan, population)
     grown = set(range(len(exemplar_plan))) - _buildings(plan, exemplar_plan, population).keys() - requests.keys()
     for index in grown:
@@ -244,6 +253,7 @@ def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Popul
             seed=seed,
             identity=identity,
             pixel_m=PIXEL_STEPS_M[exemplar_plan.level[index]],
+            leaves=states[name][exemplar_plan.leaves[index]],
             is_shared=plan.drawn.recipe.plants.library is not None,
         )
     return [requests[index] for index in sorted(requests)]
@@ -261,7 +271,7 @@ def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Populatio
     rows = np.unique(exemplar_plan.plant[chosen])
     grown = woods_of(population, _tables(plan, population), rows)
     woods = dict(zip(rows.tolist(), grown, strict=True))
-    names = population.species_names
+    names, states = population.species_names, leaf_states(plan.drawn)
     requests = {}
     for index in chosen.tolist():
         row = int(exemplar_plan.plant[index])
@@ -281,6 +291,7 @@ def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Populatio
             identity=("own", int(population.plant_id[row])),
             pixel_m=PIXEL_STEPS_M[exemplar_plan.level[index]],
             wood=woods[row],
+            leaves=states[name][exemplar_plan.leaves[index]],
             is_kept=not bool(exemplar_plan.is_unique[index]),
         )
     return requests
