@@ -22,8 +22,8 @@ southern hemisphere all dates are half a year later. Between the tropics there i
 keep their leaves; drought-deciduous ones have dates of the rains, which depend on the hemisphere alone. Where the
 season would be shorter than a month, or longer than the year, both shifts are reduced in proportion.
 
-Individuals. Each plant comes earlier or later than its species, in spring and in autumn apart, by normal draws of its
-own with the standard deviations `spring_sd_days` and `autumn_sd_days`.
+Individuals. Each plant comes earlier or later than its species, in spring and in autumn apart, by days of its own with
+the standard deviations `spring_sd_days` and `autumn_sd_days`; scene/phenology.py.
 
 A season's name instead of a date means the same stage for all species: ``spring`` two thirds of the way from leaf-out
 to full leaf, ``autumn`` half way from colouring to leaf fall, ``winter`` the middle of the bare season. ``dry`` is the
@@ -41,6 +41,7 @@ Journal of Biometeorology 65, 369-379): 4.0 and 8.5 days in 14 stands of 9 speci
 
 from __future__ import annotations
 
+from bisect import bisect
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal, Self
@@ -55,6 +56,7 @@ ALTITUDE = 2.6, 1.9  # days later in spring and earlier in autumn per 100 m
 LATITUDE = 2.2, 2.7  # per degree towards the pole
 TROPIC_DEG = 23.44
 YEAR = 365
+_MONTHS = 60, 152, 244, 335  # days on which March, June, September and December begin
 _STEPS = 20  # of every share, so that plants share exemplars and materials
 _SPRING, _AUTUMN = 2 / 3, 1 / 2  # of the way from leaf-out to full leaf, and from colouring to leaf fall
 _SHORTEST, _LONGEST = 30, 350  # days in full green at least; days with leaves at most
@@ -85,7 +87,7 @@ class TimeOfYear:
     """When and where: a day of the year, or a season by its name."""
 
     season: LeafSeason | None = "summer"  # None: by the day
-    day: int = 196  # 1 to 366
+    day: int = 0  # 1 to 366; 0: by the season
     latitude_deg: float = 50.0  # north positive
     altitude_m: float = 0.0
 
@@ -95,7 +97,7 @@ class TimeOfYear:
         if self.season is not None:
             return self.season
         names: tuple[LeafSeason, ...] = ("winter", "spring", "summer", "autumn")
-        return "summer" if self.is_tropical else names[int((self.northern_day + 31.25) % YEAR / 91.25)]
+        return "summer" if self.is_tropical else names[bisect(_MONTHS, self.northern_day) % 4]
 
     @property
     def is_tropical(self) -> bool:

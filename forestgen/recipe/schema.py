@@ -210,6 +210,13 @@ class Plants(fields.Section):
         description="Of the leaves, their number, size and colour: spring, summer, autumn, winter, or dry, the dry "
         "season. null: of site.date or the sun's date; without one summer.",
     )
+    phenology_classes: fields.Whole = Field(
+        2,
+        ge=1,
+        le=5,
+        description="Groups that a species' plants fall into during leaf-out and leaf fall, from early to late. Each "
+        "needs plants modelled for it: time and memory grow with it, in those seasons alone.",
+    )
     cache: fields.Flag = Field(
         True,
         description="Whether to keep the modelled plants on disk and take them from there when the same ones are asked "

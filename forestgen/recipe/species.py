@@ -142,7 +142,7 @@ class Material(Section):
         description="Table of reflectance and transmittance by wavelength, of which the colours follow: leaves/birch, "
         "bark/oak, ... or a path from the recipe's folder. In place of reflectance and transmittance.",
     )
-    season: Season | None = Field(None, description="Of the spectrum, where it has seasons; null: plants.season.")
+    season: Season | None = Field(None, description="Of the spectrum, where it has seasons; null: by its phenology.")
     reflectance: Colour | None = Field(None, description="Reflected fraction of red, green, blue; linear Rec. 709.")
     transmittance: Colour = Field(
         (0.0, 0.0, 0.0), description="Fraction let through of red, green, blue; linear Rec. 709."

@@ -1,13 +1,13 @@
 """Which plants of a stand are how far in the season; recipe/phenology.py has the dates.
 
-Exemplars are shared by many plants, so the plants of a species fall into `CLASSES` of equal probability by their own
-normal draws: early, mean and late. Classes whose leaves are the same are one: in summer and winter there is one alone.
-A plant's draws belong to the plant: spring and autumn apart, and whatever else grows.
+Exemplars are shared by many plants, so the plants of a species fall into `plants.phenology_classes` classes of equal
+probability, from early to late, whose days have the species' standard deviation. Classes whose leaves are the same are
+one: in summer and winter there is one alone. A plant's class is its own, whatever else grows, in spring and autumn.
 """
 
 from __future__ import annotations
 
-import math
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,41 +15,43 @@ from numpy.typing import NDArray
 from forestgen.community.population import Population, Status
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.phenology import LeafState, Phenology, TimeOfYear, leaf_state
+from forestgen.recipe.phenology import LeafState, leaf_state
 
-CLASSES = 0.0, -math.sqrt(1.5), math.sqrt(1.5)  # mean 0, standard deviation 1; the first is the species' mean
-_THIRD = 0.43073  # of a normal distribution lies within so many standard deviations
+
+def class_days(classes: int) -> NDArray[np.float64]:
+    """(classes,) days of each class after its species, for a standard deviation of 1 day: the quantiles, rescaled."""
+    quantiles = np.array([NormalDist().inv_cdf((one + 0.5) / classes) for one in range(classes)])
+    return quantiles / max(float(quantiles.std()), 1e-9)
 
 
 def leaf_states(drawn: DrawnRecipe) -> dict[str, tuple[LeafState, ...]]:
-    """By species, the different leaves that its classes have; the first are those of a mean plant."""
-    time = drawn.recipe.time_of_year
-    return {name: tuple(dict.fromkeys(_by_class(one.phenology, time)[1])) for name, one in drawn.species.items()}
+    """By species, the different leaves that its classes have, from early to late."""
+    return {name: tuple(dict.fromkeys(_by_class(drawn, name)[1])) for name in drawn.species}
 
 
 def leaf_class_of_plant(drawn: DrawnRecipe, population: Population) -> NDArray[np.int64]:
     """(N,) which of its species' `leaf_states` each plant has; the dead, and buildings, the first."""
-    chosen, time = np.zeros(len(population), dtype=np.int64), drawn.recipe.time_of_year
+    chosen = np.zeros(len(population), dtype=np.int64)
     for index, name in enumerate(population.species_names):
-        if name not in drawn.species:
-            continue
-        phase, states = _by_class(drawn.species[name].phenology, time)
+        phase, states = _by_class(drawn, name) if name in drawn.species else ("", [])
         different = list(dict.fromkeys(states))
-        if len(different) == 1:
+        if len(different) < 2:
             continue
-        of_class = np.array([different.index(state) for state in states])
         rows = np.flatnonzero((population.species == index) & (population.status != Status.DEAD))
         ids = population.plant_id[rows].tolist()
-        drawn_of = np.array([child_rng(drawn.image_seed, "phenology", phase, one).normal() for one in ids])
-        chosen[rows] = of_class[np.where(np.abs(drawn_of) < _THIRD, 0, np.where(drawn_of < 0, 1, 2))]
+        own = np.array([child_rng(drawn.image_seed, "phenology", phase, one).random() for one in ids])
+        of_class = np.array([different.index(state) for state in states])
+        chosen[rows] = of_class[(own * len(states)).astype(np.int64)]
     return chosen
 
 
-def _by_class(phenology: Phenology | None, time: TimeOfYear) -> tuple[str, list[LeafState]]:
-    """The time of the year that tells classes apart, and the leaves of each."""
+def _by_class(drawn: DrawnRecipe, name: str) -> tuple[str, list[LeafState]]:
+    """The time of the year that tells a species' classes apart, and the leaves of each."""
+    phenology, time = drawn.species[name].phenology, drawn.recipe.time_of_year
     if phenology is None:
-        return "spring", [leaf_state(None, time)]
-    spring = [leaf_state(phenology, time, spring_days=one * phenology.spring_sd_days) for one in CLASSES]
+        return "", [leaf_state(None, time)]
+    days = class_days(drawn.recipe.plants.phenology_classes).tolist()
+    spring = [leaf_state(phenology, time, spring_days=one * phenology.spring_sd_days) for one in days]
     if len(set(spring)) > 1:
         return "spring", spring
-    return "autumn", [leaf_state(phenology, time, autumn_days=one * phenology.autumn_sd_days) for one in CLASSES]
+    return "autumn", [leaf_state(phenology, time, autumn_days=one * phenology.autumn_sd_days) for one in days]
