@@ -10,8 +10,9 @@ come a header, whose first column is ``wavelength_nm``, and one row a wavelength
     ...
 
 Surfaces have columns ``reflectance`` and, if light passes, ``transmittance``; with ``_spring``, ``_summer``,
-``_autumn`` or ``_dry`` behind them they hold for that season alone, and a plant's phenology mixes them. Sensors have one column a band, of any name and
-scale. Names are those of files under ``scenes/spectra`` (``leaves/birch``) or paths from the recipe's folder.
+``_autumn`` or ``_dry`` behind them they hold for that season alone, and a plant's phenology mixes them. Sensors have
+one column a band, of any name and scale. Names are those of files under ``scenes/spectra`` (``leaves/birch``) or paths
+from the recipe's folder.
 """
 
 from __future__ import annotations
