@@ -307,7 +307,7 @@ class Plant:
 
     @property
     def _materials(self) -> dict[tuple[str, str], Material]:
-        return materials_of(self._plan.drawn.species, self._plan.drawn.recipe.plants.season)
+        return materials_of(self._plan.drawn.species)
 
     def _repr_png_(self) -> bytes:
         return png(self.picture((360, 480), samples=_REPR_SAMPLES, progress=False))

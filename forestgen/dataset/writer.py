@@ -189,7 +189,7 @@ def _weather(drawn: DrawnRecipe, sky: Sky) -> dict[str, Any]:
         "sun_azimuth_deg": float(sky.sun_azimuth_deg) % 360.0,
         "turbidity": float(sky.turbidity),
         "visibility_m": None if sky.visibility_m is None else float(sky.visibility_m),
-        "season": recipe.plants.season,
+        "season": recipe.time_of_year.name,
         "wind_m_per_s": float(recipe.wind.speed_m_per_s),
     }
 

@@ -16,6 +16,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Floats, Mesh, surface_area_m2
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
+from forestgen.plants.leaf_fall import with_leaves
 from forestgen.plants.levels import simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.organs.base import OrganForm
@@ -25,6 +26,7 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.plants.tree_fit import TreeSize, fit_tree
 from forestgen.plants.variation.model import vary
+from forestgen.recipe.phenology import SUMMER, LeafState
 from forestgen.recipe.species import Species
 from forestgen.recipe.tree_sizes import Sizes
 
@@ -65,13 +67,15 @@ def build_exemplar(
     pixel_m: float = 0.0,
     wood: ModuleWood | None = None,
     tree: TreeSize | None = None,
+    leaves: LeafState = SUMMER,
 ) -> Exemplar:
     """Grow and mesh one plant.
 
     `plant`: the generator's own `Parameters`; their `generator` names it in `GENERATORS`. `radius_m`: community radius.
     `pixel_m`: what a pixel covers of the plant, metres, which sets the detail; 0: all. The plant is the same one.
     `wood`: branches that it has grown already: the generator clothes them, and they give its height.
-    `tree`: its sizes; None: height and width by the radius.
+    `tree`: its sizes; None: height and width by the radius. `leaves`: those of its season; its height stays that of the
+    plant in leaf.
 
     Raises `RecipeError`: a plant too large for memory, or a material that the species does not have.
     """
@@ -101,16 +105,22 @@ def build_exemplar(
     skeleton = _with_visible_organs(fitted, templates)
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
+    in_leaf_m = 0.0
+    if leaves != SUMMER:
+        feet, _, upper = _extents(skeleton.organs, templates)
+        in_leaf_m = float((feet + upper)[:, 2].max())
+        skeleton = with_leaves(skeleton, plant.shapes, leaves, rng.spawn(1)[0])
     seen = simplified(skeleton, templates, pixel_m, level_rng)
     organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=pixel_m)
     _check_materials(species_name, organs, species.materials)
     low, high = _box(organs, species_name)
-    _check_fitted(species_name, plant.fit, float(high[2]), height_m)
+    top_m = max(float(high[2]), in_leaf_m)
+    _check_fitted(species_name, plant.fit, top_m, height_m)
     return Exemplar(
         species=species_name,
         organs=organs,
         radius_m=radius_m,
-        height_m=float(high[2]),
+        height_m=top_m,
         crown_width_m=float(np.mean((high - low)[:2])),
         leaf_area_m2=leaf_area_m2(organs, plant.shapes),
         wood_volume_m3=skeleton.volume_m3(),

@@ -28,6 +28,7 @@ from forestgen.plants.grown import ModuleWood, wood_key
 from forestgen.plants.registry import GENERATORS, clothes_modules
 from forestgen.plants.tree_fit import TreeSize
 from forestgen.recipe.assets import scenes_dir
+from forestgen.recipe.phenology import SUMMER, LeafState
 from forestgen.recipe.species import Species
 
 SHARED_BYTES = 400_000_000  # of shared exemplars in memory, at most
@@ -51,6 +52,7 @@ class ExemplarRequest:
     pixel_m: float = 0.0  # what a pixel covers of the plant where it is seen closest, metres; 0: all detail
     wood: ModuleWood | None = None  # branches that its community grew; None: the generator grows it by the radius
     tree: TreeSize | None = None  # its sizes; None: height and width by the radius
+    leaves: LeafState = SUMMER  # that it has; their colour is its materials'
     is_kept: bool = True  # on disk: other runs may ask for the same
     is_shared: bool = False  # in memory: this process' next images may ask for the same
 
@@ -73,6 +75,7 @@ class ExemplarRequest:
             "level": {"pixel_m": self.pixel_m},
             "wood": None if self.wood is None else wood_key(self.wood),
             "tree": None if self.tree is None else [repr(one) for one in astuple(self.tree)],
+            "leaves": [self.leaves.share, self.leaves.size, self.leaves.flowers],
             "code": code_hash(_SOURCES, _COMPUTE_WITH),
         }
         if self.grows_alone:
@@ -108,9 +111,8 @@ def grow_exemplar(request: ExemplarRequest) -> Exemplar:
         wood = GENERATORS.load(plant.generator).wood_alone(name, species, size, seed)
         plant = plant.model_copy(update={"fit": "scale_all"})  # leaves reach beyond the wood
     rng = child_rng(request.seed, *request.identity)
-    return build_exemplar(
-        name, species, plant, request.radius_m, rng, pixel_m=request.pixel_m, wood=wood, tree=request.tree
-    )
+    how: dict[str, Any] = {"pixel_m": request.pixel_m, "wood": wood, "leaves": request.leaves, "tree": request.tree}
+    return build_exemplar(name, species, plant, request.radius_m, rng, **how)
 
 
 def grow_exemplars(

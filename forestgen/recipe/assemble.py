@@ -182,7 +182,7 @@ def embed_files(data: dict[str, Any], sources: SourceMap, folder: Path, errors: 
     when it was read: their paths are relative to that file. `errors` takes the errors of each.
     """
     plants, cameras = data.get("plants"), data.get("cameras")
-    season = plants.get("season", "summer") if isinstance(plants, dict) else "summer"
+    season = (plants.get("season") if isinstance(plants, dict) else None) or "summer"
     for name, entry in _mappings(data.get("species")):
         keys: Keys = ("species", name)
         errors.attempt(_embed, entry.get("plant"), sources, (*keys, "plant", "program"), folder)

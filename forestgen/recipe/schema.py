@@ -6,6 +6,7 @@ Distributions are drawn, shorthands expanded and species files merged before a r
 
 from __future__ import annotations
 
+import datetime
 import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, Self
@@ -25,11 +26,11 @@ from forestgen.recipe import fields
 from forestgen.recipe.cameras import Camera, check_cameras, check_motion, default_view
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
+from forestgen.recipe.phenology import LeafSeason, TimeOfYear
 from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, TERRAINS
 from forestgen.recipe.sampler import Sampling
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Building, Species
-from forestgen.recipe.spectra import Season
 
 SCHEMA_VERSION = 1
 Extent = Annotated[fields.Positive, Field(le=5000)]
@@ -90,6 +91,12 @@ class Site(fields.Section):
     longitude_deg: fields.Number | None = Field(
         None, ge=-180, le=180, description="Longitude, degrees, east positive; for a sun by date and time."
     )
+    date: fields.Text | None = Field(
+        None,
+        max_length=10,
+        description="Day, YYYY-MM-DD, of the plants' phenology, at latitude_deg and altitude_m; with a sun by date, it "
+        "is the sun's, and this is left out.",
+    )
     wind_from_deg: fields.Number = Field(
         270.0,
         ge=-360,
@@ -109,8 +116,19 @@ class Site(fields.Section):
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         found: dict[str, Any] = handler(self)
-        few = {"wet_soil": None, "buildings": ()}
+        few = {"wet_soil": None, "buildings": (), "date": None}
         return {key: value for key, value in found.items() if key not in few or value not in (few[key], [])}
+
+    @field_validator("date")
+    @classmethod
+    def _is_day(cls, value: str | None) -> str | None:
+        try:
+            known = value is None or datetime.date.fromisoformat(value) is not None
+        except ValueError:
+            known = False
+        if not known:
+            raise fields.violation("a day as 2026-10-15", problem="not a date", got=value)
+        return value
 
     @model_validator(mode="after")
     def _buildings_stand_on_it(self) -> Self:
@@ -187,10 +205,17 @@ class Plants(fields.Section):
         description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
         "chosen so that they stay below a pixel.",
     )
-    season: Season = Field(
-        "summer",
-        description="Of the leaves' spectra: spring, summer, autumn, dry. It changes their light, not their number; "
-        "shipped evergreens stay green.",
+    season: LeafSeason | None = Field(
+        None,
+        description="Of the leaves, their number, size and colour: spring, summer, autumn, winter, or dry, the dry "
+        "season. null: of site.date or the sun's date; without one summer.",
+    )
+    phenology_classes: fields.Whole = Field(
+        2,
+        ge=1,
+        le=5,
+        description="Groups that a species' plants fall into during leaf-out and leaf fall, from early to late. Each "
+        "needs plants modelled for it: time and memory grow with it, in those seasons alone.",
     )
     cache: fields.Flag = Field(
         True,
@@ -352,6 +377,15 @@ class Recipe(fields.Section):
         """Names of what has instances: the species, and the kinds of buildings."""
         return (*self.species, *dict.fromkeys(one.kind for one in self.site.buildings))
 
+    @property
+    def time_of_year(self) -> TimeOfYear:
+        """When the plants are shown: by the season's name, or by site.date or the sun's."""
+        site, moment = self.site, self.sky.sun.moment
+        date = moment if site.date is None else datetime.date.fromisoformat(site.date)
+        named = self.plants.season or ("summer" if date is None else None)
+        day = date.timetuple().tm_yday if date is not None else 0
+        return TimeOfYear(named, day, site.latitude_deg, site.altitude_m)
+
     @field_validator("cameras")
     @classmethod
     def _names_differ(cls, cameras: list[Camera]) -> list[Camera]:
@@ -370,6 +404,11 @@ class Recipe(fields.Section):
             hint = "site: {latitude_deg: 51.0, longitude_deg: 13.7} is Dresden"
             expected = "site.latitude_deg and site.longitude_deg, degrees"
             raise fields.violation(expected, problem=problem, got=got, hint=hint, at=("site", missing[0]))
+        twice = "plants.season" if self.plants.season is not None else "sky.sun.date" if self.sky.sun.date else None
+        if self.site.date is not None and twice is not None:
+            problem, hint = "the time of the year is given twice", f"leave out site.date or {twice}"
+            got = f"site.date and {twice}"
+            raise fields.violation("one of them", problem=problem, got=got, hint=hint, at=("site", "date"))
         reserved = (*NO_SPECIES, *(one.kind for one in self.site.buildings))
         for name in self.species:
             if name.lower() in reserved:

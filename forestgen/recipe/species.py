@@ -31,6 +31,7 @@ from forestgen.recipe.fields import (
     shorthand,
     violation,
 )  # fmt: skip
+from forestgen.recipe.phenology import Phenology
 from forestgen.recipe.registries import BUILDINGS, DEFAULT_BUILDING
 from forestgen.recipe.spectra import MOST_BYTES, Season
 from forestgen.recipe.tree_sizes import TreeSizes
@@ -142,7 +143,7 @@ class Material(Section):
         description="Table of reflectance and transmittance by wavelength, of which the colours follow: leaves/birch, "
         "bark/oak, ... or a path from the recipe's folder. In place of reflectance and transmittance.",
     )
-    season: Season | None = Field(None, description="Of the spectrum, where it has seasons; null: plants.season.")
+    season: Season | None = Field(None, description="Of the spectrum, where it has seasons; null: by its phenology.")
     reflectance: Colour | None = Field(None, description="Reflected fraction of red, green, blue; linear Rec. 709.")
     transmittance: Colour = Field(
         (0.0, 0.0, 0.0), description="Fraction let through of red, green, blue; linear Rec. 709."
@@ -325,6 +326,13 @@ class Species(Section):
     materials: dict[Name, Material] = Field(
         default_factory=dict, description="Materials of the plant's organs, by name."
     )
+    phenology: Annotated[Phenology | None, *shorthand("habit")] = Field(
+        None, description="When it has leaves, and of what colour; null: always, of the season's spectrum."
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {key: value for key, value in handler(self).items() if key != "phenology" or value is not None}
 
     @model_validator(mode="after")
     def _height_is_a_plants(self) -> Self:

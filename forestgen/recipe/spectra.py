@@ -10,14 +10,16 @@ come a header, whose first column is ``wavelength_nm``, and one row a wavelength
     ...
 
 Surfaces have columns ``reflectance`` and, if light passes, ``transmittance``; with ``_spring``, ``_summer``,
-``_autumn`` or ``_dry`` behind them they hold for that season alone. Sensors have one column a band, of any name and
-scale. Names are those of files under ``scenes/spectra`` (``leaves/birch``) or paths from the recipe's folder.
+``_autumn`` or ``_dry`` behind them they hold for that season alone, and a plant's phenology mixes them. Sensors have
+one column a band, of any name and scale. Names are those of files under ``scenes/spectra`` (``leaves/birch``) or paths
+from the recipe's folder.
 """
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Literal, NoReturn
@@ -97,6 +99,23 @@ def of_season(columns: Columns, season: Season) -> tuple[Spectrum, Spectrum | No
         if f"reflectance{suffix}" in columns:
             return columns[f"reflectance{suffix}"], columns.get(f"transmittance{suffix}")
     return None
+
+
+def mixed(columns: Columns, weights: Sequence[float]) -> tuple[Spectrum, Spectrum | None]:
+    """(reflectance, transmittance or None) of leaves of several seasons beside each other.
+
+    `weights`: (4,) shares of `SEASONS`, of sum 1. A season that the table lacks counts as its first.
+    """
+    wanted = [(season, weight) for season, weight in zip(SEASONS, weights, strict=True) if weight > 0]
+    parts = [(of_season(columns, season) or of_season(columns, seasons_of(columns)[0]), w) for season, w in wanted]
+    found = [(*one, weight) for one, weight in parts if one is not None]
+    if len(found) == 1:
+        return found[0][:2]
+    grid = found[0][0].wavelength_nm  # of the whole table
+    reflectance = Spectrum(grid, np.asarray(sum(weight * r.value for r, _, weight in found)))
+    if all(t is None for _, t, _ in found):
+        return reflectance, None
+    return reflectance, Spectrum(grid, np.asarray(sum(w * t.value for _, t, w in found if t is not None)))
 
 
 def seasons_of(columns: Columns) -> list[Season]:

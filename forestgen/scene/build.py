@@ -15,9 +15,11 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.phenology import SUMMER
 from forestgen.scene.building import building_materials
 from forestgen.scene.exemplars import SizeError
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
+from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
@@ -84,6 +86,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             exemplars,
             drawn.image_seed,
             stands_for_m=chosen.stands_for_m(population.height_m),
+            built_width_m=chosen.tree[:, 1],
             is_unique=chosen.is_unique,
         )
         trunks = Trunks(exemplars, instances)
@@ -120,10 +123,9 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
 
 def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:
     """Of the species and the buildings."""
-    season = plan.drawn.recipe.plants.season
-    materials = materials_of(species_seen(plan.drawn.species, population), season)
+    materials = materials_of(species_seen(plan.drawn.species, population), leaf_states(plan.drawn))
     for (kind, key), one in building_materials(plan.community.obstacles.entries).items():
-        materials[kind, key] = surface_of(one, season, f"{kind}/{key}")
+        materials[kind, key] = surface_of(one, SUMMER, f"{kind}/{key}")
     return materials
 
 
@@ -141,6 +143,7 @@ def place_instances(
     seed: int,
     *,
     stands_for_m: NDArray[np.float64] | None = None,
+    built_width_m: NDArray[np.float64] | None = None,
     is_unique: NDArray[np.bool_] | None = None,
 ) -> Instances:
     """One instance a plant: its exemplar scaled to the plant's exact height, a tree's also to its crown width, and
@@ -153,12 +156,15 @@ def place_instances(
     ----------
     stands_for_m : (E,) height of the plant whose own branches an exemplar has; NaN or None: the exemplar's height is
         that of its plants.
+    built_width_m : (E,) crown width that a tree was built to, in leaf; NaN or None: that of the exemplar's geometry.
     is_unique : (E,) exemplars of one plant alone, whose branches know their neighbours: neither turned nor scaled.
     """
     heights = np.array([exemplar.height_m for exemplar in exemplars], dtype=np.float64)
     if stands_for_m is not None:
         heights = np.where(np.isnan(stands_for_m), heights, stands_for_m)
     widths = np.array([exemplar.crown_width_m for exemplar in exemplars], dtype=np.float64)
+    if built_width_m is not None:
+        widths = np.where(np.isnan(built_width_m), widths, built_width_m)
     sizes = tree_sizes_of(population)
     scale, across = instance_scales(sizes, population.height_m, exemplar_of_plant, heights, widths)
     angle = np.array([child_rng(seed, "plant", int(i)).random() for i in population.plant_id]) * 2 * np.pi

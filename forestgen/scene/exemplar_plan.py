@@ -25,6 +25,7 @@ class ExemplarPlan:
     rank: Ints  # (E,) of its cluster among the species', by radius: 0, 1, ...; of a library, its rung
     variant: Ints  # (E,) which of the plants of that size
     level: Ints  # (E,) index of its level of detail, see plants/levels.py: 0 is all detail
+    leaves: Ints  # (E,) index of its leaves among the species' `phenology.leaf_states`
     exemplar_of_plant: NDArray[np.uint32]  # (N,) index into the exemplars
     plant: Ints  # (E,) row of the plant whose own branches it has; -1: its species' generator grows it by its radius
     is_unique: NDArray[np.bool_]  # (E,) of that plant alone, which keeps its place, size and attitude
@@ -54,6 +55,7 @@ class ExemplarPlan:
             rank=np.arange(count) if rank is None else rank,
             variant=zeros,
             level=zeros,
+            leaves=zeros,
             exemplar_of_plant=exemplar_of_plant.astype(np.uint32),
             plant=zeros - 1 if plant is None else plant,
             is_unique=np.arange(count) < unique,
@@ -65,7 +67,7 @@ class ExemplarPlan:
         found[own] = height_m[self.plant[own]]
         return found
 
-    def split(self, field: Literal["variant", "level"], value_of_plant: Ints) -> ExemplarPlan:
+    def split(self, field: Literal["variant", "level", "leaves"], value_of_plant: Ints) -> ExemplarPlan:
         """An exemplar for each pair of exemplar and value that some plant has, in the order of both."""
         pairs = np.stack([self.exemplar_of_plant.astype(np.int64), value_of_plant], axis=1)
         used, chosen = np.unique(pairs, axis=0, return_inverse=True)
@@ -73,7 +75,7 @@ class ExemplarPlan:
         return ExemplarPlan(**columns, exemplar_of_plant=chosen.reshape(-1).astype(np.uint32))
 
 
-OF_EXEMPLARS = ("species", "radius_m", "tree", "rank", "variant", "level", "plant", "is_unique")
+OF_EXEMPLARS = ("species", "radius_m", "tree", "rank", "variant", "level", "leaves", "plant", "is_unique")
 
 
 def cluster(features: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:

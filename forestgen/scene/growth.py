@@ -44,9 +44,11 @@ from forestgen.scene.exemplars import (
     size_errors,
     unique_plants,
 )
+from forestgen.scene.phenology import leaf_class_of_plant, leaf_states
 from forestgen.scene.plan import Plan, check_own_triangles
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
+from forestgen.scene.surfaces import material_of_class
 from forestgen.scene.tree_exemplars import tree_sizes_of
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
@@ -84,6 +86,7 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
         library=section.library,
         library_tree=partial(_library_tree, plan),
     )
+    chosen = chosen.split("leaves", leaf_class_of_plant(plan.drawn, population))
     if not section.levels or pixel_m is None:
         return chosen
     own_height_m = np.ones(len(population))
@@ -224,8 +227,14 @@ def grow_planned(
         grown = tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
     plants = iter(grown)
     exemplars = (built[index] if index in built else next(plants) for index in range(len(exemplar_plan)))
-    pairs = zip(exemplars, exemplar_plan.is_unique.tolist(), strict=True)
-    return tuple(replace(one, is_unique=unique) for one, unique in pairs)
+    columns = zip(exemplars, exemplar_plan.is_unique.tolist(), exemplar_plan.leaves.tolist(), strict=True)
+    return tuple(replace(_of_class(one, leaves), is_unique=unique) for one, unique, leaves in columns)
+
+
+def _of_class(exemplar: Exemplar, leaves: int) -> Exemplar:
+    """The plant with the materials of its class of phenology."""
+    organs = (replace(one, material=material_of_class(one.material, leaves)) for one in exemplar.organs)
+    return replace(exemplar, organs=tuple(organs)) if leaves else exemplar
 
 
 def _silhouette(request: ExemplarRequest, exemplar: Exemplar) -> Exemplar:
@@ -250,7 +259,7 @@ def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Popul
 
     A plant's randomness belongs to its species, cluster's rank and variant; if it grew branches of its own, to itself.
     """
-    names = list(plan.drawn.species)
+    names, states = list(plan.drawn.species), leaf_states(plan.drawn)
     requests = _own_requests(plan, exemplar_plan, population)
     grown = set(range(len(exemplar_plan))) - _buildings(plan, exemplar_plan, population).keys() - requests.keys()
     for index in grown:
@@ -265,6 +274,7 @@ def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Popul
             identity=identity,
             tree=_tree(exemplar_plan.tree[index]),
             pixel_m=PIXEL_STEPS_M[exemplar_plan.level[index]],
+            leaves=states[name][exemplar_plan.leaves[index]],
             is_shared=plan.drawn.recipe.plants.library is not None,
         )
     return [requests[index] for index in sorted(requests)]
@@ -287,7 +297,7 @@ def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Populatio
     rows = np.unique(exemplar_plan.plant[chosen])
     grown = woods_of(population, _tables(plan, population), rows)
     woods = dict(zip(rows.tolist(), grown, strict=True))
-    names = population.species_names
+    names, states = population.species_names, leaf_states(plan.drawn)
     requests = {}
     for index in chosen.tolist():
         row = int(exemplar_plan.plant[index])
@@ -307,6 +317,7 @@ def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Populatio
             identity=("own", int(population.plant_id[row])),
             pixel_m=PIXEL_STEPS_M[exemplar_plan.level[index]],
             wood=woods[row],
+            leaves=states[name][exemplar_plan.leaves[index]],
             is_kept=not bool(exemplar_plan.is_unique[index]),
         )
     return requests

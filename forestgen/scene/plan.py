@@ -27,6 +27,7 @@ from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
 from forestgen.recipe.schema import Plants
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
+from forestgen.scene.phenology import leaf_states
 from forestgen.scene.site import check_sun, check_wet_soil, community_site
 from forestgen.scene.views import Views, place_key
 
@@ -134,12 +135,12 @@ def _exemplar_triangles(plan: Plan) -> int:
     """Triangles of all exemplars, as if each were a mature plant of its species; see `own_triangles` for the others."""
     section = plan.drawn.recipe.plants
     each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
-    total = 0.0
+    total, states = 0.0, leaf_states(plan.drawn)
     for name, species in plan.drawn.species.items():
         if name not in plan.plants.foliage:
             has_crown = GENERATORS.load(species.plant.generator).has_crown
             width_m = float(species.allometry.width(species.ecology.max_radius_m)) if has_crown else 0.0
-            total += most_triangles(species.mature_height_m, width_m)
+            total += len(states[name]) * most_triangles(species.mature_height_m, width_m)
     return int(each * total)
 
 

@@ -33,7 +33,8 @@ from numpy.typing import NDArray
 from forestgen.core.spectrum import LUMINANCE, Spectrum
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe import species as recipe_species
-from forestgen.recipe.spectra import Season, load_spectra, load_table, of_season, surface_columns
+from forestgen.recipe.phenology import SUMMER, LeafState
+from forestgen.recipe.spectra import load_spectra, load_table, mixed, surface_columns
 from forestgen.scene.colour import Channels, colours_of_surface
 from forestgen.scene.spec import Camera, Material, Terrain, WetGround
 
@@ -125,17 +126,30 @@ def film_factor(terrain: Terrain, channels: Channels) -> Floats:
     return np.clip(wet / np.maximum(dry, 1e-9), 0.0, 1.0)
 
 
-def materials_of(species: Mapping[str, Species], season: Season = "summer") -> dict[tuple[str, str], Material]:
-    """Materials of all species by (species, material). `season`: of the spectra whose material names none."""
-    return {
-        (name, key): surface_of(material, season, f"{name}/{key}")
-        for name, one in species.items()
-        for key, material in one.materials.items()
-    }
+def materials_of(
+    species: Mapping[str, Species], leaves: Mapping[str, Sequence[LeafState]] | None = None
+) -> dict[tuple[str, str], Material]:
+    """Materials of all species by (species, material).
+
+    `leaves`: by species, the leaves of each class of its plants; the materials of all but the first have the names that
+    `material_of_class` gives. None, or a species that is not there: summer.
+    """
+    found: dict[tuple[str, str], Material] = {}
+    for name, one in species.items():
+        for index, state in enumerate((leaves or {}).get(name, [SUMMER])):
+            for key, material in one.materials.items():
+                first = found[name, key] if index and material.bark is not None else None  # bark has no season
+                found[name, material_of_class(key, index)] = first or surface_of(material, state, f"{name}/{key}")
+    return found
 
 
-def surface_of(material: recipe_species.Material, season: Season, name: str) -> Material:
-    """A recipe's material; `name`, such as "birch/bark", seeds its texture."""
+def material_of_class(material: str, index: int) -> str:
+    """Name of a species' material on plants of a class of phenology."""
+    return f"{material}~{index}" if index else material
+
+
+def surface_of(material: recipe_species.Material, leaves: LeafState, name: str) -> Material:
+    """A recipe's material on a plant with such leaves; `name`, such as "birch/bark", seeds its texture."""
     file = material.spectrum
     spectra: tuple[Spectrum | None, Spectrum | None] = None, None
     if file is None:
@@ -143,9 +157,8 @@ def surface_of(material: recipe_species.Material, season: Season, name: str) -> 
         reflectance, transmittance = material.reflectance, material.transmittance
     else:
         columns = load_spectra(file.name) if file.text is None else surface_columns(file.text, file.name)
-        found = of_season(columns, material.season or season)
-        assert found is not None  # the same
-        spectra = found
+        own = leaves if material.season is None else LeafState.of_season(material.season)
+        found = spectra = mixed(columns, own.spectra)
         reflectance, transmittance = colours_of_surface(*found)
     return Material(
         reflectance,
@@ -162,6 +175,7 @@ def infrared_notes(materials: Mapping[tuple[str, str], Material], cameras: Seque
     ends_nm = [band.response.wavelength_nm[-1] for camera in cameras for band in camera.bands]
     farthest_nm = max(ends_nm, default=0.0)
     notes = []
+    materials = {pair: one for pair, one in materials.items() if "~" not in pair[1]}  # the first class stands for all
     colours = [f"{owner}.{key}" for (owner, key), one in materials.items() if one.reflectance_spectrum is None]
     if farthest_nm > COLOUR_ENDS_NM and colours:
         notes.append(

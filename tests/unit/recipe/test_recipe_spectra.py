@@ -78,7 +78,7 @@ def test_seasons_may_be_drawn(tmp_path):
         "species.birch.materials.leaf.spectrum=leaves/brich",
         "species.birch.materials.leaf.spectrum=bad.csv",
         "species.birch.materials.leaf={spectrum: summer.csv, season: dry}",
-        "plants.season=winter",
+        "plants.season=monsoon",
         "species.birch.materials.leaf.spectrum=null",
         "species.birch.materials.leaf={reflectance: [0, 0, 0], season: dry}",
         "species.birch.materials.leaf={spectrum: bark/oak, transmittance: [0.1, 0.1, 0.1]}",

@@ -82,7 +82,7 @@ def test_curves_keep_their_formulas(write: Write) -> None:
         ("2 + 4 * haze", "open(haze)"),
         ("2 + 4 * haze", "haze.real"),
         ("2 + 4 * haze", "2 + season"),
-        ("{choice: [summer, autumn]}", "{choice: [summer, winter]}")
+        ("{choice: [summer, autumn]}", "{choice: [summer, monsoon]}")
     ],
 )  # fmt: skip
 def test_mistakes(write: Write, old: str, new: str) -> None:

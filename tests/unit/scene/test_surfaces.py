@@ -5,6 +5,7 @@ import pytest
 
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.recipe.load import load_recipe_data
+from forestgen.recipe.phenology import TimeOfYear, leaf_state
 from forestgen.scene.colour import RGB, Channels, colours_of_surface
 from forestgen.scene.spec import Camera
 from forestgen.scene.surfaces import infrared_notes, materials_of
@@ -18,6 +19,11 @@ def species(**materials):
         "community": {"model": "placed"},
     }
     return load_recipe_data(data, "test").draw(0).species
+
+
+def materials_in(kinds, season):
+    time = TimeOfYear(season)
+    return materials_of(kinds, {name: [leaf_state(one.phenology, time)] for name, one in kinds.items()})
 
 
 def camera(*ends_nm: float) -> Camera:
@@ -35,11 +41,11 @@ def test_materials_have_the_colours_of_their_spectra():
 
 
 def test_seasons_change_leaves_and_not_needles():
-    summer, autumn = materials_of(species(), "summer"), materials_of(species(), "autumn")
+    summer, autumn = materials_in(species(), "summer"), materials_in(species(), "autumn")
     red_summer, red_autumn = (one["birch", "leaf"].reflectance[0] for one in (summer, autumn))
     assert red_autumn > 3 * red_summer
     assert autumn["spruce", "needle"].reflectance == summer["spruce", "needle"].reflectance
-    own = materials_of(species(leaf={"season": "summer"}), "autumn")["birch", "leaf"]
+    own = materials_in(species(leaf={"season": "summer"}), "autumn")["birch", "leaf"]
     assert own.reflectance == summer["birch", "leaf"].reflectance
 
 
@@ -47,7 +53,7 @@ EVERGREEN = (
     "pine", "spruce", "hemlock", "sequoia", "cypress", "juniper", "palm", "fan_palm", "tree_fern", "eucalyptus",
     "meranti", "cecropia", "rosemary",
 )  # fmt: skip
-NOT_EVERGREEN = ("birch", "larch", "grass", "kapok", "bracken")
+NOT_EVERGREEN = ("birch", "larch", "grass", "bracken")
 
 
 @pytest.mark.parametrize("name", [*EVERGREEN, *NOT_EVERGREEN])
@@ -55,11 +61,25 @@ def test_evergreen_leaves_are_green_in_every_season(name):
     data = {"forestgen": 1, "species": {name: name}, "community": {"model": "placed"}}
     kinds = load_recipe_data(data, "test").draw(0).species
     key = next(one for one in ("needle", "leaf", "frond", "blade") if one in kinds[name].materials)
-    red, green, _ = materials_of(kinds, "dry")[name, key].reflectance
+    red, green, _ = materials_in(kinds, "dry")[name, key].reflectance
     assert (green > 1.2 * red) == (name in EVERGREEN)
     if name in EVERGREEN:
-        for season in ("spring", "autumn", "dry"):
-            assert materials_of(kinds, season)[name, key] == materials_of(kinds, "summer")[name, key]
+        summer = materials_of(kinds)[name, key]
+        for season in ("spring", "autumn", "winter", "dry"):
+            one = materials_in(kinds, season)[name, key]
+            assert one.reflectance_spectrum is summer.reflectance_spectrum
+            assert one.transmittance_spectrum is summer.transmittance_spectrum
+
+
+def test_an_evergreen_stays_green_with_a_spectrum_of_the_recipes():
+    """A recipe's own spectrum replaces the species file's, with its season."""
+    data = {
+        "forestgen": 1,
+        "species": {"pine": {"from": "pine", "materials": {"needle": {"spectrum": "leaves/spruce"}}}},
+        "community": {"model": "placed"},
+    }
+    kinds = load_recipe_data(data, "test").draw(0).species
+    assert materials_in(kinds, "dry")["pine", "needle"] == materials_of(kinds)["pine", "needle"]
 
 
 def test_green_leaves_look_as_leaves_do():
