@@ -25,8 +25,9 @@ What follows from them
 - A species that FFT lacks has the pigments of its nearest measured relative, and the dry matter of its own species file
   (leaf_mass_per_area_kg_per_m2). Its N and water follow from the dry matter, as over all broad leaves of FFT: N rises
   by 49 per g/cm² (711 leaves), water is 1.47 times the dry matter.
-- `SUN` and `SHADE`: FFT's leaves of the crowns' top and bottom over those of all heights, medians over the species with
-  three samples or more of each (20 broad-leaved, 8 conifers).
+- `VARIATION`: FFT's leaves of the crowns' top and bottom over those of all heights, medians over the species with three
+  samples or more of each (20 broad-leaved, 8 conifers). Plants differ in chlorophyll by 15%: broad leaves of one
+  species, height and plot by 16% (34 leaves of 15 groups), plots' means by 15% (broad leaves) and 16% (needles).
 
 Herbs, spring, autumn and dry leaves lie in the ranges of LOPEX, ANGERS and other sets (Féret et al. 2008, Remote
 Sensing of Environment 112, 3030-3043, and 2017): N 1.0 to 3.0, chlorophyll to 110 and carotenoids to 28 µg/cm²,
@@ -235,6 +236,20 @@ PETALS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # colours of
     "fruits/bramble_ripe": ((0.012, 0.008, 0.014), (0.0, 0.0, 0.0)),
     "fruits/bramble_unripe": ((0.30, 0.030, 0.028), (0.0, 0.0, 0.0)),
 }
+# Factors on N, chlorophyll, carotenoids, water and dry matter of the mean leaf.
+VARIATION = {
+    "broad": {
+        "sun": (1.072, 1.106, 1.054, 1.249, 1.463),
+        "shade": (0.938, 0.890, 0.935, 0.824, 0.735),
+        "pale": (1.0, 0.85, 0.85, 1.0, 1.0),
+    },
+    "needle": {
+        "sun": (1.136, 0.999, 1.021, 1.071, 1.152),
+        "shade": (0.924, 1.002, 1.018, 0.895, 0.873),
+        "pale": (1.0, 0.85, 0.85, 1.0, 1.0),
+    },
+}
+MEAN_LEAVES = {"broad": "maple", "needle": "spruce"}
 SYMBOLS = ("N", "chlorophyll", "carotenoids", "anthocyanins", "brown", "water", "dry matter")
 
 
@@ -287,6 +302,29 @@ def main() -> None:
     write("leaves/green_stem", lines, GRID_NM, {"reflectance": opaque(*prospect(stem))})
     for name, (reflected, passed) in PETALS.items():
         write_petal(name, reflected, passed)
+    write_variation()
+
+
+def write_variation() -> None:
+    """Reflectance and transmittance of sun, shade and pale leaves over those of the mean leaf."""
+    columns = {}
+    for kind, leaves in VARIATION.items():
+        seasons = LEAVES[MEAN_LEAVES[kind]]
+        n, chlorophyll, carotenoids, anthocyanins, brown, water, dry = seasons.get("summer", seasons.get("", ()))
+        mean = prospect((n, chlorophyll, carotenoids, anthocyanins, brown, water, dry))
+        for name, (f_n, f_ab, f_car, f_w, f_dry) in leaves.items():
+            own = f_n * n, f_ab * chlorophyll, f_car * carotenoids, anthocyanins, brown, f_w * water, f_dry * dry
+            for side, one, base in zip(("reflectance", "transmittance"), prospect(own), mean, strict=True):
+                columns[f"{kind}_{name}_{side}"] = (one + 1e-3) / (base + 1e-3)
+    lines = {
+        "what": "leaves of the crown's top (sun) and bottom (shade) and of plants with 15% less chlorophyll (pale)",
+        "source": "PROSPECT-D (Féret et al. 2017) of measured leaves, by prosail 2.0.5; see make_leaves.py",
+        "licence": "results of a computation, CC0",
+        "date": "2026-11-28",
+        "made by": "docs/spectra/make_leaves.py",
+        "unit": "wavelength in nm; over the mean leaf of the species, each plus 0.001",
+    }
+    write("standards/leaf_variation", lines, GRID_NM, columns, form=".4f")
 
 
 def coloured(colour: tuple[float, ...], beyond: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:

@@ -154,6 +154,7 @@ def surface_of(material: recipe_species.Material, season: Season, name: str) -> 
         None if material.bark is None else bark_texture(material.bark, reflectance, name),
         material.gloss,
         *spectra,
+        leaf_type=material.leaf_type,
     )
 
 
