@@ -3,14 +3,38 @@
     uv run --no-project --with prosail python docs/spectra/make_leaves.py
 
 PROSPECT-D (Féret, Gitelson, Noble and Jacquemoud 2017, Remote Sensing of Environment 193, 204-215) as the PyPI package
-prosail computes it. Parameters lie in the ranges of measured leaves: LOPEX, ANGERS and other sets in Féret et al. 2008
-(Remote Sensing of Environment 112, 3030-3043) and 2017: N 1.0 to 3.0, chlorophyll to 110 and carotenoids to 28 µg/cm²,
-anthocyanins to 17 µg/cm² and more in red leaves, water 0.004 to 0.05 cm, dry matter 0.0017 to 0.033 g/cm². Within them,
-chlorophyll, N and brown pigments of summer leaves are those that give the species' look; chlorophyll over the season
-follows Demarez et al. 1999 (International Journal of Remote Sensing 20, 1975-1987: hornbeam, oak and beech), colours of
-autumn Merzlyak et al. 2003 (Journal of Experimental Botany 54, 707-714) and Gitelson et al. 2001 (Photochemistry and
-Photobiology 74, 38-45). PROSPECT is a model of flat leaves; needles have a larger N, as in Malenovský et al. 2006
-(International Journal of Remote Sensing 27, 5315-5340) for Norway spruce.
+prosail computes it. No parameter of a green leaf is chosen for its look or for a stand's reflectance.
+
+Measured leaves
+---------------
+FFT: 1,382 leaves and needles of 60 species of North American forests, from three heights of the crowns (Serbin et al.
+2014, Ecological Applications 24, 1651-1669; Singh et al. 2015, ibid. 25, 2180-2197), with water and dry matter by
+weighing; N, chlorophyll and carotenoids by inversion of PROSPECT-5 (Shiklomanov et al. 2016, Remote Sensing of
+Environment 183, 226-238; github.com/ashiklom/prospect_bayes). Medians over all heights; n is the number of samples.
+Hyytiälä: mean reflectance and transmittance of leaves and needles in midsummer (Hovi et al. 2024,
+doi:10.23729/9a8d90cd-73e2-438d-9230-94e10e61adc9; Rautiainen et al. 2024, Earth System Science Data 16, 5069-5087;
+github.com/mottus/f_art_python), to which PROSPECT-D is fitted from 530 to 2400 nm without 626 to 690 nm, where light
+past the needles makes up most of the transmittance. Järvselja: needles of Picea abies in the bands of RAMI-V (Kuusk et
+al. 2013), fitted in the same way. Warren et al. 2006: Eucalyptus leaves, as AusTraits has them (Falster et al. 2021,
+Scientific Data 8, 254). Moles et al. 2011 (ibid.).
+
+What follows from them
+----------------------
+- Needles: reflectance alone, of a mat of needles, fixes the pigments over N, and N comes out too large. Where it passes
+  `NEEDLE_N`, that of needles whose transmittance was measured too, N and pigments are scaled down to it.
+- A species that FFT lacks has the pigments of its nearest measured relative, and the dry matter of its own species file
+  (leaf_mass_per_area_kg_per_m2). Its N and water follow from the dry matter, as over all broad leaves of FFT: N rises
+  by 49 per g/cm² (711 leaves), water is 1.47 times the dry matter.
+- `VARIATION`: FFT's leaves of the crowns' top and bottom over those of all heights, medians over the species with three
+  samples or more of each (20 broad-leaved, 8 conifers). Plants differ in chlorophyll by 15%: broad leaves of one
+  species, height and plot by 16% (34 leaves of 15 groups), plots' means by 15% (broad leaves) and 16% (needles).
+
+Herbs, spring, autumn and dry leaves lie in the ranges of LOPEX, ANGERS and other sets (Féret et al. 2008, Remote
+Sensing of Environment 112, 3030-3043, and 2017): N 1.0 to 3.0, chlorophyll to 110 and carotenoids to 28 µg/cm²,
+anthocyanins to 17 µg/cm² and more in red leaves, water 0.004 to 0.05 cm, dry matter 0.0017 to 0.033 g/cm². Chlorophyll
+over the season follows Demarez et al. 1999 (International Journal of Remote Sensing 20, 1975-1987: hornbeam, oak and
+beech), colours of autumn Merzlyak et al. 2003 (Journal of Experimental Botany 54, 707-714) and Gitelson et al. 2001
+(Photochemistry and Photobiology 74, 38-45).
 """
 
 from __future__ import annotations
@@ -19,43 +43,79 @@ import numpy as np
 import prosail
 from tables import GRID_NM, SPECTRA, write
 
-SEASONS = ("spring", "summer", "autumn", "dry")
-ALL_YEAR = ("", "dry")
-# N, chlorophyll, carotenoids, anthocyanins (µg/cm²), brown pigments, water (cm), dry matter (g/cm²)
-LEAVES: dict[str, dict[str, tuple[float, ...]]] = {
+Leaf = tuple[float, ...]  # N, chlorophyll, carotenoids, anthocyanins (µg/cm²), brown pigments, water (cm), dry (g/cm²)
+NEEDLE_N = 1.9
+N_PER_DRY = 49.0
+WATER_PER_DRY = 1.47
+
+
+def needle(n: float, chlorophyll: float, carotenoids: float, water: float, dry: float) -> Leaf:
+    """A needle of FFT, whose N is at most `NEEDLE_N`."""
+    scale = min(NEEDLE_N / n, 1.0)
+    return scale * n, scale * chlorophyll, scale * carotenoids, 0.0, 0.0, water, dry
+
+
+def relative(n: float, chlorophyll: float, carotenoids: float, dry: float, own_dry: float) -> Leaf:
+    """A broad leaf of `own_dry` with the pigments of a relative, whose dry matter is `dry`."""
+    return n + N_PER_DRY * (own_dry - dry), chlorophyll, carotenoids, 0.0, 0.0, WATER_PER_DRY * own_dry, own_dry
+
+
+def seasons(summer: Leaf, autumn: Leaf) -> dict[str, Leaf]:
+    """All four. `autumn`: N, chlorophyll, carotenoids, anthocyanins, brown pigments.
+
+    A young leaf has half of the chlorophyll and 0.6 of the dry matter, as those of beech and oak.
+    """
+    n, chlorophyll, carotenoids, _, _, water, dry = summer
+    return {
+        "spring": (n - 0.08, 0.48 * chlorophyll, 0.55 * carotenoids, 0.3, 0.0, 1.1 * water, 0.6 * dry),
+        "summer": summer,
+        "autumn": (*autumn, 0.85 * water, 0.9 * dry),
+        "dry": (n + 0.5, 1.0, 2.5, 0.8, 1.1, 0.0006, 0.9 * dry),
+    }
+
+
+def evergreen(green: Leaf, brown: float = 1.2) -> dict[str, Leaf]:
+    """One leaf for the year, and the dead one."""
+    return {"": green, "dry": (green[0] + 0.7, 1.0, 3.0, 0.5, brown, 0.001, green[6])}
+
+
+THUJA, JUNIPER = (2.18, 51.7, 12.7, 0.0299, 0.0189), (2.79, 73.9, 15.8, 0.0225, 0.0188)
+LEAVES: dict[str, dict[str, Leaf]] = {
+    "acacia": seasons(relative(1.25, 51.7, 6.8, 0.0048, 0.0120), (1.65, 6, 6.5, 0.0, 0.3)),
+    "baobab": seasons(relative(1.19, 45.5, 10.5, 0.0044, 0.0090), (1.55, 4, 7.5, 0.0, 0.3)),
     "beech": {
         "spring": (1.25, 25, 6.5, 0.3, 0.00, 0.0100, 0.0035),
-        "summer": (1.35, 54, 12.0, 0.0, 0.00, 0.0090, 0.0060),
+        "summer": relative(1.12, 41.9, 10.4, 0.0029, 0.0065),
         "autumn": (1.50, 3, 6.5, 1.5, 0.50, 0.0080, 0.0055),
         "dry": (1.90, 1, 2.5, 1.5, 1.20, 0.0006, 0.0055),
     },
     "birch": {
         "spring": (1.40, 22, 6.0, 0.0, 0.00, 0.0110, 0.0045),
-        "summer": (1.53, 39, 8.7, 0.0, 0.00, 0.0100, 0.0070),
+        "summer": (1.52, 42.9, 9.8, 0.0, 0.00, 0.0102, 0.0048),
         "autumn": (1.60, 4, 8.0, 0.0, 0.08, 0.0085, 0.0060),
         "dry": (2.00, 1, 2.5, 0.5, 0.90, 0.0006, 0.0060),
     },
     "maple": {
         "spring": (1.30, 28, 7.0, 0.8, 0.00, 0.0100, 0.0045),
-        "summer": (1.40, 56, 12.5, 0.0, 0.03, 0.0090, 0.0070),
+        "summer": relative(1.24, 42.1, 10.2, 0.0040, 0.0070),
         "autumn": (1.55, 5, 8.0, 5.0, 0.10, 0.0080, 0.0060),
         "dry": (1.95, 1, 2.5, 2.5, 1.00, 0.0006, 0.0060),
     },
     "oak": {
         "spring": (1.35, 24, 6.5, 0.8, 0.00, 0.0105, 0.0060),
-        "summer": (1.49, 52, 11.7, 0.0, 0.00, 0.0100, 0.0090),
+        "summer": relative(1.29, 56.0, 9.9, 0.0062, 0.0085),
         "autumn": (1.60, 7, 6.5, 1.0, 0.95, 0.0080, 0.0085),
         "dry": (2.00, 1, 2.5, 1.5, 1.60, 0.0006, 0.0085),
     },
     "poplar": {
         "spring": (1.40, 22, 6.0, 0.5, 0.00, 0.0125, 0.0060),
-        "summer": (1.51, 42, 9.4, 0.0, 0.00, 0.0120, 0.0090),
+        "summer": (1.43, 51.3, 11.1, 0.0, 0.00, 0.0092, 0.0072),
         "autumn": (1.60, 3, 8.5, 0.0, 0.06, 0.0100, 0.0080),
         "dry": (2.00, 1, 2.5, 0.8, 1.10, 0.0006, 0.0080),
     },
     "shrub": {
         "spring": (1.35, 24, 6.0, 0.3, 0.00, 0.0090, 0.0035),
-        "summer": (1.42, 44, 9.8, 0.0, 0.00, 0.0080, 0.0050),
+        "summer": relative(1.29, 41.9, 9.5, 0.0040, 0.0045),
         "autumn": (1.55, 6, 8.0, 0.3, 0.12, 0.0070, 0.0045),
         "dry": (1.95, 1, 2.5, 0.8, 1.10, 0.0006, 0.0045),
     },
@@ -95,26 +155,70 @@ LEAVES: dict[str, dict[str, tuple[float, ...]]] = {
         "autumn": (1.60, 8, 8.0, 0.0, 0.20, 0.0120, 0.0045),
         "dry": (2.20, 1, 2.5, 0.0, 0.80, 0.0006, 0.0045),
     },
-    "palm": {"": (1.57, 45, 10.0, 0.0, 0.19, 0.0150, 0.0130), "dry": (2.30, 1, 3.0, 0.5, 1.20, 0.0008, 0.0130)},
-    "pine": {"": (1.95, 100, 20.0, 0.0, 0.02, 0.0300, 0.0200), "dry": (2.60, 1, 3.0, 1.5, 2.20, 0.0010, 0.0200)},
-    "spruce": {"": (1.85, 105, 21.0, 0.0, 0.20, 0.0250, 0.0200), "dry": (2.60, 1, 3.0, 1.5, 2.60, 0.0010, 0.0200)},
+    "cecropia": seasons(relative(1.19, 53.2, 10.0, 0.0045, 0.0080), (1.6, 6, 8.0, 0.0, 0.4)),
+    "cotton_grass": seasons(relative(1.27, 25.5, 7.5, 0.0051, 0.0080), (1.6, 8, 7.0, 2.0, 0.4)),
+    "dwarf_birch": seasons(relative(1.38, 43.9, 11.3, 0.0044, 0.0060), (1.55, 5, 7.5, 6.0, 0.1)),
+    "kapok": seasons(relative(1.19, 45.5, 10.5, 0.0044, 0.0080), (1.55, 5, 8.0, 0.0, 0.2)),
+    "larch": seasons(needle(1.61, 38.2, 7.7, 0.0160, 0.0090), (1.75, 4, 7.5, 0.0, 0.2)),
+    "redgrass": {
+        "spring": (1.40, 24, 6.0, 1.0, 0.00, 0.0130, 0.0050),
+        "summer": (1.42, 27.6, 6.6, 0.0, 0.00, 0.0125, 0.0058),
+        "autumn": (1.60, 8, 6.0, 3.0, 0.30, 0.0080, 0.0058),
+        "dry": (2.30, 1, 2.5, 1.0, 0.40, 0.0006, 0.0058),
+    },
+    "sweetgum": seasons(relative(1.26, 47.1, 14.0, 0.0054, 0.0075), (1.55, 4, 7.0, 9.0, 0.1)),
+    "willow": seasons((1.29, 56.0, 10.3, 0.0, 0.0, 0.0088, 0.0070), (1.6, 6, 8.5, 0.0, 0.2)),
+    "cypress": evergreen(needle(*THUJA), 2.4),
+    "eucalyptus": evergreen((2.00, 41.8, 7.3, 0.0, 0.0, 0.0135, 0.0204)),
+    "fan_palm": evergreen((1.57, 54.4, 13.0, 0.0, 0.0, 0.0176, 0.0120)),
+    "hemlock": evergreen(needle(1.57, 59.8, 13.6, 0.0151, 0.0110), 2.2),
+    "juniper": evergreen(needle(*JUNIPER), 2.4),
+    "meranti": evergreen(relative(1.19, 54.4, 13.0, 0.0044, 0.0090)),
+    "palm": {"": (1.57, 45, 10.0, 0, 0.19, 0.0150, 0.0130), "dry": (2.30, 1, 3.0, 0.5, 1.20, 0.0008, 0.0130)},
+    "pine": {"": (1.90, 40, 9.0, 0.0, 0.03, 0.0300, 0.0140), "dry": (2.60, 1, 3.0, 1.5, 2.20, 0.0010, 0.0200)},
+    "rosemary": evergreen(needle(3.04, 59.1, 20.9, 0.0243, 0.0200)),
+    "sequoia": evergreen(needle(*(0.5 * (a + b) for a, b in zip(THUJA, JUNIPER, strict=True))), 2.3),
+    "spruce": {"": (1.90, 47, 10.5, 0.0, 0.02, 0.0310, 0.0150), "dry": (2.60, 1, 3.0, 1.5, 2.60, 0.0010, 0.0200)},
+    "tree_fern": evergreen((1.54, 45, 10.0, 0.0, 0.04, 0.0099, 0.0059)),
 }
-NAMES = {
-    "beech": "European beech, Fagus sylvatica",
-    "birch": "silver birch, Betula pendula",
-    "maple": "maple, Acer",
-    "oak": "English oak, Quercus robur",
-    "poplar": "poplar, Populus",
-    "shrub": "deciduous shrub such as hazel",
+NAMES = {  # and where the green leaf's numbers come from
+    "acacia": "umbrella thorn, Vachellia tortilis; pigments: FFT, Robinia pseudoacacia, n 5",
+    "baobab": "African baobab, Adansonia digitata; pigments: FFT, Tilia americana, n 53",
+    "beech": "European beech, Fagus sylvatica; pigments: FFT, Fagus grandifolia, n 18",
+    "birch": "silver birch, Betula pendula; Hyytiälä, upper side",
+    "maple": "sycamore maple, Acer pseudoplatanus; pigments: FFT, Acer saccharum, n 119",
+    "oak": "English oak, Quercus robur; pigments: FFT, Quercus alba, n 60",
+    "poplar": "trembling poplar, Populus tremuloides; FFT, n 26",
+    "shrub": "hazel, Corylus avellana; pigments: FFT, Corylus americana, n 14",
     "bracken": "bracken, Pteridium aquilinum",
     "bramble": "bramble, Rubus fruticosus agg.",
     "daisy": "oxeye daisy and other meadow herbs",
     "fireweed": "fireweed, Chamaenerion angustifolium",
     "grass": "grass",
     "lily": "lily",
+    "cecropia": "trumpet tree, Cecropia; pigments: FFT, Ulmus americana, n 10",
+    "cotton_grass": "cotton grass, Eriophorum vaginatum; pigments: FFT, Carex, n 1",
+    "dwarf_birch": "dwarf birch, Betula nana; pigments: FFT, Betula glandulosa, n 1",
+    "kapok": "kapok, Ceiba pentandra; pigments: FFT, Tilia americana, n 53",
+    "larch": "European larch, Larix decidua: needles; FFT, Larix laricina, n 4",
+    "redgrass": "red grass, Themeda triandra; FFT, Andropogon gerardii, n 2, all by inversion",
+    "sweetgum": "sweetgum, Liquidambar styraciflua; pigments: FFT, Nyssa sylvatica of the same wet forests, n 7",
+    "willow": "goat willow, Salix caprea; FFT, Populus grandidentata, n 3",
+    "cypress": "Mediterranean cypress, Cupressus sempervirens: scales; FFT, Thuja occidentalis, n 50",
+    "eucalyptus": "mountain ash, Eucalyptus regnans; Warren et al. 2006; N of a thick leaf with two palisades",
+    "fan_palm": "fan palm, Licuala; chlorophyll: median of evergreen broad-leaved forests, Croft et al. 2020, Remote "
+    "Sensing of Environment 236, 111479",
+    "hemlock": "western hemlock, Tsuga heterophylla: needles; FFT, Tsuga canadensis, n 112",
+    "juniper": "common juniper, Juniperus communis: needles; FFT, Juniperus virginiana, n 2, all by inversion",
+    "meranti": "light red meranti, Shorea leprosula; chlorophyll: median of evergreen broad-leaved forests, Croft et "
+    "al. 2020, Remote Sensing of Environment 236, 111479",
     "palm": "palm",
-    "pine": "Scots pine, Pinus sylvestris: needles",
-    "spruce": "Norway spruce, Picea abies: needles",
+    "pine": "Scots pine, Pinus sylvestris: needles; mean of Hyytiälä (chlorophyll 33) and FFT (46 by `needle`, n 4)",
+    "rosemary": "rosemary, Salvia rosmarinus; FFT, Ledum groenlandicum, an evergreen leaf with rolled margins, n 4",
+    "sequoia": "giant sequoia, Sequoiadendron giganteum: needles; FFT, mean of Thuja and Juniperus",
+    "spruce": "spruce, Picea: needles; mean of Picea abies in Hyytiälä (chlorophyll 39) and Järvselja (58), and FFT, "
+    "Picea mariana and rubens (44, n 47, top and middle of the crowns)",
+    "tree_fern": "soft tree fern, Dicksonia antarctica; dry matter and water: Moles et al. 2011",
 }
 WHITE_PETAL = (3.2, 0.0, 0.0, 0.0, 0.0, 0.0150, 0.0020)
 PETALS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # colours of reflectance and transmittance
@@ -132,6 +236,20 @@ PETALS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {  # colours of
     "fruits/bramble_ripe": ((0.012, 0.008, 0.014), (0.0, 0.0, 0.0)),
     "fruits/bramble_unripe": ((0.30, 0.030, 0.028), (0.0, 0.0, 0.0)),
 }
+# Factors on N, chlorophyll, carotenoids, water and dry matter of the mean leaf.
+VARIATION = {
+    "broad": {
+        "sun": (1.072, 1.106, 1.054, 1.249, 1.463),
+        "shade": (0.938, 0.890, 0.935, 0.824, 0.735),
+        "pale": (1.0, 0.85, 0.85, 1.0, 1.0),
+    },
+    "needle": {
+        "sun": (1.136, 0.999, 1.021, 1.071, 1.152),
+        "shade": (0.924, 1.002, 1.018, 0.895, 0.873),
+        "pale": (1.0, 0.85, 0.85, 1.0, 1.0),
+    },
+}
+MEAN_LEAVES = {"broad": "maple", "needle": "spruce"}
 SYMBOLS = ("N", "chlorophyll", "carotenoids", "anthocyanins", "brown", "water", "dry matter")
 
 
@@ -157,7 +275,7 @@ def told(what: str, parameters: dict[str, tuple[float, ...]]) -> dict[str, str]:
         "what": what,
         "source": "PROSPECT-D (Féret et al. 2017), computed by the PyPI package prosail 2.0.5; not measured",
         "licence": "results of a computation, CC0",
-        "date": "2026-11-21",
+        "date": "2026-11-28",
         "made by": "docs/spectra/make_leaves.py, which has the literature of the parameters",
         "unit": "wavelength in nm; fractions of 1, all directions (hemispherical)",
         "parameters": ", ".join(SYMBOLS) + " (µg/cm²; water cm, dry matter g/cm²; N and brown have no unit)",
@@ -184,6 +302,29 @@ def main() -> None:
     write("leaves/green_stem", lines, GRID_NM, {"reflectance": opaque(*prospect(stem))})
     for name, (reflected, passed) in PETALS.items():
         write_petal(name, reflected, passed)
+    write_variation()
+
+
+def write_variation() -> None:
+    """Reflectance and transmittance of sun, shade and pale leaves over those of the mean leaf."""
+    columns = {}
+    for kind, leaves in VARIATION.items():
+        seasons = LEAVES[MEAN_LEAVES[kind]]
+        n, chlorophyll, carotenoids, anthocyanins, brown, water, dry = seasons.get("summer", seasons.get("", ()))
+        mean = prospect((n, chlorophyll, carotenoids, anthocyanins, brown, water, dry))
+        for name, (f_n, f_ab, f_car, f_w, f_dry) in leaves.items():
+            own = f_n * n, f_ab * chlorophyll, f_car * carotenoids, anthocyanins, brown, f_w * water, f_dry * dry
+            for side, one, base in zip(("reflectance", "transmittance"), prospect(own), mean, strict=True):
+                columns[f"{kind}_{name}_{side}"] = (one + 1e-3) / (base + 1e-3)
+    lines = {
+        "what": "leaves of the crown's top (sun) and bottom (shade) and of plants with 15% less chlorophyll (pale)",
+        "source": "PROSPECT-D (Féret et al. 2017) of measured leaves, by prosail 2.0.5; see make_leaves.py",
+        "licence": "results of a computation, CC0",
+        "date": "2026-11-28",
+        "made by": "docs/spectra/make_leaves.py",
+        "unit": "wavelength in nm; over the mean leaf of the species, each plus 0.001",
+    }
+    write("standards/leaf_variation", lines, GRID_NM, columns, form=".4f")
 
 
 def coloured(colour: tuple[float, ...], beyond: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:

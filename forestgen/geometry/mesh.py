@@ -91,9 +91,11 @@ def concatenate(meshes: Sequence[Mesh]) -> Mesh:
 
 def part_of(mesh: Mesh, faces: NDArray[np.uint32]) -> Mesh:
     """Some (F, 3) faces of a mesh with the vertices that they need."""
-    used, corners = np.unique(faces, return_inverse=True)
+    used = np.zeros(len(mesh.vertices_m), dtype=bool)
+    used[faces] = True
+    row = np.cumsum(used, dtype=np.uint32) - np.uint32(1)
     normals, uv = (None if one is None else one[used] for one in (mesh.normals, mesh.uv))
-    return Mesh(mesh.vertices_m[used], corners.reshape(-1, 3).astype(np.uint32), normals, uv)
+    return Mesh(mesh.vertices_m[used], row[faces], normals, uv)
 
 
 def unit(vectors: Floats) -> Floats:

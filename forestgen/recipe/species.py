@@ -126,6 +126,9 @@ class Bark(Section):
         return self
 
 
+LeafType = Literal["broad", "needle"]
+
+
 class SpectrumFile(Section):
     """A table of reflectance and perhaps transmittance by wavelength; see recipe/spectra.py."""
 
@@ -154,6 +157,11 @@ class Material(Section):
         le=0.08,
         description="Share of light that the skin of a leaf or petal mirrors, part of its reflectance: 0 is matt, 0.04 "
         "smooth wax. Bark has none.",
+    )
+    leaf_type: LeafType | None = Field(
+        None,
+        description="Leaves differ in light and pigments within crowns and between plants, as measured broad leaves or "
+        "needles do; null: all are alike. For materials with a spectrum.",
     )
     bark: Bark | None = Field(
         None, description="Pattern of an opaque surface; null: one colour. The reflectance is its mean."

@@ -19,6 +19,7 @@ from forestgen.recipe.phenology import SUMMER
 from forestgen.scene.building import building_materials
 from forestgen.scene.exemplars import SizeError
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
+from forestgen.scene.leaf_variation import vary_leaves
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, wetness_of
@@ -91,9 +92,10 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         )
         trunks = Trunks(exemplars, instances)
         views = drawn_cameras(drawn, trunks)
-        materials = _materials(plan, population)
+        base_materials = _materials(plan, population)
+        varied, materials = vary_leaves(exemplars, base_materials, drawn.image_seed)
         spec = SceneSpec(
-            exemplars=exemplars,
+            exemplars=varied,
             materials=materials,
             instances=instances,
             terrain=terrain,
@@ -105,7 +107,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             *(f"image {drawn.image_index}: {note}" for note in simulated.notes),
             *check_trunks(drawn, views, trunks),
             *plan.views.check_outside_of_buildings(),
-            *infrared_notes(materials, plan.views.all_cameras),
+            *infrared_notes(base_materials, plan.views.all_cameras),
         ]
         wind, sway = recipe.wind, None
         if wind.speed_m_per_s > 0:

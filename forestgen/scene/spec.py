@@ -16,6 +16,7 @@ from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.cameras import Exposure
 from forestgen.recipe.registries import DEFAULT_PROJECTION
+from forestgen.recipe.species import LeafType
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class Material:
     gloss: float = 0.0  # share of light that a leaf's skin mirrors, part of the reflectance; see render/surfaces.py
     reflectance_spectrum: Spectrum | None = None  # of which the reflectance is the colour; None: the colour is all
     transmittance_spectrum: Spectrum | None = None
+    leaf_type: LeafType | None = None  # as which its leaves vary; None: all are alike
 
 
 @dataclass(frozen=True)

@@ -167,6 +167,7 @@ def surface_of(material: recipe_species.Material, leaves: LeafState, name: str) 
         None if material.bark is None else bark_texture(material.bark, reflectance, name),
         material.gloss,
         *spectra,
+        leaf_type=material.leaf_type,
     )
 
 

@@ -1,5 +1,6 @@
 """Tables of spectra: what ships is sound and says where it comes from; what is wrong is told with its line."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +155,48 @@ def test_green_leaves_have_a_red_edge_and_dry_ones_have_none(name):
             assert index > 0.75
         if season == "dry" and f"reflectance_{season}" in load_spectra(name):
             assert index < 0.4
+
+
+# Reflectance and transmittance at 560, 705, 833 and 1610 nm. Hyytiälä: means of midsummer (Hovi et al. 2024,
+# doi:10.23729/9a8d90cd-73e2-438d-9230-94e10e61adc9); Järvselja: the nearest bands of RAMI-V, ACT_HET15.
+HYYTIALA = {
+    "birch": ((0.111, 0.157, 0.470, 0.317), (0.138, 0.200, 0.486, 0.390)),
+    "pine": ((0.184, 0.231, 0.488, 0.241), (0.109, 0.164, 0.410, 0.220)),
+    "spruce": ((0.146, 0.197, 0.471, 0.213), (0.114, 0.165, 0.424, 0.219)),
+}
+JARVSELJA = {"spruce": ((0.117, 0.211, 0.487, 0.219), (0.052, 0.121, 0.364, 0.156))}
+
+
+@pytest.mark.parametrize("name", HYYTIALA)
+def test_leaves_are_near_those_that_were_measured(name):
+    """Within 0.035 of the range of the campaigns, which differ by as much (Hovi et al. 2022, Silva Fennica 56, 10683).
+
+    Pine is the mean of two sources, the other of which has more chlorophyll.
+    """
+    leaf = of_season(load_spectra(f"leaves/{name}"), "summer")
+    assert leaf is not None
+    for ours, *measured in zip(leaf, HYYTIALA[name], JARVSELJA.get(name, HYYTIALA[name]), strict=True):
+        assert ours is not None
+        values = ours.at([560.0, 705.0, 833.0, 1610.0])
+        assert np.all(values > np.min(measured, axis=0) - 0.035)
+        assert np.all(values < np.max(measured, axis=0) + 0.035)
+
+
+@pytest.mark.parametrize("name", ["cypress", "hemlock", "juniper", "larch", "pine", "sequoia", "spruce"])
+def test_needles_have_the_chlorophyll_of_needles(name):
+    """25 to 60 µg/cm² of projected area (Zarco-Tejada et al. 2004, Remote Sensing of Environment 89, 189-199)."""
+    head = find_asset("spectra", f"leaves/{name}").read_text(encoding="utf-8")
+    row = re.search(r"^# (?:all year|summer): (.*)$", head, re.MULTILINE)
+    assert row is not None
+    assert 25 <= float(row[1].split(", ")[1]) <= 60
+
+
+def test_every_species_has_a_leaf_of_its_own():
+    used: dict[str, str] = {}
+    for name in list_assets("species"):
+        text = find_asset("species", name).read_text(encoding="utf-8")
+        for leaf in set(re.findall(r"spectrum: (leaves/\w+)", text)):
+            assert used.setdefault(leaf, name) == name
 
 
 def test_sentinel_2a_has_esas_bands():

@@ -85,7 +85,7 @@ def test_an_evergreen_stays_green_with_a_spectrum_of_the_recipes():
 def test_green_leaves_look_as_leaves_do():
     """Near the colours that the species had by hand before they had spectra."""
     leaf = materials_of(species())["birch", "leaf"]
-    np.testing.assert_allclose(leaf.reflectance, (0.070, 0.128, 0.034), atol=0.004)
+    np.testing.assert_allclose(leaf.reflectance, (0.070, 0.128, 0.034), atol=0.011)
     np.testing.assert_allclose(leaf.transmittance, (0.058, 0.120, 0.020), atol=0.021)
 
 

@@ -1,0 +1,143 @@
+"""Leaves that differ within crowns and between plants.
+
+The leaves of a crown belong to three classes of equal area, by the leaf area above them in columns of cells: sun
+leaves, those between, and shade leaves. Sun leaves are thicker and, where they are broad, have more chlorophyll per
+area. Plants of a species differ in chlorophyll by 15% (standard deviation): so do the means of plots, and leaves of one
+plot and height by 16%. Both come from the table ``standards/leaf_variation``: what measured leaves have over the mean
+leaf of their species, as factors on the reflectance and transmittance of that leaf's spectrum, whatever its season. See
+`docs/spectra/make_leaves.py` for the measurements.
+
+Materials with `leaf_type` take part. An exemplar has one chlorophyll, so plants that share an exemplar are alike.
+
+References
+----------
+Serbin et al. 2014 (Ecological Applications 24, 1651-1669). Shiklomanov et al. 2016 (Remote Sensing of Environment 183,
+226-238).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.parts import Part
+from forestgen.core.randomness import child_rng
+from forestgen.core.spectrum import Spectrum
+from forestgen.geometry.mesh import part_of
+from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.recipe.spectra import Columns, load_table
+from forestgen.scene.colour import colours_of_surface
+from forestgen.scene.spec import Material
+
+Materials = dict[tuple[str, str], Material]
+CLASSES = ("sun", "middle", "shade")
+_CELLS = 32  # along the crown's longest side
+_RAREST = 0.02  # share of plants that are cut off at each end of the distribution
+
+
+def vary_leaves(
+    exemplars: Sequence[Exemplar], materials: Mapping[tuple[str, str], Material], seed: int
+) -> tuple[tuple[Exemplar, ...], Materials]:
+    """Exemplars with their leaves in classes, and the materials of all."""
+    found, varied, grown = dict(materials), [], Counter[str]()
+    for number, exemplar in enumerate(exemplars):
+        leafy = [
+            organ
+            for organ in exemplar.organs
+            if organ.part == Part.LEAF
+            and organ.mesh.triangles
+            and materials[exemplar.species, organ.material].leaf_type is not None
+        ]
+        if not leafy:
+            varied.append(exemplar)
+            continue
+        grown[exemplar.species] += 1
+        deviation = _deviation(seed, exemplar.species, grown[exemplar.species])
+        classes = iter(light_classes(leafy))
+        organs: list[OrganMesh] = []
+        for organ in exemplar.organs:
+            if not any(organ is one for one in leafy):
+                organs.append(organ)
+                continue
+            of_face, base = next(classes), materials[exemplar.species, organ.material]
+            for index in np.unique(of_face).tolist():
+                name = f"{organ.material} ({CLASSES[index]}, {number})"
+                found[exemplar.species, name] = varied_material(base, CLASSES[index], deviation)
+                organs.append(_some_faces(organ, of_face == index, name))
+        varied.append(replace(exemplar, organs=tuple(organs)))
+    return tuple(varied), found
+
+
+def _deviation(seed: int, species: str, number: int) -> float:
+    """Standard deviations of a plant's chlorophyll below the mean: normal, evenly spread over a species' exemplars."""
+    first = float(child_rng(seed, "leaf chlorophyll", species).random())
+    even = (first + number * (5.0**0.5 - 1.0) / 2.0) % 1.0
+    return NormalDist().inv_cdf(_RAREST + (1.0 - 2.0 * _RAREST) * even)
+
+
+def light_classes(leafy: Sequence[OrganMesh]) -> list[NDArray[np.intp]]:
+    """(F,) class of each face of each organ of a crown, index into `CLASSES`."""
+    corners = [organ.mesh.vertices_m.T[:, organ.mesh.faces.T] for organ in leafy]  # (3, 3, F): coordinate, corner, face
+    place = np.concatenate([one[:, 0] for one in corners], axis=1)
+    area = np.concatenate([_areas(one) for one in corners])
+    low, extent = place.min(axis=1), np.ptp(place, axis=1)
+    side = max(float(extent.max()) / _CELLS, 1e-6)
+    shape = tuple((extent / side).astype(np.int64) + 1)
+    cell = np.ravel_multi_index(tuple(((place - low[:, None]) / side).astype(np.int64)), shape)
+    leaf = np.bincount(cell, weights=area, minlength=int(np.prod(shape))).reshape(shape)
+    above = np.cumsum(leaf[:, :, ::-1], axis=2)[:, :, ::-1] - 0.5 * leaf
+    order = np.argsort(above, axis=None, kind="stable")
+    share = np.empty(leaf.size)
+    share[order] = (np.cumsum(leaf.ravel()[order]) - 0.5 * leaf.ravel()[order]) / leaf.sum()
+    of_face = np.minimum((share[cell] * len(CLASSES)).astype(np.intp), len(CLASSES) - 1)
+    return np.split(of_face, np.cumsum([one.shape[2] for one in corners])[:-1])
+
+
+def varied_material(base: Material, light: str, deviation: float) -> Material:
+    """A leaf of a class of light on a plant whose chlorophyll is `deviation` standard deviations below the mean."""
+    if base.reflectance_spectrum is None:
+        return base
+    table, kind = _factors(), base.leaf_type
+    grid = base.reflectance_spectrum.wavelength_nm
+    values = []
+    for side, spectrum in (("reflectance", base.reflectance_spectrum), ("transmittance", base.transmittance_spectrum)):
+        if spectrum is None:
+            values.append(np.zeros(len(grid)))
+            continue
+        factor = table[f"{kind}_pale_{side}"].at(grid) ** deviation
+        if light != "middle":
+            factor = factor * table[f"{kind}_{light}_{side}"].at(grid)
+        values.append(factor * spectrum.at(grid))
+    sum_of_both = np.maximum(values[0] + values[1], 1.0)
+    reflectance = Spectrum(grid, values[0] / sum_of_both)
+    transmittance = None if base.transmittance_spectrum is None else Spectrum(grid, values[1] / sum_of_both)
+    colours = colours_of_surface(reflectance, transmittance)
+    return replace(
+        base,
+        reflectance=colours[0],
+        transmittance=colours[1],
+        reflectance_spectrum=reflectance,
+        transmittance_spectrum=transmittance,
+    )
+
+
+def _areas(corners: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(F,) areas of triangles."""
+    (x, y, z), (u, v, w) = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return np.asarray(0.5 * np.sqrt((y * w - z * v) ** 2 + (z * u - x * w) ** 2 + (x * v - y * u) ** 2))
+
+
+@cache
+def _factors() -> Columns:
+    return load_table("standards/leaf_variation")
+
+
+def _some_faces(organ: OrganMesh, chosen: NDArray[np.bool_], material: str) -> OrganMesh:
+    mark = None if organ.mark is None else organ.mark[chosen]
+    return OrganMesh(organ.part, material, part_of(organ.mesh, organ.mesh.faces[chosen]), mark)

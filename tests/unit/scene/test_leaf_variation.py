@@ -1,0 +1,105 @@
+"""Sun and shade leaves, and plants that differ in chlorophyll: areas, order, energy, and what measured leaves do."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from forestgen.core.parts import Part
+from forestgen.geometry.mesh import surface_area_m2
+from forestgen.recipe.load import load_recipe_data
+from forestgen.scene.leaf_variation import CLASSES, light_classes, varied_material, vary_leaves
+from forestgen.scene.surfaces import materials_of
+from support.scenes import simple_tree
+
+VARIED = ("acacia", "beech", "birch", "eucalyptus", "larch", "pine", "rosemary", "spruce", "willow")
+
+
+def materials(*names: str, season: str = "summer"):
+    data = {"forestgen": 1, "species": {name: name for name in names}, "community": {"model": "placed"}}
+    return materials_of(load_recipe_data(data, "test").draw(0).species, season)
+
+
+def tree():
+    return simple_tree("birch", 12.0, 3000, np.random.default_rng(4))
+
+
+def areas(exemplar):
+    return {organ.material: surface_area_m2(organ.mesh) for organ in exemplar.organs if organ.part == Part.LEAF}
+
+
+def test_a_crown_has_three_classes_of_equal_area_the_sun_above():
+    leafy = [organ for organ in tree().organs if organ.part == Part.LEAF]
+    (of_face,) = light_classes(leafy)
+    mesh = leafy[0].mesh
+    height_m = mesh.vertices_m[mesh.faces].mean(axis=1)[:, 2]
+    sun, middle, shade = (height_m[of_face == index].mean() for index in range(3))
+    assert sun > middle > shade
+    shares = np.bincount(of_face, minlength=len(CLASSES)) / len(of_face)  # all leaves have one size
+    np.testing.assert_allclose(shares, 1 / 3, atol=0.03)
+
+
+def test_no_leaf_is_lost_and_each_class_has_a_material():
+    made = materials("birch")
+    made["birch", "bark"] = replace(made["birch", "bark"], texture=None)
+    ((varied,), found) = vary_leaves([tree()], made, seed=1)
+    assert sum(areas(varied).values()) == pytest.approx(sum(areas(tree()).values()), rel=1e-5)
+    assert len(areas(varied)) == len(CLASSES)
+    assert all(("birch", name) in found for name in areas(varied))
+    assert [organ.part for organ in varied.organs if organ.part != Part.LEAF] == [
+        organ.part for organ in tree().organs if organ.part != Part.LEAF
+    ]
+
+
+def test_leaves_without_a_type_stay_as_they_are():
+    exemplar, made = tree(), materials("birch")
+    made["birch", "leaf"] = replace(made["birch", "leaf"], leaf_type=None)
+    assert vary_leaves([exemplar], made, seed=1) == ((exemplar,), made)
+
+
+@pytest.mark.parametrize("name", VARIED)
+@pytest.mark.parametrize("season", ["summer", "autumn"])
+def test_no_leaf_returns_more_light_than_arrives(name, season):
+    key = next(one for one in materials(name) if one[1] in ("leaf", "needle"))
+    base = materials(name, season=season)[key]
+    for light in CLASSES:
+        for deviation in (-2.0, 0.0, 2.0):
+            one = varied_material(base, light, deviation)
+            assert one.reflectance_spectrum is not None
+            assert one.transmittance_spectrum is not None
+            total = one.reflectance_spectrum.value + one.transmittance_spectrum.value
+            assert total.max() <= 1.0
+            assert min(one.reflectance_spectrum.value.min(), one.transmittance_spectrum.value.min()) >= 0.0
+
+
+def test_plants_differ_in_chlorophyll_by_the_measured_share():
+    """Reflectance at the red edge of many exemplars: that of the mean leaf on average, spread as chlorophyll."""
+    made = materials("birch")
+    varied, found = vary_leaves([tree()] * 60, made, seed=5)
+    assert len(varied) == 60
+    middle = [found["birch", f"leaf (middle, {number})"].reflectance_spectrum.at(705) for number in range(60)]
+    base = made["birch", "leaf"]
+    one = [varied_material(base, "middle", d).reflectance_spectrum.at(705) for d in (-1.0, 1.0)]
+    assert np.mean(middle) == pytest.approx(base.reflectance_spectrum.at(705), rel=0.01)
+    assert np.std(middle) == pytest.approx(0.5 * abs(one[1] - one[0]), rel=0.15)
+
+
+def at(material, wavelength_nm):
+    return material.reflectance_spectrum.at(wavelength_nm), material.transmittance_spectrum.at(wavelength_nm)
+
+
+@pytest.mark.parametrize("name", ["beech", "oak"])
+def test_shade_leaves_let_more_light_through(name):
+    """Thinner, with less chlorophyll and water: Poorter et al. 2009 (New Phytologist 182, 565-588), section IV."""
+    base = materials(name)[name, "leaf"]
+    sun, shade = (varied_material(base, light, 0.0) for light in ("sun", "shade"))
+    assert at(shade, 550)[1] > 1.15 * at(sun, 550)[1]
+    assert at(shade, 1610)[1] > 1.03 * at(sun, 1610)[1]
+    assert at(shade, 850)[0] < at(sun, 850)[0]
+
+
+def test_pale_plants_are_brighter_at_the_red_edge_alone():
+    base = materials("birch")["birch", "leaf"]
+    pale, dark = (varied_material(base, "middle", deviation) for deviation in (1.0, -1.0))
+    assert sum(at(pale, 705)) > 1.05 * sum(at(dark, 705))
+    assert sum(at(pale, 850)) == pytest.approx(sum(at(dark, 850)), rel=0.005)
