@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 from scene_plants import population
 
+from forestgen.core.parts import Part
 from forestgen.scene.build import place_instances, stand_on
 from forestgen.scene.growth import pixel_size_m
+from forestgen.scene.plant_measures import PlantMeter
 from support.scenes import camera_at, simple_tree
 
 
@@ -90,3 +92,25 @@ def test_a_pixel_covers_what_the_nearest_camera_sees_of_the_nearest_part() -> No
     x, y = (np.array([100.0, 50.0]) - 0.5) / 100.0
     depth = 48.0 / np.sqrt(1 + x**2 + y**2)
     assert depth / 100.0 >= covered[0]
+
+
+def test_trees_have_their_own_heights_and_widths() -> None:
+    trees, plants, exemplar, _ = placed()
+    rng = np.random.default_rng(4)
+    of_exemplar = np.array([tree.crown_width_m / tree.height_m for tree in trees])[exemplar]
+    width_m = plants.height_m * of_exemplar * rng.uniform(0.75, 1.4, len(plants))
+    sizes = {"dbh_m": 0.2, "crown_base_m": 1.0, "leaf_area_m2": 5.0}
+    columns = {name: np.full(len(plants), value) for name, value in sizes.items()}
+    plants = replace(plants, columns={**plants.columns, **columns, "crown_radius_m": 0.5 * width_m})
+    instances = place_instances(plants, exemplar, trees, 3)
+    measures = PlantMeter(trees).measure(instances)
+    np.testing.assert_allclose(measures.crown_width_m, width_m, rtol=1e-9)
+    np.testing.assert_allclose(measures.tip_m[:, 2] - plants.position_m[:, 2], plants.height_m, rtol=1e-6)
+    linear = instances.transform[:, :, :3]
+    assert np.any(np.abs(linear[:, 2, 2] - np.linalg.norm(linear[:, :, 0], axis=1)) > 0.05 * linear[:, 2, 2])
+    for row in range(len(plants)):
+        leaves = [one.mesh for one in trees[exemplar[row]].organs if one.part == Part.LEAF]
+        corners = np.concatenate([mesh.vertices_m.astype(float)[mesh.faces] for mesh in leaves]) @ linear[row].T
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area_m2 = 0.5 * np.linalg.norm(normal, axis=1).sum()
+        assert abs(measures.leaf_area_m2[row] / area_m2 - 1.0) < 2e-3
