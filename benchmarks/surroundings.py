@@ -1,4 +1,4 @@
-"""Cost of a stand that goes on beyond its site: `uv run python benchmarks/surroundings.py`; exit code 1 above 1.3 times.
+"""Cost of a stand that goes on beyond its site: `uv run python benchmarks/surroundings.py`; exit 1 above 1.3 times.
 
 Each view is rendered with all labels in a process of its own, with `site.surroundings` open and repeat in turn. Time is
 that of all processors, start-up left out; memory is the process' peak. The views look where the site has plants in both
