@@ -37,6 +37,7 @@ _SECTIONS = {
     "Recipe": "The recipe",
     "Site": "site",
     "Terrain": "site.terrain",
+    "Surroundings": "site.surroundings",
     "Building": "site.buildings (each)",
     "Community": "community",
     "Plants": "plants",

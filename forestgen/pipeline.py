@@ -23,7 +23,7 @@ from forestgen.dataset.manifest import write_manifest
 from forestgen.dataset.settings import DatasetSettings, class_map
 from forestgen.dataset.writer import frame_folder_name, frame_row, write_frame, write_maps
 from forestgen.labels.channels.channel import ChannelView, add_channels
-from forestgen.labels.labelled import LabelledFrame, label_frame
+from forestgen.labels.labelled import LabelledFrame, label_frame, shown_rows
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
 from forestgen.recipe.map_files import recipe_hash
 from forestgen.render.cloud_shadow import cloud_transport_of
@@ -34,6 +34,7 @@ from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.plan import Plan, check_memory, check_plan
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import Camera
+from forestgen.scene.surroundings import most_copies
 
 if TYPE_CHECKING:
     from forestgen.instruments.instrument import Instrument, KeysT, ReadingT
@@ -72,7 +73,10 @@ def assemble_image(
     """
     with timings("community"):
         population = plan.community.with_tree_sizes(final_population(plan.community, progress))
-    check_memory(plan, plants=len(population), memory_budget_bytes=memory_budget_bytes)
+    site, plants = plan.drawn.recipe.site, len(population)
+    if site.surroundings.kind == "repeat":
+        plants += most_copies(population, site.size_m)
+    check_memory(plan, plants=plants, memory_budget_bytes=memory_budget_bytes)
     scene = build_scene(plan, population, progress, timings)
     clouds, where = plan.drawn.recipe.render.clouds, plan.drawn.where("render", "clouds")
     cloud_transport_of(clouds, scene.spec, scene.spec.cameras, where=where)
@@ -119,7 +123,7 @@ class _ImageRenderer:
             with self.timings("write"):
                 write_frame(folders[-1], frame.labelled, yaml, frame.attributes, settings)
             visible = frame.labelled.views.visible
-            seen.update(visible.plant_id[visible.has_box].tolist())
+            seen.update(visible.plant_id[visible.has_box & ~frame.labelled.outside].tolist())
             rows.append(dict(frame.row))
             notes += frame.notes
             del frame  # before the next one is made
@@ -145,6 +149,7 @@ class _ImageRenderer:
         """What does not change between two cameras is set up once."""
         scene, timings, channels = self.scene, self.timings, self.scene.drawn.recipe.labels.channels
         classes = class_map(scene.drawn)
+        plants = scene.labelled or scene.population
         with timings("measures"):
             meter = PlantMeter(scene.spec.exemplars)
         tracer: SceneTracer | None = None
@@ -154,10 +159,11 @@ class _ImageRenderer:
                 tracer = None  # one scene at a time in memory
                 tracer = SceneTracer(spec, timings)
                 with timings("measures"):
-                    measures = meter.measure(spec.instances)
+                    measures = meter.measure(spec.instances.at(slice(0, len(plants))))
             frame = self._rendered(tracer, camera)
             with timings("labels"):
-                labelled = label_frame(frame, scene.population, classes, measures, channels)
+                shown = shown_rows(frame, plants)
+                labelled = label_frame(frame, plants.at(shown), classes, measures.at(shown), channels)
             del frame
             yield labelled
             del labelled  # one frame at a time in memory

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any
 
@@ -137,6 +137,12 @@ class Population:
 
     def __len__(self) -> int:
         return len(self.plant_id)
+
+    def at(self, rows: Indices | Mask, **changed: Any) -> Population:
+        """The plants of some rows, without their modules, with other values of some fields."""
+        arrays = {name: value[rows] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        columns = {name: value[rows] for name, value in self.columns.items()}
+        return replace(self, **{**arrays, "columns": columns, "modules": None, **changed})
 
     @property
     def notes(self) -> tuple[str, ...]:

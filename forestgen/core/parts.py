@@ -20,3 +20,4 @@ class Part(IntEnum):
     ROCK = 9
     WATER = 10
     STRUCTURE = 11  # what people have built
+    SURROUNDINGS = 12  # plants outside of the site that have no plant_id

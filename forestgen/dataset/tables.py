@@ -1,4 +1,4 @@
-"""plants.parquet: one row a plant of the population, visible or not, by rising plant_id.
+"""plants.parquet: one row a plant of the site, visible or not, and of those around it that are in view, by plant_id.
 
 Lengths are metres in the world frame; pixels count from the image's upper left corner, right and down. Null: unknown,
 or nothing there. How the image's columns are defined stands in `forestgen.labels.labelled`, the measures in
@@ -12,6 +12,7 @@ or nothing there. How the image's columns are defined stands in `forestgen.label
 | height_m, radius_m | double | the community's height and radius of the ecological neighbourhood | |
 | age_yr | double | | |
 | status | uint8 | `forestgen.community.population.Status`; names are in the file's metadata | |
+| outside | bool | a copy beyond the site's edge that the image shows; all rows but these are the stand | |
 | adaptation | double | how well climate and soil water suit it, 0 to 1, in its last step | of models without |
 | exemplar | uint32 | which of the modelled plants stands for it | |
 | crown_width_m | double | mean of the extents along its own x and y | |
@@ -81,6 +82,7 @@ def plants_table(labelled: LabelledFrame) -> Any:
         **{f"{axis}_m": _numbers(population.position_m[:, i]) for i, axis in enumerate("xyz")},
         **_attributes(population, "height_m", "radius_m", "age_yr"),
         "status": _column("uint8", population.status),
+        "outside": _column("bool", labelled.outside),
         "adaptation": _numbers(np.asarray(adaptation, dtype=np.float64)),
         "exemplar": _column("uint32", labelled.measures.exemplar),
         **_attributes(labelled.measures, "crown_width_m", "dbh_m", "crown_base_m", "leaf_area_m2"),

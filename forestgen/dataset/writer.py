@@ -227,7 +227,7 @@ def _plants(labelled: LabelledFrame) -> dict[str, Any]:
     won = visible.visible_pixels[seen]
     names = labelled.classes.species_names
     return {
-        "plants": len(labelled.population),
+        "plants": int((~labelled.outside).sum()),
         "plants_in_view": int(seen.sum()),
         "plants_truncated": int(visible.truncated[seen].sum()),
         "visible_fraction_median": _median(labelled.views.visible_fraction[seen]),

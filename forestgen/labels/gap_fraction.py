@@ -89,7 +89,8 @@ def gap_fraction_of(camera: Camera, identity: Identity) -> GapFraction:
     for sample, offset in enumerate(sample_offsets(plant_id.shape[2])):
         theta, exists = _zenith(camera, plant_id.shape[:2], offset)
         is_gap = (part[..., sample] == Part.NOTHING) & exists
-        counts = (is_gap | (plant_id[..., sample] != 0)) & (theta < np.pi / 2) & exists
+        is_plant = (plant_id[..., sample] != 0) | (part[..., sample] == Part.SURROUNDINGS)
+        counts = (is_gap | is_plant) & (theta < np.pi / 2) & exists
         ring = np.minimum((theta / (np.pi / 2) * RINGS).astype(np.int64), RINGS - 1)
         weight = np.sinc(theta / np.pi)
         for total, weights, chosen in ((seen, seen_weight, counts), (gaps, gap_weight, counts & is_gap)):

@@ -91,9 +91,28 @@ class LabelledFrame:
     channels: frozenset[str] = frozenset(DEFAULT_CHANNELS)  # of the recipe's labels.channels: what files should hold
 
     @property
+    def outside(self) -> NDArray[np.bool_]:
+        """(N,) plants beyond the site's edge; no statistics of the stand count them."""
+        return outside_of(self.population)
+
+    @property
     def category(self) -> NDArray[np.intp]:
         """(N,) index of each plant's category, see `ClassMap.instance_categories`."""
         return self.classes.instance_categories[1][self.species]
+
+
+def outside_of(population: Population) -> NDArray[np.bool_]:
+    """(N,) its plants beyond the site's edge."""
+    return population.columns.get("outside", np.zeros(len(population), dtype=np.bool_))
+
+
+def shown_rows(frame: Frame, population: Population) -> NDArray[np.bool_]:
+    """(N,) the plants of the site, and those outside that the frame shows."""
+    rows = ~outside_of(population)
+    if not rows.all():
+        shown = np.union1d(np.unique(frame.identity.plant_id), np.unique(frame.surface.plant_id))
+        rows |= np.isin(population.plant_id, shown)
+    return rows
 
 
 def label_frame(

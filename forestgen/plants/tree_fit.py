@@ -4,6 +4,7 @@ A generator grows a plant of about the right height and width. Here it gets the 
 
 - Leaves: their number and their size share the change. What is too many is left out at random, so that the crown keeps
   its form; of what is too few, some leaves get others beside them.
+- Stems below the crown lose most of their way aside: those of forests are straight.
 - Heights are stretched apart above and below the crown's base, which is the height that 2% of the leaf area lie below,
   widths throughout, until the geometry's extents fit. Organs keep their attitude.
 - Wood is made thinner or thicker by a power of its radius, so that the stem has its diameter 1.3 m above the ground,
@@ -28,6 +29,7 @@ _ROUNDS = 12
 _LEAF_SIZE = (0.5, 1.25)  # factor on the length of leaves; their number makes up for the rest
 _SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the length
 _MOST_LEAVES = 8.0  # times as many leaves as the generator placed
+_STRAIGHTENED = 0.7  # of a stem's way aside, as it grew
 _TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
 _POWER = (0.3, 3.0)  # of the radius
 _HIGHEST_BASE, _LOWEST_BASE = 0.95, 0.02  # of the crown, over the height, where heights are stretched apart
@@ -128,13 +130,14 @@ def _numbered(organs: OrganPlacements, number: float, skeleton: Skeleton, rng: n
 
 @dataclass(frozen=True)
 class Stretch:
-    """Widths times `wide`; heights below `knee` and above it each in proportion, so that it comes to `base`."""
+    """Straighter below the crown; widths times `wide`; heights below and above `knee`, which comes to `base`, apart."""
 
     wide: float
     knee: float
     base: float
     raw_top: float
     top: float  # where `raw_top` comes to
+    stem_m: Floats  # (K, 3) of the stem below the crown, upwards, whose way aside is made less
 
     def heights(self, z: Floats) -> Floats:
         above = self.base + (z - self.knee) * ((self.top - self.base) / (self.raw_top - self.knee))
@@ -142,7 +145,9 @@ class Stretch:
 
     def points(self, points: Floats) -> Floats:
         """(M, 3) points stretched."""
-        return np.concatenate([points[:, :2] * self.wide, self.heights(points[:, 2:])], axis=1)
+        aside = np.stack([np.interp(points[:, 2], self.stem_m[:, 2], self.stem_m[:, k]) for k in (0, 1)], axis=1)
+        across = (points[:, :2] - _STRAIGHTENED * aside) * self.wide
+        return np.concatenate([across, self.heights(points[:, 2:])], axis=1)
 
     def organs(self, organs: Sequence[OrganPlacements]) -> tuple[OrganPlacements, ...]:
         """The organs at their stretched places, of the same size and attitude."""
@@ -172,7 +177,7 @@ def stretch_to(
     base = knee * size.height_m / raw_top if found is None else wanted
     wide = size.crown_width_m / max(_mean_width(nodes, feet + low, feet + high), 1e-6)
     span = max(_mean_width(nodes, feet, feet), 1e-6)
-    stretch = Stretch(wide, knee, base, raw_top, size.height_m)
+    stretch = Stretch(wide, knee, base, raw_top, size.height_m, _stem_below(skeleton, knee))
     for _ in range(_ROUNDS):
         at = stretch.heights(feet[:, 2])
         top = max(float((at + high[:, 2]).max()), float(stretch.heights(nodes[:, 2]).max()))
@@ -189,6 +194,14 @@ def stretch_to(
             top=max(stretch.top + size.height_m - top, 0.2 * size.height_m, 1.02 * base),
         )
     return stretch
+
+
+def _stem_below(skeleton: Skeleton, height_m: float) -> Floats:
+    """(K, 3) nodes of the stem up to a height, the height of each above those before."""
+    nodes = skeleton.position_m[_stem(skeleton)].astype(np.float64)
+    nodes = nodes[np.maximum.accumulate(nodes[:, 2]) == nodes[:, 2]]
+    below = nodes[(nodes[:, 2] <= height_m) & (np.diff(nodes[:, 2], prepend=-1.0) > 0.0)]
+    return below if len(below) else np.zeros((1, 3))
 
 
 def _mean_width(nodes: Floats, low: Floats, high: Floats) -> float:

@@ -66,6 +66,21 @@ class WetSoil(fields.Section):
     )
 
 
+class Surroundings(fields.Section):
+    """What stands beyond the site's edge."""
+
+    kind: Literal["open", "repeat"] = Field(
+        "open",
+        description="open: nothing, on bare ground. repeat: copies of the site's plants, side by side, for light, "
+        "views and measurements; far ones are simplified. Statistics are the site's alone.",
+    )
+    labelled: fields.Flag = Field(
+        True,
+        description="Whether copies near the site have a plant_id and a row in the plants' table, marked there as "
+        "outside. Others are background of the part surroundings.",
+    )
+
+
 class Site(fields.Section):
     """The piece of land: x from 0 to size_m[0] (east), y from 0 to size_m[1] (north)."""
 
@@ -113,10 +128,15 @@ class Site(fields.Section):
         "false: they do not. Default: they do.",
     )
 
+    surroundings: Annotated[Surroundings, *fields.shorthand("kind")] = Field(
+        Surroundings.model_validate({}), description="What stands beyond its edge, or just its kind."
+    )
+
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
         found: dict[str, Any] = handler(self)
-        few = {"wet_soil": None, "buildings": (), "date": None}
+        apart = Surroundings.model_validate({}).model_dump()
+        few = {"wet_soil": None, "buildings": (), "date": None, "surroundings": apart}
         return {key: value for key, value in found.items() if key not in few or value not in (few[key], [])}
 
     @field_validator("date")

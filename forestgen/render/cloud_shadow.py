@@ -90,7 +90,7 @@ def near_base_of(spec: SceneSpec, points_m: Sequence[Floats] = ()) -> float | No
     """Base of the clouds and rain near plants, cameras and further (3,) points; None if there are none."""
     if spec.clouds is None:
         return None
-    places = [spec.instances.transform[:, :2, 3], *(np.atleast_2d(one)[:, :2] for one in points_m)]
+    places = [spec.instances.on_site.transform[:, :2, 3], *(np.atleast_2d(one)[:, :2] for one in points_m)]
     places += [ray_corners_m(camera)[:, :2] for camera in spec.cameras]
     every, gap_m = np.concatenate(places).astype(np.float64), least_gap_m(spec)
     if not len(every):  # ground alone, seen by nobody
@@ -102,7 +102,7 @@ def least_gap_m(spec: SceneSpec) -> float:
     """Gap below the clouds from which on farfield holds."""
     if not len(spec.instances):
         return LEAST_GAP_M
-    place = spec.instances.transform[:, :2, 3]
+    place = spec.instances.on_site.transform[:, :2, 3]
     return max(LEAST_GAP_M, GAP_OF_SITE * float(np.linalg.norm(np.ptp(place, axis=0))))
 
 

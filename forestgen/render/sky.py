@@ -135,8 +135,9 @@ def _far_share(terrain: Terrain, low_m: Floats, high_m: Floats) -> float:
 def site_middle(spec: SceneSpec) -> Floats:
     """(3,) world, whole metres: the middle of the plants, at the height of their tops; of the ground without plants."""
     if len(spec.instances):
-        foot = spec.instances.transform[:, :, 3]
-        tallest = max(spec.exemplars[k].height_m for k in np.unique(spec.instances.exemplar))
+        plants = spec.instances.on_site
+        foot = plants.transform[:, :, 3]
+        tallest = max(spec.exemplars[k].height_m for k in np.unique(plants.exemplar))
         low, high = foot.min(axis=0), foot.max(axis=0)
     else:
         near = spec.terrain.far_share < 0.5

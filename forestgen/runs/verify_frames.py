@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.errors import DatasetError, ForestgenError
 from forestgen.core.progress import Progress, Timings
@@ -139,7 +140,7 @@ def _plants_shown(plants: Mapping[str, Any]) -> dict[str, Any]:
     species = plants["species"][seen]
     names = sorted(set(species))
     return {
-        "plants": len(pixels),
+        "plants": int(_on_site(plants).sum()),
         "plants_in_view": int(seen.sum()),
         "plants_truncated": int(plants["truncated"][seen].sum()),
         "species_instances": {name: int((species == name).sum()) for name in names},
@@ -148,13 +149,20 @@ def _plants_shown(plants: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _community(plants: Mapping[str, Any]) -> bytes:
-    """Hash of species and places."""
-    if not len(plants["species"]):
+    """Hash of species and places of the site's plants."""
+    rows = _on_site(plants)
+    if not rows.any():
         return b""
-    digest = hashlib.sha256("\n".join(plants["species"].tolist()).encode())
+    digest = hashlib.sha256("\n".join(plants["species"][rows].tolist()).encode())
     for axis in ("x_m", "y_m"):
-        digest.update(np.ascontiguousarray(plants[axis], dtype=np.float64).tobytes())
+        digest.update(np.ascontiguousarray(plants[axis][rows], dtype=np.float64).tobytes())
     return digest.digest()[:16]
+
+
+def _on_site(plants: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """(N,) the plants that do not stand outside; data sets from before there was a column for it have none outside."""
+    outside = plants.get("outside", np.zeros(len(plants["species"]), dtype=np.bool_))
+    return ~np.asarray(outside, dtype=np.bool_)
 
 
 def check_renders(

@@ -25,6 +25,7 @@ from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from forestgen.scene.surfaces import infrared_notes, materials_of, surface_of
+from forestgen.scene.surroundings import SurroundedStand, repeated, seen_from
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.tree_exemplars import instance_scales, tree_sizes_of
 from forestgen.scene.trunks import Trunks
@@ -44,6 +45,7 @@ class BuiltScene:
     size_errors: list[SizeError]  # how well exemplars stand for the plants
     sway: Sway | None = None  # of the plants in the wind; None: still air
     notes: tuple[str, ...] = ()  # for people: of the community, on cameras in trunks, and on unknown infrared
+    labelled: Population | None = None  # with the plants outside of the site that have a plant_id; None: there are none
     _posed: dict[float, SceneSpec] = field(default_factory=dict, repr=False, compare=False)  # by time, the last two
 
     @property
@@ -73,14 +75,12 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
     with timer("scene"):
         population = stand_on(simulated, plan.views.height)
     with timer("plants"):
-        chosen = choose_exemplars(plan, population, plan.views.all_cameras)
+        chosen = choose_exemplars(plan, population, _close_cameras(plan))
         exemplars = grow_planned(plan, chosen, progress, population)
     with timer("clouds"):
         request = CloudRequest(drawn, plan.views.lowest_m, progress, stand, simulated)
         clouds = cloud_source_of(drawn).grid(request)
     with timer("scene"):
-        rng = child_rng(drawn.image_seed, "terrain", "colour")
-        terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness_of(stand, population))
         instances = place_instances(
             stand.obstacles.turned(population),
             chosen.exemplar_of_plant,
@@ -90,14 +90,18 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             built_width_m=chosen.tree[:, 1],
             is_unique=chosen.is_unique,
         )
-        trunks = Trunks(exemplars, instances)
-        views = drawn_cameras(drawn, trunks)
         base_materials = _materials(plan, population)
-        varied, materials = vary_leaves(exemplars, base_materials, drawn.image_seed)
+        around = _surrounded(plan, SurroundedStand.of(population, instances, exemplars, base_materials))
+        trunks = Trunks(exemplars, around.plants)
+        views = drawn_cameras(drawn, trunks)
+        rng = child_rng(drawn.image_seed, "terrain", "colour")
+        wetness = wetness_of(stand, population)
+        terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness, around.reach_m)
+        varied, materials = vary_leaves(around.exemplars, around.materials, drawn.image_seed)
         spec = SceneSpec(
             exemplars=varied,
             materials=materials,
-            instances=instances,
+            instances=around.instances,
             terrain=terrain,
             sky=sky_of(recipe, float(np.mean(terrain.far_reflectance))),  # the region, which sky and clouds see
             clouds=clouds,
@@ -119,8 +123,25 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
                 from_deg=recipe.site.wind_from_deg,
                 seed=drawn.image_seed,
             )
+            sway = around.sway(sway)
     errors = errors_of_sizes(plan, population, chosen, exemplars)
-    return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)))
+    return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population)
+
+
+def _close_cameras(plan: Plan) -> list[Camera]:
+    """Cameras that decide on the detail of plants: those of copies around the site, too, which may be near one."""
+    cameras, recipe = plan.views.all_cameras, plan.drawn.recipe
+    if recipe.plants.levels and recipe.site.surroundings.kind == "repeat":
+        return seen_from(cameras, recipe.site.size_m)
+    return cameras
+
+
+def _surrounded(plan: Plan, stand: SurroundedStand) -> SurroundedStand:
+    """The stand with what the recipe says to be around it."""
+    section = plan.drawn.recipe.site.surroundings
+    if section.kind == "open":
+        return stand
+    return repeated(stand, plan.views.height, plan.drawn.image_seed, section.labelled)
 
 
 def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:

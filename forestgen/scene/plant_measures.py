@@ -53,6 +53,10 @@ class PlantMeasures:
     tip_m: NDArray[np.float64]  # (N, 3) world: the highest point of its geometry
     crown_centre_m: NDArray[np.float64]  # (N, 3) world: area-weighted centre of leaves, or of all where there are none
 
+    def at(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> PlantMeasures:
+        """Those of some rows."""
+        return PlantMeasures(**{name: values[rows] for name, values in vars(self).items()})
+
 
 class PlantMeter:
     """Exemplars, measured once: O(their triangles). Then any instances of them: O(instances)."""

@@ -35,14 +35,24 @@ class Material:
 
 @dataclass(frozen=True)
 class Instances:
-    """Where exemplars stand: one row a plant."""
+    """Where exemplars stand: one row a plant of the site, then what stands around it."""
 
     exemplar: NDArray[np.uint32]  # (N,) index into SceneSpec.exemplars
     transform: NDArray[np.float64]  # (N, 3, 4) exemplar frame -> world, metres
-    plant_id: NDArray[np.uint32]  # (N,)
+    plant_id: NDArray[np.uint32]  # (N,) 0 of what is around the site and not labelled
+    outside: int = 0  # the last rows, which are of what stands around the site
 
     def __len__(self) -> int:
         return len(self.plant_id)
+
+    @property
+    def on_site(self) -> Instances:
+        """Those of the site's plants."""
+        return self.at(slice(0, len(self) - self.outside)) if self.outside else self
+
+    def at(self, rows: slice | NDArray[np.intp] | NDArray[np.bool_]) -> Instances:
+        """Those of some rows, of which none counts as outside."""
+        return Instances(self.exemplar[rows], self.transform[rows], self.plant_id[rows])
 
     def rows_of(self, plant_ids: NDArray[np.uint32]) -> NDArray[np.intp]:
         """(M,) row of each of M plants; one that has no instance, or several, raises `ValueError`."""

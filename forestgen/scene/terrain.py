@@ -163,16 +163,21 @@ def terrain_mesh(height: HeightField) -> Mesh:
 
 
 def build_terrain(
-    height: HeightField, rng: np.random.Generator, ground: str = "litter", wetness: Wetness | None = None
+    height: HeightField,
+    rng: np.random.Generator,
+    ground: str = "litter",
+    wetness: Wetness | None = None,
+    reach_m: float = 0.0,
 ) -> Terrain:
     """Ground of a site: `ground` on it and around it, woods and meadows beyond; colours are those of the spectra.
 
     `ground`: name of a ground cover. `wetness`: of the site's soil, which darkens it; None: as the spectrum is.
+    `reach_m`: how far from the site's edge the stand goes on.
     """
     mesh = terrain_mesh(height)
     x, y = mesh.vertices_m[:, 0].astype(np.float64), mesh.vertices_m[:, 1].astype(np.float64)
     away = height.distance_m(x, y)
-    far = smooth_step((away - 30.0) / 120.0)
+    far = smooth_step((away - reach_m - 30.0) / 120.0)
     cover: GroundCover = GROUND_COVERS.load(ground)
     spectrum, far_spectrum = cover.reflectance(), cover.far_reflectance()
     colour, _ = colours_of_surface(spectrum, None)

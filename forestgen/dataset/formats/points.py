@@ -54,7 +54,7 @@ from forestgen.recipe.dataset import View
 PLY_NAME, LAZ_NAME = "points.ply", "points.laz"
 FINEST_STEP_M = 1e-4
 LOW_M, MEDIUM_M = 0.3, 2.0  # up to which vegetation is low, and medium
-GROUND, LOW, MEDIUM, HIGH, BUILDING, WATER = 2, 3, 4, 5, 6, 9  # ASPRS
+UNCLASSIFIED, GROUND, LOW, MEDIUM, HIGH, BUILDING, WATER = 1, 2, 3, 4, 5, 6, 9  # ASPRS
 
 _PLY_TYPES = {"<f8": "double", "<f4": "float", "u1": "uchar", "<u2": "ushort", "<u4": "uint"}
 _FIELDS = [
@@ -120,6 +120,7 @@ def frame_points(labelled: LabelledFrame, stride: int, view: View = "filmic") ->
     classification = np.where(vertices["part"] == Part.WATER, WATER, GROUND).astype(np.uint8)
     classification[is_plant] = np.select([height <= LOW_M, height <= MEDIUM_M], [LOW, MEDIUM], HIGH)
     classification[vertices["part"] == Part.STRUCTURE] = BUILDING
+    classification[vertices["part"] == Part.SURROUNDINGS] = UNCLASSIFIED
     return Points(vertices, classification, frame.camera.time_s)
 
 

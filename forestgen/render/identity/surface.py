@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.parts import Part
 from forestgen.render.build import origin_of
 from forestgen.render.frame import Identity, Surface
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, sample_offsets
@@ -60,9 +61,12 @@ def trace_identity(
 
 def _ids(tracer: SceneTracer, hits: Hits) -> dict[str, Any]:
     """What is hit, by the names of the fields of `Identity` and `Surface`."""
+    plant_id = dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid)
+    part = dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)
+    is_unlabelled = hits.valid & (hits.instance > 0) & (plant_id == 0)
     return {
-        "plant_id": dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid),
-        "part": dr.uint8_array_t(mi.UInt32)(dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)),
+        "plant_id": plant_id,
+        "part": dr.uint8_array_t(mi.UInt32)(dr.select(is_unlabelled, int(Part.SURROUNDINGS), part)),
         "exemplar": dr.gather(mi.UInt32, tracer.table.exemplar, hits.instance, hits.valid),
         "face": tracer.face_in_exemplar(hits),
     }

@@ -36,7 +36,9 @@ class HitTables:
     """Everything that turns a hit into labels."""
 
     plant_id: NDArray[np.uint32]  # (1 + N,) by instance
-    exemplar: NDArray[np.uint32]  # (1 + N,) index into SceneSpec.exemplars + 1; 0 for the terrain
+    exemplar: NDArray[
+        np.uint32
+    ]  # (1 + N,) index into SceneSpec.exemplars + 1; 0 for the terrain and without a plant_id
     rotation: NDArray[np.float32]  # (1 + N, 9) row-major inverse transpose of the instance's linear part
     first_organ: NDArray[np.uint32]  # (1 + N,) first organ of the instance's exemplar
     part: NDArray[np.uint8]  # (1 + O,) by organ
@@ -101,7 +103,9 @@ def hit_tables(spec: SceneSpec) -> HitTables:
     red, green, blue = film_factor(terrain, RGB).tolist()
     return HitTables(
         plant_id=np.concatenate([[0], spec.instances.plant_id]).astype(np.uint32),
-        exemplar=np.concatenate([[0], spec.instances.exemplar.astype(np.int64) + 1]).astype(np.uint32),
+        exemplar=np.concatenate([[0], np.where(spec.instances.plant_id, spec.instances.exemplar + 1, 0)]).astype(
+            np.uint32
+        ),
         rotation=np.concatenate([np.eye(3).reshape(1, 9), inverse_transpose.reshape(-1, 9)]).astype(np.float32),
         first_organ=np.concatenate([[0], organ_of_exemplar[spec.instances.exemplar]]).astype(np.uint32),
         part=np.array([Part.GROUND, *(part for part, _, _ in organs)], dtype=np.uint8),

@@ -1,0 +1,204 @@
+"""Copies of the stand around the site: where they stand, what they are called, and what far meshes keep of plants."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scene_plants import population
+
+from forestgen.core.errors import RecipeError
+from forestgen.core.parts import Part
+from forestgen.geometry.mesh import surface_area_m2
+from forestgen.scene.build import place_instances, stand_on
+from forestgen.scene.far_mesh import SPECIES, far_mesh, sheet_areas_m2, thinned
+from forestgen.scene.spec import Material
+from forestgen.scene.surroundings import (
+    FAR_BLOCKS,
+    REACH_HEIGHTS,
+    UNEVEN,
+    SurroundedStand,
+    most_copies,
+    repeated,
+    seen_from,
+)
+from forestgen.scene.terrain import HeightField
+from forestgen.scene.terrains.rolling import rolling
+from forestgen.scene.wind import sway_in
+from support.error_messages import raises_error
+from support.scenes import camera_at, simple_tree
+
+SIZE_M = (50.0, 40.0)
+FLAT = HeightField(SIZE_M)
+
+
+def stand(height=FLAT, count=60):
+    """Trees, and as many plants of up to 2 m."""
+    rng = np.random.default_rng(4)
+    trees = tuple(simple_tree("a", size, 400, rng) for size in (1.0, 9.0, 20.0))
+    plants = population(count, rng)
+    heights = np.where(np.arange(count) % 2, 8.0 + 12.0 * rng.random(count), 0.3 + 1.7 * rng.random(count))
+    place = np.column_stack([rng.random((count, 2)) * SIZE_M, np.zeros(count)])
+    plants = stand_on(replace(plants, position_m=place, height_m=heights), height)
+    exemplar = np.where(heights < 3, 0, np.where(heights < 14, 1, 2)).astype(np.uint32)
+    materials = {("a", name): Material((0.1, 0.1, 0.1)) for name in ("bark", "leaf")}
+    instances = place_instances(plants, exemplar, trees, 3)
+    return SurroundedStand.of(plants, instances, trees, materials)
+
+
+def around(height=FLAT, labelled=True, count=60):
+    site = stand(height, count)
+    return site, repeated(site, height, 1, labelled)
+
+
+def test_the_site_stays_as_it_is_and_copies_have_ids_of_their_own():
+    site, found = around()
+    count = len(site.instances)
+    for name in ("exemplar", "transform", "plant_id"):
+        np.testing.assert_array_equal(getattr(found.instances.on_site, name), getattr(site.instances, name))
+        np.testing.assert_array_equal(getattr(found.instances, name)[:count], getattr(site.instances, name))
+    ids = found.plants.plant_id
+    assert len(np.unique(ids)) == len(ids) == count + found.copies
+    np.testing.assert_array_equal(found.population.plant_id, ids)
+    np.testing.assert_array_equal(found.population.columns["outside"], np.arange(len(ids)) >= count)
+    np.testing.assert_array_equal(
+        found.population.height_m[count:], site.population.height_m[found.source[count : len(ids)]]
+    )
+    assert (found.instances.plant_id[len(ids) :] == 0).all()
+
+
+def test_each_plant_has_one_copy_in_each_copy_of_the_site():
+    """Near ones as themselves, the others in a far mesh: together the whole lattice, without gap or overlap."""
+    site, found = around()
+    count, whole = len(site.instances), len(found.plants)
+    moved = found.instances.transform[count:whole, :2, 3] - site.instances.transform[found.source[count:whole], :2, 3]
+    period = np.round(moved / SIZE_M)
+    np.testing.assert_allclose(moved, period * SIZE_M, atol=1e-9)
+    assert (np.abs(period).sum(axis=1) > 0).all()
+    near = {
+        (row, *turn) for row, turn in zip(found.source[count:whole].tolist(), period.astype(int).tolist(), strict=True)
+    }
+    assert len(near) == found.copies
+    tall = site.population.height_m > 3
+    for rows in (tall, ~tall):
+        reach = max(REACH_HEIGHTS * site.population.height_m[rows].max(), 10.0)
+        for row in np.flatnonzero(rows).tolist():
+            for i in range(-2, 3):
+                for j in range(-2, 3):
+                    x, y = site.population.position_m[row, :2] + np.multiply((i, j), SIZE_M)
+                    if (i or j) and float(FLAT.distance_m(np.array(x), np.array(y))) < reach:
+                        assert (row, i, j) in near
+    triangles = {one: found.exemplars[one].triangles for one in range(len(site.exemplars), len(found.exemplars))}
+    assert triangles
+    far = found.instances.transform[whole:, :2, 3]
+    for number in triangles:
+        at = far[found.instances.exemplar[whole:] == number]
+        turns = (at - at[0]) / SIZE_M
+        np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
+        assert len(np.unique(np.round(turns), axis=0)) == len(at)
+    assert found.reach_m == FAR_BLOCKS * 50.0
+
+
+def test_feet_are_on_the_ground():
+    height = rolling(SIZE_M, 2.0, 60.0, np.random.default_rng(2))
+    site, found = around(height)
+    place = found.plants.transform[:, :, 3]
+    np.testing.assert_allclose(place[:, 2], height(place[:, 0], place[:, 1]), atol=1e-9)
+    whole = len(found.plants)
+    tallest = site.population.height_m.max()
+    assert found.copies > around()[1].copies  # uneven ground is followed plant by plant
+    for row in range(whole, len(found.instances), 7):
+        # Feet of a far mesh: its plane at the places of its plants.
+        matrix = found.instances.transform[row]
+        x, y = np.meshgrid(np.linspace(-5, 5, 3), np.linspace(-5, 5, 3))
+        at = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3) @ matrix[:, :3].T + matrix[:, 3]
+        if FLAT.distance_m(at[:, 0], at[:, 1]).max() < 150:
+            miss = np.abs(at[:, 2] - height(at[:, 0], at[:, 1])).max()
+            assert miss < 2 * UNEVEN * tallest
+
+
+def test_unlabelled_copies_are_the_same_plants_without_ids():
+    site, found = around(labelled=False)
+    other = around()[1]
+    np.testing.assert_array_equal(found.instances.transform, other.instances.transform)
+    assert (found.instances.plant_id[len(site.instances) :] == 0).all()
+    assert found.population is site.population
+
+
+def test_a_far_mesh_keeps_the_area_of_leaves_and_the_box():
+    rng = np.random.default_rng(0)
+    tree = simple_tree("a", 16.0, 3000, rng)
+    few = replace(tree, organs=thinned(tree, sheet_areas_m2(tree), 0.05, rng))
+    assert few.triangles < tree.triangles / 2
+    area = {organ.part: surface_area_m2(organ.mesh) for organ in few.organs}
+    assert area[Part.LEAF] == pytest.approx(tree.leaf_area_m2, rel=1e-5)
+    assert area[Part.TRUNK] == pytest.approx(surface_area_m2(tree.organs[0].mesh), rel=0.05)
+    np.testing.assert_allclose(few.bounds_m(), tree.bounds_m(), atol=0.4)
+    transform = np.stack([np.eye(3, 4), 2.0 * np.eye(3, 4)])
+    transform[1, :, 3] = 30.0, 0.0, 0.0
+    both = far_mesh([(few, transform)])
+    assert both.leaf_area_m2 == pytest.approx(5 * tree.leaf_area_m2)
+    assert sum(surface_area_m2(one.mesh) for one in both.organs) == pytest.approx(5 * sum(area.values()), rel=1e-5)
+    assert {organ.material for organ in both.organs} == {"a/bark", "a/leaf"}
+
+
+def test_far_meshes_have_the_materials_of_their_plants():
+    site, found = around()
+    for one in found.exemplars[len(site.exemplars) :]:
+        assert one.species == SPECIES
+        for organ in one.organs:
+            assert found.materials[one.species, organ.material] == site.materials[tuple(organ.material.split("/"))]
+
+
+def test_what_people_built_is_not_repeated():
+    site = stand()
+    house = replace(site.exemplars[0], organs=(replace(site.exemplars[0].organs[0], part=Part.STRUCTURE),))
+    site = replace(site, exemplars=(house, *site.exemplars[1:]))
+    found = repeated(site, FLAT, 1, True)
+    assert not np.isin(
+        found.source[len(site.instances) :][: found.copies], np.flatnonzero(site.instances.exemplar == 0)
+    ).any()
+    alone = replace(site, exemplars=(house,) * 3)
+    assert repeated(alone, FLAT, 1, True) is alone
+
+
+def test_copies_move_as_their_plants_and_nothing_else_moves():
+    site, found = around()
+    own = sway_in(site.instances, site.exemplars, speed_m_per_s=9, gustiness=0.5, from_deg=270, seed=1)
+    lean = found.sway(own).lean_rad(2.5)
+    whole = len(found.plants)
+    np.testing.assert_array_equal(lean[:whole], own.lean_rad(2.5)[found.source[:whole]])
+    assert (lean[whole:] == 0).all()
+    assert (lean[:whole] > 0).all()
+
+
+def test_the_number_of_copies_is_known_before_there_are_exemplars():
+    site, found = around()
+    assert found.copies <= most_copies(site.population, SIZE_M) <= 1.2 * found.copies
+    assert most_copies(site.population.at(np.zeros(0, dtype=np.int64)), SIZE_M) == 0
+
+
+def test_a_bare_site_has_bare_surroundings():
+    site = stand()
+    bare = SurroundedStand.of(
+        site.population.at(np.zeros(0, dtype=np.int64)),
+        site.instances.at(np.zeros(0, dtype=np.intp)),
+        site.exemplars,
+        site.materials,
+    )
+    assert repeated(bare, FLAT, 1, True) is bare
+
+
+def test_ids_beyond_32_bits_are_refused():
+    site = stand()
+    plants = replace(site.population, plant_id=np.arange(2**32 - 61, 2**32 - 1).astype(np.uint32))
+    with raises_error(RecipeError, place="site.surroundings"):
+        repeated(replace(site, population=plants), FLAT, 1, True)
+
+
+def test_a_camera_sees_a_plant_as_near_as_its_nearest_copy_is():
+    moved = seen_from([camera_at((1.0, 20.0, 2.0), (25.0, 20.0, 5.0), (64, 48))], SIZE_M)
+    assert len(moved) == 9
+    assert moved[0].position_m == (1.0, 20.0, 2.0)
+    assert (51.0, 20.0, 2.0) in [one.position_m for one in moved]
