@@ -8,6 +8,7 @@ import pytest
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.recipe.load import load_recipe_data
+from forestgen.recipe.phenology import LeafState
 from forestgen.scene.leaf_variation import CLASSES, light_classes, varied_material, vary_leaves
 from forestgen.scene.surfaces import materials_of
 from support.scenes import simple_tree
@@ -17,7 +18,8 @@ VARIED = ("acacia", "beech", "birch", "eucalyptus", "larch", "pine", "rosemary",
 
 def materials(*names: str, season: str = "summer"):
     data = {"forestgen": 1, "species": {name: name for name in names}, "community": {"model": "placed"}}
-    return materials_of(load_recipe_data(data, "test").draw(0).species, season)
+    species = load_recipe_data(data, "test").draw(0).species
+    return materials_of(species, {name: [LeafState.of_season(season)] for name in species})
 
 
 def tree():
