@@ -25,6 +25,7 @@ _MODELS = {
     "multiset_lsystem": "self-thinning, succession, propagation, or your own program (Lane 2002, multiset L-systems)",
     "placed": "plants at given positions, from an inventory or a figure; they only age",
     "poisson_disc": "random positions with a minimum distance (Bridson 2007)",
+    "stand": "trees by what foresters know: species, stems, basal area, heights, storeys, gaps, cover, leaf area",
     "strauss": "plants of a species that repel each other with given strength (Strauss 1975)",
     "thomas": "clusters around unobserved parent points (Thomas 1949)",
     "uniform": "independent random positions",

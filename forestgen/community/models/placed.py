@@ -50,7 +50,7 @@ from forestgen.community.arrivals import new_ids
 from forestgen.community.disturbance import Ground, PointOnGround, planted
 from forestgen.community.model import none_is
 from forestgen.community.population import Ecologies, Site, SpeciesEcology
-from forestgen.community.static_model import FixedPopulation, Plants, State, StaticParameters, azimuth_of
+from forestgen.community.static_model import FixedPopulation, Plants, State, StaticParameters, azimuth_of, unknown_sizes
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation
 from forestgen.recipe.sources import Keys
@@ -210,6 +210,8 @@ class Placed(FixedPopulation[PlacedParameters]):
             sp=np.array([index[plant.species] for plant in everyone], dtype=np.uint16),
             azimuth_deg=np.array(azimuth, dtype=np.float64),
             first_age_yr=np.array([plant.age_yr for plant in everyone], dtype=np.float64),
+            tree_sizes=unknown_sizes(n),
+            dead=np.zeros(n, dtype=np.bool_),
             plant_id=ids,
             born=np.zeros(n, dtype=np.int32),
         )
