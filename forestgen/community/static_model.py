@@ -47,12 +47,12 @@ class Placement:
     position_m: Floats  # (N, 2) world x and y, on the site
     radius_m: Floats  # (N,) 0 < r <= the species' max_radius_m
     height_m: Floats | None = None  # (N,) None: by the species' allometry
+    notes: tuple[str, ...] = ()  # for users, such as that not all plants found a place
+    found: Mapping[str, Any] = field(default_factory=dict)  # what the model worked out, as in JSON; keys: `state_keys`
     tree_sizes: Floats | None = None  # (N, 4) `tree_columns.COLUMNS`, NaN where the model does not say
     dead: NDArray[np.bool_] | None = None  # (N,) standing dead trees; None: all live
     age_yr: Floats | None = None  # (N,) None: 0
     azimuth_deg: Floats | None = None  # (N,) turn about the vertical; NaN: random
-    notes: tuple[str, ...] = ()  # for users, such as that not all plants found a place
-    found: Mapping[str, Any] = field(default_factory=dict)  # what the model worked out, as in JSON; keys: `state_keys`
 
     def __post_init__(self) -> None:
         for name in ("species", "position_m", "radius_m", "height_m", "tree_sizes", "dead", "age_yr", "azimuth_deg"):

@@ -150,8 +150,10 @@ def _sum_near(trees, start, n, size_m, periodic, near, over):  # type: ignore[no
                 cell = wrapped(y0 + b, n[1]) * n[0] + wrapped(x0 + a, n[0])
                 for j in range(start[cell], start[cell + 1]):
                     ratio = trees[j, 2] / height
-                    if ratio < _NEIGHBOUR or j == i or not is_near(
-                        x, y, trees[j, 0], trees[j, 1], reach, size_m, periodic
+                    if (
+                        ratio < _NEIGHBOUR
+                        or j == i
+                        or not is_near(x, y, trees[j, 0], trees[j, 1], reach, size_m, periodic)
                     ):
                         continue
                     near[i] += trees[j, 3]

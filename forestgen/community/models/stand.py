@@ -81,7 +81,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from forestgen.community.arrivals import of_species
+from forestgen.community.arrivals import radii_m
 from forestgen.community.ground.living_conditions import Conditions
 from forestgen.community.model import none_is
 from forestgen.community.models import uniform
@@ -189,12 +189,10 @@ class StandModel(StaticModel[StandParameters]):
     state_keys: ClassVar[tuple[str, ...]] = ("targets", "reached")
     knows_trees: ClassVar[bool] = True
 
-    def place(
-        self, parameters: StandParameters, site: Site, species: Ecologies, rng: np.random.Generator
-    ) -> Placement:
+    def place(self, parameters: StandParameters, site: Site, species: Ecologies, rng: np.random.Generator) -> Placement:
         """The trees, then the plants of the ground."""
         tree_rng, gap_rng, ground_rng = rng.spawn(3)
-        trees, found, notes = None, {}, ()
+        trees, found = None, {}
         if parameters.storeys:
             for index, storey in enumerate(parameters.storeys):
                 check_trees(storey, species, f"community.storeys.{index}")
@@ -202,9 +200,8 @@ class StandModel(StaticModel[StandParameters]):
             builder = StandBuilder(parameters.storeys, site, species, tree_rng, periodic=parameters.periodic)
             trees = builder.trees(opened, gap, parameters.canopy_cover, parameters.leaf_area_index)
             found = _report(parameters, trees, site, species)
-            notes = tuple(_notes(found))
         ground = uniform.MODEL.place(parameters.ground_parameters(species), site, species, ground_rng)
-        return _joined(trees, ground, species, parameters, found, notes)
+        return _joined(trees, ground, species, parameters, found)
 
     def most_plants(self, parameters: StandParameters, site: Site, species: Ecologies) -> float:
         """The trees and the ground's plants."""
@@ -287,7 +284,6 @@ def _joined(
     species: Ecologies,
     parameters: StandParameters,
     found: dict[str, Any],
-    notes: tuple[str, ...],
 ) -> Placement:
     """Trees first, then the ground's plants."""
     n = len(ground.species)
@@ -298,23 +294,13 @@ def _joined(
     return Placement(
         np.concatenate([trees.species, ground.species]),
         np.concatenate([trees.position_m, ground.position_m]),
-        np.concatenate([neighbourhoods_m(species, trees.species, trees.height_m), ground.radius_m]),
+        np.concatenate([radii_m(species, trees.species, trees.height_m), ground.radius_m]),
         np.concatenate([trees.height_m, ground.height_m]),
-        np.concatenate([trees.columns, unknown_sizes(n)]),
+        tree_sizes=np.concatenate([trees.columns, unknown_sizes(n)]),
         age_yr=np.concatenate([age, np.zeros(n)]),
-        notes=(*notes, *ground.notes),
+        notes=(*_notes(found), *ground.notes),
         found=found,
     )
-
-
-def neighbourhoods_m(species: Ecologies, sp: Any, height_m: Floats) -> Floats:
-    """(N,) radii of trees by their species' allometry of heights, at most the largest."""
-    scale, exponent, most = (
-        of_species(species, name)[sp] for name in ("height_scale", "height_exponent", "max_radius_m")
-    )
-    power = np.where(exponent > 0, 1.0 / np.maximum(exponent, 1e-9), 0.0)
-    radius = np.exp(np.minimum(np.log(height_m / scale) * power, 20.0))
-    return np.asarray(np.clip(np.where(exponent > 0, radius, most), 1e-6, most))
 
 
 def _report(parameters: StandParameters, trees: StandTrees, site: Site, species: Ecologies) -> dict[str, Any]:
@@ -340,7 +326,9 @@ def _notes(found: dict[str, Any]) -> Iterator[str]:
         for k, one in enumerate(reached["storeys"], start=1)
     ]
     yield f"{'; '.join(parts)}; cover {reached['canopy_cover']:.2f}, leaf area index {reached['leaf_area_index']:.1f}"
-    pairs = [(f"storey {k}: ", *both) for k, both in enumerate(zip(targets["storeys"], reached["storeys"], strict=True), 1)]
+    pairs = [
+        (f"storey {k}: ", *both) for k, both in enumerate(zip(targets["storeys"], reached["storeys"], strict=True), 1)
+    ]
     for place, asked, got in [*pairs, ("", targets, reached)]:
         for name, value in asked.items():
             if name in ("storeys", "clark_evans") or (got.get(name) and abs(got[name] / value - 1) <= TOLERANCE):

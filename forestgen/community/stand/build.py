@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from forestgen.community.population import Ecologies, Floats, Indices, Site, SpeciesEcology
 from forestgen.community.stand import cover, spacing
@@ -21,6 +20,7 @@ from forestgen.recipe.tree_sizes import NUMBERS, SizeLaw, Sizes
 MOST_DEVIATIONS = 2.0  # by which the trees of a stand may differ from their species' allometry in the mean
 _LEAST_HEIGHT_M = 1.4
 _HIGHEST_BASE = 0.95  # over the height
+_MOST_MEASURED = 10_000  # trees whose nearest one is looked for
 _TALLER = 1.05  # a lower storey over the one above it
 
 
@@ -33,10 +33,10 @@ class StandTrees:
     position_m: Floats  # (N, 2)
     dbh_m: Floats
     height_m: Floats
-    normals: Floats  # (N, 4) numbers of each tree's own
     crown_radius_m: Floats
     crown_base_m: Floats
     leaf_area_m2: Floats
+    canopy_cover: float  # share of the site's ground under crowns as discs
 
     @property
     def columns(self) -> Floats:
@@ -85,7 +85,8 @@ def deviation_of(species: Ecologies, sp: Indices, height_m: Floats, size: str, w
 
 
 def leaf_areas_m2(species: Sequence[SpeciesEcology], sp: Indices, leaf_kg: Floats) -> Floats:
-    return leaf_kg / np.array([one.leaf_mass_per_area_kg_per_m2 for one in species])[sp]
+    """(N,) leaf area of trees of a mass of leaves."""
+    return np.asarray(leaf_kg / np.array([one.leaf_mass_per_area_kg_per_m2 for one in species])[sp])
 
 
 def thickest(count: int, site: Site) -> slice:
@@ -108,7 +109,9 @@ class StandBuilder:
         self._storeys, self._site, self._species, self._periodic = storeys, site, species, periodic
         self._rngs = rng.spawn(len(storeys))
 
-    def trees(self, opened: Floats, gap: Floats, canopy_cover: float | None, leaf_area_index: float | None) -> StandTrees:
+    def trees(
+        self, opened: Floats, gap: Floats, canopy_cover: float | None, leaf_area_index: float | None
+    ) -> StandTrees:
         """The trees. `opened`: (rows, cols) relative density of all trees, at most 1; `gap`: 1 without an upper storey.
 
         Raises `RecipeError` for targets that contradict each other.
@@ -116,7 +119,8 @@ class StandBuilder:
         dbh, sp, normals = self._stems()
         position_m = self._places(dbh, sp, normals, opened, gap)
         storey = np.repeat(np.arange(len(dbh)), [len(one) for one in dbh])
-        dbh_m, sp_all, own = (np.concatenate(one) for one in (dbh, sp, normals))
+        dbh_m, own = (np.concatenate(one) for one in (dbh, normals))
+        sp_all = np.concatenate(sp)
         zero = np.zeros(len(sp_all))
         first = self._scaled(heights_of(self._species, sp_all, dbh_m, own, zero), sp_all, dbh_m, storey, check=False)
         laws = [one.tree for one in self._species]
@@ -124,10 +128,11 @@ class StandBuilder:
         height_m = self._scaled(heights_of(self._species, sp_all, dbh_m, own, shift), sp_all, dbh_m, storey, check=True)
         self._check_order(height_m, storey)
         made = by_species(self._species, sp_all, height_m, own, dbh_m)
-        radius_m = self._crowns(position_m, 0.5 * made.crown_width_m, sp_all, height_m, canopy_cover)
+        factor, covered = self._crowns(position_m, 0.5 * made.crown_width_m, sp_all, height_m, canopy_cover)
         leaf_m2 = self._leaves(leaf_areas_m2(self._species, sp_all, made.leaf_kg), sp_all, height_m, leaf_area_index)
         base_m = np.minimum(made.crown_base_m, _HIGHEST_BASE * height_m)
-        return StandTrees(storey, sp_all, position_m, dbh_m, height_m, own, radius_m, base_m, leaf_m2)
+        radius_m = 0.5 * factor * made.crown_width_m
+        return StandTrees(storey, sp_all, position_m, dbh_m, height_m, radius_m, base_m, leaf_m2, covered)
 
     def _stems(self) -> tuple[list[Floats], list[Indices], list[Floats]]:
         """Diameters, species and own numbers of the trees of each storey."""
@@ -163,7 +168,9 @@ class StandBuilder:
                 raise self._no_room(index, placed, len(dbh[index]))
             last = first + placed
             if placed and index + 1 < len(self._storeys):
-                shaded = np.maximum(shaded, self._shade(grid, slice(first, last), sp[index], normals[index], here.shape))
+                shaded = np.maximum(
+                    shaded, self._shade(grid, slice(first, last), sp[index], normals[index], here.shape)
+                )
             first = last
         return np.stack([grid.x, grid.y], axis=1)
 
@@ -204,8 +211,12 @@ class StandBuilder:
             if not 1.0 / most <= factor <= most:
                 low, high = (BREAST_HEIGHT_M + f * (mean - BREAST_HEIGHT_M) for f in (1.0 / most, most))
                 problem = "the dominant height and the diameters contradict each other"
-                expected = f"{low:.3g} to {high:.3g} m: the thickest trees have {100 * dbh_m[tall].mean():.3g} cm at 1.3 m"
-                hint = f"other stems_per_ha, basal_area_m2_per_ha or dbh; these diameters have {mean:.3g} m by allometry"
+                expected = (
+                    f"{low:.3g} to {high:.3g} m: the thickest trees have {100 * dbh_m[tall].mean():.3g} cm at 1.3 m"
+                )
+                hint = (
+                    f"other stems_per_ha, basal_area_m2_per_ha or dbh; these diameters have {mean:.3g} m by allometry"
+                )
                 where = f"community.storeys.{index}"
                 raise RecipeError(problem, where=where, expected=expected, got=f"{top:.3g} m", hint=hint)
         return scaled
@@ -225,20 +236,23 @@ class StandBuilder:
 
     def _crowns(
         self, position_m: Floats, radius_m: Floats, sp: Indices, height_m: Floats, target: float | None
-    ) -> Floats:
-        """(N,) crown radii that cover as much of the ground as is asked for."""
+    ) -> tuple[float, float]:
+        """A factor of all crown radii so that they cover what is asked for, and what they cover."""
         if target is None or not len(radius_m):
-            return radius_m
+            ratio = cover.crown_ratios(position_m, radius_m, self._site, 1.0, periodic=self._periodic)
+            return 1.0, cover.cover_at(ratio, 1.0)
         most = math.exp(MOST_DEVIATIONS * deviation_of(self._species, sp, height_m, "crown_width_m", radius_m**2))
         ratio = cover.crown_ratios(position_m, radius_m, self._site, most, periodic=self._periodic)
         factor = cover.width_for(ratio, target)
         if 1.0 / most <= factor <= most:
-            return radius_m * factor
+            return factor, cover.cover_at(ratio, factor)
         low, usual, high = (cover.cover_at(ratio, k) for k in (1.0 / most, 1.0, most))
         problem = "canopy_cover contradicts the trees"
         expected = f"{low:.3g} to {high:.3g}: the crowns of these trees cover {usual:.3g} by their allometry"
         fits = len(sp) / self._site.area_ha * math.log1p(-target) / math.log1p(-min(usual, 0.999))
-        hint = f"about {fits:,.0f} stems/ha of these sizes instead of {len(sp) / self._site.area_ha:,.0f}; or other gaps"
+        hint = (
+            f"about {fits:,.0f} stems/ha of these sizes instead of {len(sp) / self._site.area_ha:,.0f}; or other gaps"
+        )
         raise RecipeError(problem, where="community.canopy_cover", expected=expected, got=f"{target:g}", hint=hint)
 
     def _leaves(self, leaf_m2: Floats, sp: Indices, height_m: Floats, target: float | None) -> Floats:
@@ -264,8 +278,9 @@ def nearest_index(position_m: Floats, site: Site, *, periodic: bool) -> float | 
     if n < 2:
         return None
     box = np.array(site.size_m)
-    tree = cKDTree(position_m % box if periodic else position_m, boxsize=box if periodic else None)
-    mean = float(tree.query(tree.data, k=2)[0][:, 1].mean())
+    position_m = position_m % box if periodic else position_m
+    tree = cKDTree(position_m, boxsize=box if periodic else None)
+    mean = float(np.mean(np.asarray(tree.query(position_m[:: max(1, n // _MOST_MEASURED)], k=2)[0])[:, 1]))
     expected = 0.5 * math.sqrt(site.area_m2 / n)
     if not periodic:
         expected += (0.0514 + 0.041 / math.sqrt(n)) * 2.0 * float(box.sum()) / n
@@ -274,7 +289,7 @@ def nearest_index(position_m: Floats, site: Site, *, periodic: bool) -> float | 
 
 def measured(trees: StandTrees, storeys: int, site: Site, species: Ecologies, *, periodic: bool) -> dict[str, Any]:
     """What a stand is, plain as in JSON, with the names of a recipe's targets."""
-    each = []
+    each: list[dict[str, Any]] = []
     for index in range(storeys):
         rows = np.flatnonzero(trees.storey == index)
         if not len(rows):
@@ -292,11 +307,8 @@ def measured(trees: StandTrees, storeys: int, site: Site, species: Ecologies, *,
                 "share_of_basal_area": {one.name: float(s) for one, s in zip(species, shares, strict=True) if s},
             }
         )
-    ratio = cover.crown_ratios(trees.position_m, trees.crown_radius_m, site, 1.0, periodic=periodic)
     return {
         "storeys": each,
-        "canopy_cover": cover.cover_at(ratio, 1.0),
+        "canopy_cover": trees.canopy_cover,
         "leaf_area_index": float(trees.leaf_area_m2.sum()) / site.area_m2,
     }
-
-

@@ -25,7 +25,8 @@ def crown_ratios(position_m: Floats, radius_m: Floats, site: Site, widest: float
     width, height = site.size_m
     cell_m = max(_FINEST_M, sqrt(site.area_m2 / _CELLS))
     ratio = np.full((max(1, ceil(height / cell_m)), max(1, ceil(width / cell_m))), np.inf, dtype=np.float32)
-    _lower(np.ascontiguousarray(position_m), radius_m, widest, (width, height), periodic, ratio)
+    inside = position_m % np.array(site.size_m) if periodic else position_m
+    _lower(np.ascontiguousarray(inside), radius_m, widest, (width, height), periodic, ratio)
     return np.sqrt(ratio, out=ratio)
 
 
@@ -50,21 +51,21 @@ def _lower(position, radius, widest, size_m, periodic, ratio):  # type: ignore[n
         per = 1.0 / (radius[i] * radius[i])
         top, left = floor((y - reach) / dy), floor((x - reach) / dx)
         bottom, right = floor((y + reach) / dy), floor((x + reach) / dx)
-        if periodic:
+        if periodic:  # no cell twice, wherever a crown is wider than the site
+            top, left = max(top, -(rows // 2)), max(left, -(cols // 2))
             bottom, right = min(bottom, top + rows - 1), min(right, left + cols - 1)
         else:
             top, left, bottom, right = max(top, 0), max(left, 0), min(bottom, rows - 1), min(right, cols - 1)
         for row in range(top, bottom + 1):
             b = abs((row + 0.5) * dy - y)
-            if periodic:
-                b = min(b % size_m[1], size_m[1] - b % size_m[1])
-            if b > reach:
-                continue
+            if periodic and b > 0.5 * size_m[1]:
+                b = abs(size_m[1] - b)
+            r = row + rows if row < 0 else (row - rows if row >= rows else row)
             for col in range(left, right + 1):
                 a = abs((col + 0.5) * dx - x)
-                if periodic:
-                    a = min(a % size_m[0], size_m[0] - a % size_m[0])
+                if periodic and a > 0.5 * size_m[0]:
+                    a = abs(size_m[0] - a)
                 square = a * a + b * b
                 if square <= reach * reach:
-                    r, c = row % rows, col % cols
+                    c = col + cols if col < 0 else (col - cols if col >= cols else col)
                     ratio[r, c] = min(ratio[r, c], square * per)

@@ -145,15 +145,9 @@ def empty_grid(stems: int, widest_m: float, size_m: tuple[float, float], *, peri
     """A grid for so many stems, of which none has a place yet; `widest_m`: the greatest distance two must keep."""
     side = max(widest_m, np.sqrt(size_m[0] * size_m[1] / max(stems, 1)))
     n = (max(1, min(int(size_m[0] / side), 20_000)), max(1, min(int(size_m[1] / side), 20_000)))
-    return StemGrid(
-        *(np.full(stems, np.nan) for _ in range(4)),
-        np.full(stems, -1, dtype=np.int64),
-        np.full(n[0] * n[1], -1, dtype=np.int64),
-        np.full(stems, -1, dtype=np.int64),
-        n,
-        size_m,
-        periodic,
-    )
+    x, y, dbh, apart = np.full((4, stems), np.nan)
+    storey, before = np.full((2, stems), -1, dtype=np.int64)
+    return StemGrid(x, y, dbh, apart, storey, np.full(n[0] * n[1], -1, dtype=np.int64), before, n, size_m, periodic)
 
 
 def own_distance_m(dbh_m: Floats, area_m2: float, clark_evans: float) -> Floats:
@@ -187,6 +181,7 @@ def place_storey(
     grid.apart[first:last] = own_distance_m(dbh_m, area_m2, clark_evans)
     chance = np.zeros(last)
     chance[first:] = tolerance
-    places = Places(*(np.ascontiguousarray(one, dtype=np.float64) for one in ground), centre, width)
+    opened, shaded = (np.ascontiguousarray(one, dtype=np.float64) for one in ground)
+    places = Places(opened, shaded, centre, width)
     state = rng.integers(0, 2**64, 1, dtype=np.uint64)
     return int(_place(grid, first, last, int(first), chance, places, _TRIES, _DRAWS, state)) - first

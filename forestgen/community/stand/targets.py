@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from scipy.special import gamma, ndtr, ndtri
 
-from forestgen.community.population import Ecologies, Floats, SpeciesEcology
+from forestgen.community.population import Ecologies, Floats, Indices, SpeciesEcology
 from forestgen.community.stand.spacing import LEAST_R, MOST_R
+from forestgen.core.compiled import compiled
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation
 from forestgen.recipe.tree_sizes import NUMBERS, TreeSizes
@@ -65,7 +66,7 @@ class Storey(Section):
     stems_per_ha: Positive | None = Field(None, le=1e6, description="Number of stems per hectare.")
     basal_area_m2_per_ha: Positive | None = Field(None, le=300, description="Area of all stems at 1.3 m, per hectare.")
     dbh: Annotated[Dbh, BeforeValidator(lambda value: {} if value is None else value)] = Field(
-        Dbh(), description="Diameters at breast height: mean_cm, cv, law."
+        Dbh.model_validate({}), description="Diameters at breast height: mean_cm, cv, law."
     )
     dominant_height_m: Positive | None = Field(
         None, gt=1.5, le=130, description="Mean height of this storey's 100 thickest trees per hectare."
@@ -188,7 +189,7 @@ def diameters_m(storey: Storey, found: Stocking, area_ha: float, rng: np.random.
     return np.asarray(np.maximum(scale * relative, 0.005))
 
 
-def species_of(storey: Storey, dbh_m: Floats, species: Ecologies, rng: np.random.Generator) -> Floats:
+def species_of(storey: Storey, dbh_m: Floats, species: Ecologies, rng: np.random.Generator) -> Indices:
     """(N,) index of each tree's species, of the shares asked for to within a tree.
 
     A species that tolerates more shade than the others has more of the thin trees: the odds change by a factor of
@@ -202,18 +203,23 @@ def species_of(storey: Storey, dbh_m: Floats, species: Ecologies, rng: np.random
     size = dbh_m**2 if storey.share_of == "basal_area" else np.ones(len(dbh_m))
     rank = (np.arange(len(dbh_m)) + 0.5) / max(len(dbh_m), 1)  # 0: the thickest
     odds = np.exp(2.0 * np.outer(rank - 0.5, tolerance - tolerance @ shares)) * shares
-    for _ in range(50):
+    for _ in range(20 if len(chosen) > 1 else 0):
         odds /= odds.sum(axis=1, keepdims=True)
         odds *= shares / np.maximum(size @ odds / size.sum(), 1e-300) if len(size) else 1.0
     odds /= odds.sum(axis=1, keepdims=True)
-    owed, label = [0.0] * len(chosen), np.zeros(len(dbh_m), dtype=np.int64)
-    order = rng.permutation(len(dbh_m))
-    for row, parts in zip(order.tolist(), (odds[order] * size[order, None]).tolist(), strict=True):
-        owed = [a + b for a, b in zip(owed, parts, strict=True)]
-        most = owed.index(max(owed))
-        label[row] = most
-        owed[most] -= size[row]
+    label = np.zeros(len(dbh_m), dtype=np.int64)
+    _diffuse(odds, size, rng.permutation(len(dbh_m)), label)
     return np.array(chosen, dtype=np.int64)[label]
+
+
+@compiled
+def _diffuse(odds, size, order, label):  # type: ignore[no-untyped-def]
+    """Give each tree, in an order, to the species that is owed most; `odds` (N, S) and `size` (N,) make it due."""
+    owed = np.zeros(odds.shape[1])
+    for row in order:
+        owed += odds[row] * size[row]
+        label[row] = np.argmax(owed)
+        owed[label[row]] -= size[row]
 
 
 def check_trees(storey: Storey, species: Ecologies, where: str) -> None:
@@ -225,7 +231,3 @@ def check_trees(storey: Storey, species: Ecologies, where: str) -> None:
             problem, expected = f"{name} is no tree: its species has no section `tree`", f"trees: {able}"
             hint = "put herbs and shrubs into community.ground"
             raise RecipeError(problem, where=f"{where}.species.{name}", expected=expected, got=name, hint=hint)
-
-
-def shares_text(values: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {value:.2f}" for name, value in values.items())
