@@ -275,7 +275,8 @@ def _refuse(
     rows = np.flatnonzero(wrong)
     if not len(rows):
         return
-    got = ", ".join(f"{name} {trees.number(name)[rows[0]]:.6g}" for name in columns)
+    values = {name: trees.number(name)[rows[0]] for name in columns}
+    got = ", ".join(f"{name} {'not known' if np.isnan(one) else f'{one:.9g}'}" for name, one in values.items())
     got += f"; and {len(rows) - 1:,} more such lines" if len(rows) > 1 else ""
     raise RecipeError(problem, where=trees.place(rows[0]), expected=expected, got=got, hint=hint or None)
 
@@ -312,11 +313,10 @@ def _positions(trees: TreeList, sp: Indices, parameters: InventoryParameters, si
     order = np.lexsort((np.arange(len(trees)), sp, position_m[:, 1], position_m[:, 0]))
     same = (np.diff(position_m[order], axis=0) == 0).all(axis=1) & (np.diff(sp[order]) == 0)
     if same.any():
-        first = int(np.flatnonzero(same)[0])
         again = np.zeros(len(trees), dtype=np.bool_)
         again[order[1:][same]] = True
-        earlier = int(trees.line[order[first]]) if int(np.flatnonzero(again)[0]) == order[first + 1] else None
-        expected = "trees of one species at different places" + (f"; line {earlier} has this one" if earlier else "")
+        twin = order[np.flatnonzero(order == np.argmax(again))[0] - 1]
+        expected = f"trees of one species at different places; line {trees.line[twin]} has this one"
         _refuse(trees, again, "the tree is there twice", expected, places, "remove the line, or correct its place")
     return position_m
 
@@ -338,7 +338,7 @@ def _numbers_here(trees: TreeList, parameters: InventoryParameters, site: Site) 
     if number.sum() > MOST_ROWS:
         expected, got = f"at most {MOST_ROWS:,} on the site", f"{number.sum():,.0f}"
         raise RecipeError("too many trees", where=trees.name, expected=expected, got=got)
-    return number
+    return np.asarray(number, dtype=np.float64)
 
 
 def _copies(trees: TreeList, parameters: InventoryParameters, site: Site, rng: np.random.Generator) -> Indices:

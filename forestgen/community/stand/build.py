@@ -125,6 +125,7 @@ class StandBuilder:
         first = self._scaled(heights_of(self._species, sp_all, dbh_m, own, zero), sp_all, dbh_m, storey, check=False)
         laws = [one.tree for one in self._species]
         shift = competition_shifts(position_m, sp_all, first, laws, self._site, periodic=self._periodic)
+        dbh_m = self._with_neighbours(dbh_m, shift, storey)
         height_m = self._scaled(heights_of(self._species, sp_all, dbh_m, own, shift), sp_all, dbh_m, storey, check=True)
         self._check_order(height_m, storey)
         made = by_species(self._species, sp_all, height_m, own, dbh_m)
@@ -149,9 +150,14 @@ class StandBuilder:
     ) -> Floats:
         """(N, 2) places of all trees; lower storeys know where the crowns of the upper ones are."""
         tolerance = np.array([one.shade_tolerance for one in self._species])
+        stoutest = np.array([1.0 if one.tree is None else one.tree.open_grown for one in self._species])
+        dbh = [  # as they may become, see `_with_neighbours`
+            one * stoutest[kinds] if storey.by_height else one
+            for one, kinds, storey in zip(dbh, sp, self._storeys, strict=True)
+        ]
         area_m2 = self._site.area_m2
         widest = [
-            max(2 * float(one[0]), float(spacing.own_distance_m(one, area_m2, storey.clark_evans)[0]))
+            max(2 * float(one.max()), float(spacing.own_distance_m(one, area_m2, storey.clark_evans).max()))
             for one, storey in zip(dbh, self._storeys, strict=True)
             if len(one)
         ]
@@ -220,6 +226,18 @@ class StandBuilder:
                 where = f"community.storeys.{index}"
                 raise RecipeError(problem, where=where, expected=expected, got=f"{top:.3g} m", hint=hint)
         return scaled
+
+    def _with_neighbours(self, dbh_m: Floats, shift: Floats, storey: Indices) -> Floats:
+        """Diameters that are by heights follow the neighbours too; a storey's basal area stays."""
+        dbh_m = dbh_m.copy()
+        for index, one in enumerate(self._storeys):
+            mine = storey == index
+            if one.by_height and mine.any():
+                before = float(np.sum(dbh_m[mine] ** 2))
+                dbh_m[mine] *= np.exp(shift[mine])
+                if one.basal_area_m2_per_ha is not None:
+                    dbh_m[mine] *= math.sqrt(before / float(np.sum(dbh_m[mine] ** 2)))
+        return dbh_m
 
     def _check_order(self, height_m: Floats, storey: Indices) -> None:
         above = math.inf

@@ -88,10 +88,15 @@ class Storey(Section):
         if self.site_index_m is not None and (self.age_yr is None or self.dominant_height_m is not None):
             problem = "site_index_m gives the dominant height at an age"
             raise violation("age_yr with site_index_m, or dominant_height_m", problem=problem, at="site_index_m")
-        if self.dbh.mean_cm is None and None in numbers and self.top_height_m is None:
+        if self.by_height and self.top_height_m is None:
             expected = "dbh.mean_cm, a dominant height, or both stems_per_ha and basal_area_m2_per_ha"
             raise violation(expected, problem="how large are the trees?")
         return self
+
+    @property
+    def by_height(self) -> bool:
+        """Whether the dominant height determines the diameters."""
+        return self.dbh.mean_cm is None and None in (self.stems_per_ha, self.basal_area_m2_per_ha)
 
     @property
     def top_height_m(self) -> float | None:
@@ -130,10 +135,8 @@ def stocking(storey: Storey, species: Ecologies, where: str) -> Stocking:
         fitting = math.sqrt(area / (stems * per_stem))
         if mean is not None and abs(stems * per_stem * mean**2 / area - 1.0) > TOLERANCE:
             problem = "stems_per_ha, basal_area_m2_per_ha and dbh.mean_cm contradict each other"
-            expected = (
-                f"a basal area of {stems * per_stem * mean**2:.3g} m²/ha, or {area / (per_stem * mean**2):.4g} stems/ha, "
-                f"or a mean of {100 * fitting:.3g} cm"
-            )
+            fits = stems * per_stem * mean**2, area / (per_stem * mean**2), 100 * fitting
+            expected = "a basal area of {:.3g} m²/ha, or {:.4g} stems/ha, or a mean of {:.3g} cm".format(*fits)
             got = f"{area:g} m²/ha, {stems:g} stems/ha, {100 * mean:g} cm with cv {storey.dbh.cv:g}"
             raise RecipeError(problem, where=where, expected=expected, got=got, hint="leave one of the three out")
         mean = fitting

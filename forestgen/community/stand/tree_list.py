@@ -225,5 +225,5 @@ def _numbers(cells: Any, column: str, name: str, line: NDArray[np.int64], *, dec
     row = int(np.flatnonzero(~good)[0])
     count = int(np.count_nonzero(~good))
     got = repr(cells[row].as_py()) + (f", and {count - 1:,} more such lines" if count > 1 else "")
-    hint = "leave the cell empty where the value is not known"
+    hint = "correct it, or leave the cell empty where the value is not known"
     raise RecipeError(f"bad {column}", where=f"{name}, line {line[row]}", expected=meaning, got=got, hint=hint)
