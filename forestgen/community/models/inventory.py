@@ -88,7 +88,7 @@ from forestgen.recipe.tree_sizes import NUMBERS
 if TYPE_CHECKING:
     from forestgen.recipe.load import DrawnRecipe
 
-_BYTES_PER_TREE = 900
+_BYTES_PER_TREE = 400
 _CELLS = 1024
 _lists: BoundedCache[TreeList] = BoundedCache(300_000_000, lambda one: one.nbytes)
 
