@@ -318,7 +318,7 @@ def _positions(trees: TreeList, sp: Indices, parameters: InventoryParameters, si
         twin = order[np.flatnonzero(order == np.argmax(again))[0] - 1]
         expected = f"trees of one species at different places; line {trees.line[twin]} has this one"
         _refuse(trees, again, "the tree is there twice", expected, places, "remove the line, or correct its place")
-    return position_m
+    return np.asarray(position_m)
 
 
 def _numbers_here(trees: TreeList, parameters: InventoryParameters, site: Site) -> Floats:
