@@ -99,6 +99,16 @@ def heights_m(species: Ecologies, sp: NDArray[np.integer], radius_m: Floats) -> 
     return np.asarray(scale * radius_m**exponent)
 
 
+def radii_m(species: Ecologies, sp: NDArray[np.integer], height_m: Floats) -> Floats:
+    """(N,) radii of plants by their species' allometry of heights, metres; at most the largest."""
+    scale, exponent, most = (
+        of_species(species, one)[sp] for one in ("height_scale", "height_exponent", "max_radius_m")
+    )
+    power = np.divide(1.0, exponent, out=np.zeros(len(sp)), where=exponent > 0)
+    radius = np.where(exponent > 0, np.exp(np.minimum(np.log(height_m / scale) * power, 20.0)), most)
+    return np.asarray(np.clip(radius, 1e-6, most))
+
+
 def of_species(species: Ecologies, name: str) -> Floats:
     """One number of every species; (number of species,)."""
     return np.array([getattr(one, name) for one in species], dtype=np.float64)

@@ -40,6 +40,7 @@ class Limits:
     least: float = -math.inf
     most: float = math.inf
     finite: bool = True
+    nan: bool = False  # whether a plant may lack the value
 
 
 def check_snapshot(population: Population, site: Site, species: Ecologies) -> None:
@@ -138,6 +139,8 @@ def _check(name: str, values: NDArray[Any], limits: Limits, population: Populati
     fine = (values >= limits.least) & (values <= limits.most)
     if limits.finite:
         fine &= np.isfinite(values)
+    if limits.nan:
+        fine |= np.isnan(values)
     wrong = np.flatnonzero(~fine)
     if len(wrong):
         row = int(wrong[0])

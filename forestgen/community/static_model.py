@@ -23,6 +23,7 @@ from forestgen.community.disturbance import Planting, planted
 from forestgen.community.model import CommunityParameters
 from forestgen.community.population import Ecologies, Floats, Population, Site, SpeciesEcology, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, check_columns, check_finite
+from forestgen.community.tree_columns import COLUMNS
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
@@ -48,9 +49,13 @@ class Placement:
     height_m: Floats | None = None  # (N,) None: by the species' allometry
     notes: tuple[str, ...] = ()  # for users, such as that not all plants found a place
     found: Mapping[str, Any] = field(default_factory=dict)  # what the model worked out, as in JSON; keys: `state_keys`
+    tree_sizes: Floats | None = None  # (N, 4) `tree_columns.COLUMNS`, NaN where the model does not say
+    dead: NDArray[np.bool_] | None = None  # (N,) standing dead trees; None: all live
+    age_yr: Floats | None = None  # (N,) None: 0
+    azimuth_deg: Floats | None = None  # (N,) turn about the vertical; NaN: random
 
     def __post_init__(self) -> None:
-        for name in ("species", "position_m", "radius_m", "height_m"):
+        for name in ("species", "position_m", "radius_m", "height_m", "tree_sizes", "dead", "age_yr", "azimuth_deg"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.asarray(getattr(self, name)))
         n = self.species.size
@@ -78,6 +83,8 @@ class Plants(CirclePlants):
     height_m: Floats  # (N,) metres
     azimuth_deg: Floats  # (N,) turn about the vertical, clockwise from above
     first_age_yr: Floats  # (N,) at the step of arrival
+    tree_sizes: Floats  # (N, 4) `tree_columns.COLUMNS`, NaN where unknown
+    dead: NDArray[np.bool_]  # (N,)
 
 
 @dataclass(frozen=True)
@@ -95,6 +102,11 @@ class State:
     found: Mapping[str, Any] = field(default_factory=dict)  # what `init` worked out for itself, plain as in JSON
 
 
+def unknown_sizes(n: int) -> Floats:
+    """Sizes of n trees of which a model says none."""
+    return np.full((n, len(COLUMNS)), np.nan)
+
+
 def azimuth_of(seed: int, plant_id: int) -> float:
     """A plant's own turn about the vertical, degrees."""
     return float(child_rng(seed, "placed azimuth", plant_id).uniform(0.0, 360.0))
@@ -103,6 +115,9 @@ def azimuth_of(seed: int, plant_id: int) -> float:
 def first_state(parameters: CommunityParameters, site: Site, species: Ecologies, seed: int, placed: Placement) -> State:
     """The state of step 0 of plants that have just been placed, numbered from 1 in the order given."""
     n, height_m = len(placed.species), placed.height_m
+    azimuth_deg = child_rng(seed, "placement azimuths").uniform(0.0, 360.0, n)
+    if placed.azimuth_deg is not None:
+        azimuth_deg = np.where(np.isnan(placed.azimuth_deg), azimuth_deg, placed.azimuth_deg)
     plants = Plants(
         x_m=np.ascontiguousarray(placed.position_m, dtype=np.float64),
         r_m=np.ascontiguousarray(placed.radius_m, dtype=np.float64),
@@ -110,8 +125,10 @@ def first_state(parameters: CommunityParameters, site: Site, species: Ecologies,
             heights_m(species, placed.species, placed.radius_m) if height_m is None else height_m, dtype=np.float64
         ),
         sp=np.ascontiguousarray(placed.species, dtype=np.uint16),
-        azimuth_deg=child_rng(seed, "placement azimuths").uniform(0.0, 360.0, n),
-        first_age_yr=np.zeros(n),
+        azimuth_deg=azimuth_deg,
+        first_age_yr=np.zeros(n) if placed.age_yr is None else placed.age_yr,
+        tree_sizes=unknown_sizes(n) if placed.tree_sizes is None else placed.tree_sizes,
+        dead=np.zeros(n, dtype=np.bool_) if placed.dead is None else placed.dead,
         plant_id=new_ids(1, n),
         born=np.zeros(n, dtype=np.int32),
     )
@@ -123,6 +140,7 @@ class FixedPopulation(Generic[P]):
 
     Parameters: type[P]
     state_keys: ClassVar[tuple[str, ...]] = ()  # what a snapshot's state may have of `State.found`
+    knows_trees: ClassVar[bool] = False  # whether its snapshots have `tree_columns.COLUMNS`, and dead trees
 
     def step(self, state: State) -> State:
         """All plants older by a step."""
@@ -133,11 +151,14 @@ class FixedPopulation(Generic[P]):
         plants = state.plants
         turn, age = plants.azimuth_deg, plants.first_age_yr
         columns: dict[str, NDArray[Any]] = {"azimuth_deg": turn, "first_age_yr": age, "first_step": plants.born}
+        if self.knows_trees:
+            columns |= dict(zip(COLUMNS, np.ascontiguousarray(plants.tree_sizes.T), strict=True))
         snapshot = plants.population(
             state.species, state.step, state.parameters.step_yr, state.next_id, None, columns, plants.height_m
         )
         about = {**snapshot.state, "notes": list(state.notes), **state.found}
-        return replace(snapshot, age_yr=age + snapshot.age_yr, state=about)
+        status = np.where(plants.dead, np.uint8(Status.DEAD), snapshot.status)
+        return replace(snapshot, age_yr=age + snapshot.age_yr, status=status, state=about)
 
     def resume(self, parameters: P, site: Site, species: Ecologies, seed: int, population: Population) -> State:
         """The state of a snapshot."""
@@ -147,6 +168,12 @@ class FixedPopulation(Generic[P]):
             height_m=population.height_m,
             azimuth_deg=columns["azimuth_deg"],
             first_age_yr=columns["first_age_yr"],
+            tree_sizes=(
+                np.stack([columns[name] for name in COLUMNS], axis=1)
+                if self.knows_trees
+                else unknown_sizes(len(population))
+            ),
+            dead=population.status == Status.DEAD,
         )
         found = dict(population.state)
         next_id, notes = int(found.pop("next_id")), tuple(found.pop("notes", ()))
@@ -158,8 +185,10 @@ class FixedPopulation(Generic[P]):
             "azimuth_deg": Limits("f8"),
             "first_age_yr": Limits("f8", 0),
             "first_step": Limits("i4", 0, population.step),
-            "status": Limits("u1", 0, Status.MATURE),
+            "status": Limits("u1", 0, Status.DEAD if self.knows_trees else Status.MATURE),
         }
+        if self.knows_trees:
+            own |= {name: Limits("f8", 0, nan=True) for name in COLUMNS}
         check_columns(population, own)
         known = ("next_id", "notes", *self.state_keys)
         for key, value in population.state.items():
@@ -182,6 +211,8 @@ class FixedPopulation(Generic[P]):
             sp=planting.species,
             azimuth_deg=np.array([azimuth_of(state.seed, int(one)) for one in ids], dtype=np.float64),
             first_age_yr=np.zeros(n),
+            tree_sizes=unknown_sizes(n),
+            dead=np.zeros(n, dtype=np.bool_),
             plant_id=ids,
             born=np.full(n, state.step, dtype=np.int32),
         )

@@ -20,7 +20,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.community.competition.grid import near as is_near
+from forestgen.community.competition.grid import span, wrapped
 from forestgen.community.population import Floats, Population, Site, SpeciesEcology, Status
+from forestgen.core.compiled import compiled
 from forestgen.core.randomness import child_root
 from forestgen.recipe.tree_sizes import NUMBERS, TreeSizes, own_normals
 
@@ -29,7 +32,6 @@ _DISC_HEIGHTS, _DISC_M = 0.4, (2.0, 12.0)
 _NEIGHBOUR, _TALLER = 0.6, 1.25  # heights over the tree's
 _OPEN_COVER, _SHADE_COVER = 0.6, 0.7
 _RAYS = 16  # directions in which a disc's part inside the site is measured
-_AT_ONCE = 20_000
 
 
 def with_tree_sizes(
@@ -47,7 +49,18 @@ def with_tree_sizes(
     if not trees.any():
         return population
     known = {name: _column(population, name) for name in COLUMNS}
-    shift = _shifts(population, laws, trees, site, periodic)
+    if not np.isnan([known[name][trees] for name in COLUMNS]).any():
+        return population
+    living = np.flatnonzero(trees & (population.status != Status.DEAD))
+    shift = np.zeros(len(population))
+    shift[living] = competition_shifts(
+        population.position_m[living, :2],
+        population.species[living],
+        population.height_m[living],
+        laws,
+        site,
+        periodic=periodic,
+    )
     normals = np.zeros((len(population), NUMBERS))
     normals[trees] = own_normals(child_root(seed, "trees"), population.plant_id[trees])
     for index in np.unique(population.species[trees]).tolist():
@@ -71,24 +84,29 @@ def _column(population: Population, name: str) -> Floats:
     return np.full(len(population), np.nan)
 
 
-def _shifts(
-    population: Population, laws: Sequence[TreeSizes | None], trees: NDArray[np.bool_], site: Site, periodic: bool
+def competition_shifts(
+    position_m: Floats,
+    species: NDArray[np.integer],
+    height_m: Floats,
+    laws: Sequence[TreeSizes | None],
+    site: Site,
+    *,
+    periodic: bool,
 ) -> Floats:
-    """(N,) logarithm of each tree's diameter over that of a tree in a stand, by its neighbours; 0 of other plants."""
-    rows = np.flatnonzero(trees & (population.status != Status.DEAD))
-    height_m = population.height_m[rows]
-    crown_m2, opened, suppressed = np.zeros(len(rows)), np.zeros(len(rows)), np.zeros(len(rows))
-    for index in np.unique(population.species[rows]).tolist():
-        mine, law = population.species[rows] == index, laws[index]
+    """(N,) logarithm of the diameter over that of a tree in a stand, by the neighbours, of living trees.
+
+    `position_m`: (N, 2). `species`: (N,) index in `laws`, which has a law for each of them.
+    """
+    crown_m2, opened, suppressed = (np.zeros(len(height_m)) for _ in range(3))
+    for index in np.unique(species).tolist():
+        mine, law = species == index, laws[index]
         assert law is not None
         median = law.sizes(height_m[mine], np.zeros((int(mine.sum()), NUMBERS)))
         crown_m2[mine] = 0.25 * np.pi * median.crown_width_m**2
         opened[mine], suppressed[mine] = law.shift("open"), law.shift("suppressed")
     radius_m = np.clip(_DISC_HEIGHTS * height_m, *_DISC_M)
-    near, over = _covers(population.position_m[rows, :2], height_m, crown_m2, radius_m, site.size_m, periodic)
-    shift = np.zeros(len(population))
-    shift[rows] = opened * np.maximum(1.0 - near / _OPEN_COVER, 0.0) + suppressed * np.minimum(over / _SHADE_COVER, 1.0)
-    return shift
+    near, over = _covers(position_m, height_m, crown_m2, radius_m, site.size_m, periodic)
+    return opened * np.maximum(1.0 - near / _OPEN_COVER, 0.0) + suppressed * np.minimum(over / _SHADE_COVER, 1.0)
 
 
 def _covers(
@@ -100,27 +118,47 @@ def _covers(
     periodic: bool,
 ) -> tuple[Floats, Floats]:
     """(N,) crown area of neighbours and of taller ones over that of each tree's disc."""
-    from scipy.spatial import cKDTree  # slow to import
-
     box = np.array(size_m)
     if periodic:
         radius_m = np.minimum(radius_m, 0.49 * float(box.min()))
         position_m = position_m % box
-    tree = cKDTree(position_m, boxsize=box if periodic else None)
+    reach = float(radius_m.max(initial=_DISC_M[0]))
+    cells = np.maximum(1, np.minimum(box / reach, 2000).astype(np.int64))
+    at = np.minimum((position_m / box * cells).astype(np.int64), cells - 1)
+    cell = at[:, 1] * cells[0] + at[:, 0]
+    order = np.argsort(cell, kind="stable")
+    start = np.searchsorted(cell[order], np.arange(int(cells.prod()) + 1))
     near, over = np.zeros(len(position_m)), np.zeros(len(position_m))
-    for start in range(0, len(position_m), _AT_ONCE):
-        chunk = slice(start, start + _AT_ONCE)
-        found = tree.query_ball_point(position_m[chunk], radius_m[chunk], return_sorted=True)
-        counts = np.array([len(one) for one in found])
-        other = np.concatenate([np.asarray(one, dtype=np.int64) for one in found])
-        me = np.repeat(np.arange(start, start + len(found)), counts)
-        ratio = height_m[other] / height_m[me]
-        area = np.where(other == me, 0.0, crown_m2[other])
-        near += np.bincount(me, np.where(ratio >= _NEIGHBOUR, area, 0.0), len(position_m))
-        over += np.bincount(me, np.where(ratio >= _TALLER, area, 0.0), len(position_m))
-    inside = 1.0 if periodic else _share_inside(position_m, radius_m, box)
-    disc_m2 = np.pi * radius_m**2 * inside
-    return near / disc_m2, over / disc_m2
+    trees = np.stack([*position_m.T, height_m, crown_m2, radius_m], axis=1)[order]
+    _sum_near(trees, start, (int(cells[0]), int(cells[1])), (float(box[0]), float(box[1])), periodic, near, over)
+    inside = 1.0 if periodic else _share_inside(trees[:, :2], trees[:, 4], box)
+    disc_m2 = np.pi * trees[:, 4] ** 2 * inside
+    back = np.argsort(order, kind="stable")
+    return (near / disc_m2)[back], (over / disc_m2)[back]
+
+
+@compiled
+def _sum_near(trees, start, n, size_m, periodic, near, over):  # type: ignore[no-untyped-def]
+    """Sum crown areas around each of `trees` (N, 5: x, y, height, crown, reach), sorted by cell, into near and over."""
+    per_x, per_y = n[0] / size_m[0], n[1] / size_m[1]
+    for i in range(len(trees)):
+        x, y, height, reach = trees[i, 0], trees[i, 1], trees[i, 2], trees[i, 4]
+        x0, across = span(x * per_x, reach * per_x, n[0], periodic)
+        y0, along = span(y * per_y, reach * per_y, n[1], periodic)
+        for b in range(along):
+            for a in range(across):
+                cell = wrapped(y0 + b, n[1]) * n[0] + wrapped(x0 + a, n[0])
+                for j in range(start[cell], start[cell + 1]):
+                    ratio = trees[j, 2] / height
+                    if (
+                        ratio < _NEIGHBOUR
+                        or j == i
+                        or not is_near(x, y, trees[j, 0], trees[j, 1], reach, size_m, periodic)
+                    ):
+                        continue
+                    near[i] += trees[j, 3]
+                    if ratio >= _TALLER:
+                        over[i] += trees[j, 3]
 
 
 def _share_inside(position_m: Floats, radius_m: Floats, box: Floats) -> Floats:

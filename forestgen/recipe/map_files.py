@@ -29,7 +29,7 @@ _NAMES_BELOW: dict[Keys, frozenset[str]] = {  # section -> keys anywhere below i
     ("site", "terrain"): frozenset({"map"}),
     ("sky", "clouds"): frozenset({"map", "sounding"}),
 }
-_SINGLE: tuple[Keys, ...] = (("community", "soil"), ("sky", "clouds", "file"))
+_SINGLE: tuple[Keys, ...] = (("community", "soil"), ("community", "file"), ("sky", "clouds", "file"))
 _WITHOUT_FILES = ("species", "sampling", "dataset")  # sections; a species' own paths are relative to its file
 _PLAIN_FILE = frozenset({"file", "sha256"})  # keys of a mapping that can be nothing else
 Sha256 = Annotated[Text, Field(pattern="^[0-9a-f]{64}$")]

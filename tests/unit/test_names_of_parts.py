@@ -83,13 +83,16 @@ def trees() -> dict[str, ast.Module]:
 
 
 MODEL_REGISTRY = "community/registry.py"
-MODEL_FOLDERS = ("models", "branch_modules", "ecoclimate")  # of the models' own code, in community/
+MODEL_FOLDERS = ("models", "branch_modules", "ecoclimate", "stand")  # of the models' own code, in community/
 MODEL_FILES = ("community/multiset_program.py",)
 OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or are one's example
     "recipe/schema.py": {"uniform"},  # the section of no plants, whatever the model
     "cli/__init__.py": {"multiset_lsystem"},  # an example of a command
     "cli/parsing.py": {"multiset_lsystem"},  # an example of a setting
-    "community/fitting/report.py": {"deformation_kernel"},  # the model that is fitted
+    "api/plants.py": {"stand"},  # where a tree grows
+    "cli/plant.py": {"stand"},  # the same
+    "recipe/tree_sizes.py": {"stand"},
+    "community/fitting/report.py": {"deformation_kernel", "stand"},  # the model that is fitted; a key
     "community/placement/model.py": {"placed"},  # a key of the statistics
     "plants/generators/branch_modules.py": {"branch_modules"},  # the plant generator
     "plants/registry.py": {"branch_modules"},  # the same

@@ -1,4 +1,4 @@
-"""Plants at given positions: an inventory, a figure, a measured stand.
+"""Plants at given positions, such as those of a figure.
 
 A step of Δt years only increases the plants' age: they neither grow, compete, arrive nor die. Only disturbances
 (`community.disturbances`) add or remove plants.
@@ -18,18 +18,9 @@ Recipe::
         - {species: spruce, position_m: [4, 5.5], height_m: 17}
         - {species: poplar, position_m: [9, 2], radius_m: 1.2, azimuth_deg: 90}
 
-    community:
-      model: placed
-      table: |                          # an inventory: a line of names, then a plant a line
-        species, x_m, y_m, height_m
-        spruce,  4,   5.5, 17
-        poplar,  9,   2,   11.3
-
 Decisions
 ---------
-- `plants` come first, then the rows of `table`; plant_id counts from 1 in that order. A table's columns may also be
-  radius_m, age_yr and azimuth_deg; an empty cell is a value that is not given. Decimals have a point.
-- The table is written into the recipe, so that the recipe alone says what is drawn.
+- plant_id counts from 1 in the order of `plants`. Long lists, and trees with measured diameters, are for `inventory`.
 - azimuth_deg turns the plant's geometry about the vertical, clockwise from above: at 0 its own x axis points east. It
   is the column azimuth_deg of the population; a plant that does not say has one of its own, drawn from the seed.
 - Plants do not dominate one another: those of the largest radius are mature, the others growing.
@@ -38,19 +29,18 @@ Decisions
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, ClassVar, Self
+from collections.abc import Iterator
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from forestgen.community.arrivals import new_ids
 from forestgen.community.disturbance import Ground, PointOnGround, planted
 from forestgen.community.model import none_is
 from forestgen.community.population import Ecologies, Site, SpeciesEcology
-from forestgen.community.static_model import FixedPopulation, Plants, State, StaticParameters, azimuth_of
+from forestgen.community.static_model import FixedPopulation, Plants, State, StaticParameters, azimuth_of, unknown_sizes
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation
 from forestgen.recipe.sources import Keys
@@ -81,48 +71,6 @@ class PlacedPlant(Section):
         return self
 
 
-def _rows(table: str) -> list[PlacedPlant]:
-    """The plants of a table, or a mistake that names the row."""
-    lines = [line for line in table.splitlines() if line.strip()]
-    if len(lines) < 2:
-        expected = "a line of names (species, x_m, y_m, height_m) and a line for each plant"
-        problem = "not a table of plants"
-        raise violation(expected, problem=problem, got=repr(table[:60]), hint="paste the file's text below `table: |`")
-    names = [name.strip() for name in next(csv.reader(lines[:1]))]
-    unknown = set(names) - {*_NUMBERS, "species"}
-    missing = {"species", "x_m", "y_m"} - set(names)
-    if unknown or missing or len(set(names)) < len(names):
-        expected = "the names species, x_m, y_m, and any of height_m, radius_m, age_yr, azimuth_deg, each once"
-        problem = "the table's first line does not name its columns"
-        raise violation(expected, problem=problem, got=lines[0].strip()[:100])
-    return [_plant(names, cells, number) for number, cells in enumerate(csv.reader(lines[1:]), start=1)]
-
-
-def _plant(names: Sequence[str], cells: Sequence[str], number: int) -> PlacedPlant:
-    got = ", ".join(cells)[:100]
-    if len(cells) != len(names):
-        problem = f"row {number} of the table has another number of values"
-        raise violation(f"{len(names)} values: {', '.join(names)}", problem=problem, got=got)
-    given: dict[str, Any] = {}
-    for name, cell in zip(names, (cell.strip() for cell in cells), strict=True):
-        if not cell:
-            continue
-        try:
-            given[name] = float(cell) if name in _NUMBERS else cell
-        except ValueError:
-            raise violation(
-                "a number", problem=f"bad {name} in row {number} of the table", got=repr(cell[:40])
-            ) from None
-    try:
-        position_m = given.pop("x_m", None), given.pop("y_m", None)
-        return PlacedPlant.model_validate({**given, "position_m": position_m})
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = " of ".join(str(part) for part in reversed(first["loc"]))
-        problem = f"row {number} of the table is no plant ({f'{where}: ' if where else ''}{first['msg']})"
-        raise violation(f"{', '.join(names)} of a plant", problem=problem, got=got) from None
-
-
 class PlacedParameters(StaticParameters):
     """What a recipe says about the model besides its species."""
 
@@ -130,28 +78,14 @@ class PlacedParameters(StaticParameters):
     memory_hint: ClassVar[str] = "place fewer plants"
 
     plants: Annotated[tuple[PlacedPlant, ...], none_is(())] = Field((), description="the plants")
-    table: str | None = Field(None, description="more plants, as lines of comma-separated values below their names")
-
-    @field_validator("table", mode="after")
-    @classmethod
-    def _is_a_table(cls, value: str | None) -> str | None:
-        if value is not None:
-            _rows(value)
-        return value
-
-    @property
-    def everyone(self) -> tuple[PlacedPlant, ...]:
-        """The plants of the list and of the table, in order."""
-        return self.plants if self.table is None else (*self.plants, *_rows(self.table))
 
     def for_trial(self) -> Self:
         """Without plants, which may stand anywhere on the whole site."""
-        return self.model_copy(update={"plants": (), "table": None})
+        return self.model_copy(update={"plants": ()})
 
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
         yield from ((("plants", index, "species"), plant.species) for index, plant in enumerate(self.plants))
-        yield from ((("table",), plant.species) for plant in self.everyone[len(self.plants) :])
 
 
 def _size(plant: PlacedPlant, species: SpeciesEcology, where: str) -> tuple[float, float]:
@@ -185,11 +119,11 @@ class Placed(FixedPopulation[PlacedParameters]):
         """The plants at their places; `RecipeError` for one beyond the site, or of a size that its species lacks."""
         ground = Ground(site.size_m, periodic=False)
         index = {one.name: i for i, one in enumerate(species)}
-        everyone = parameters.everyone
-        n, listed = len(everyone), len(parameters.plants)
+        everyone = parameters.plants
+        n = len(everyone)
         sizes = np.empty((n, 2))
         for i, plant in enumerate(everyone):
-            where = f"community.plants.{i}" if i < listed else f"community.table, row {i - listed + 1}"
+            where = f"community.plants.{i}"
             if not ground.holds(*plant.position_m):
                 width, depth = site.size_m
                 problem = "this plant does not stand on the site"
@@ -210,6 +144,8 @@ class Placed(FixedPopulation[PlacedParameters]):
             sp=np.array([index[plant.species] for plant in everyone], dtype=np.uint16),
             azimuth_deg=np.array(azimuth, dtype=np.float64),
             first_age_yr=np.array([plant.age_yr for plant in everyone], dtype=np.float64),
+            tree_sizes=unknown_sizes(n),
+            dead=np.zeros(n, dtype=np.bool_),
             plant_id=ids,
             born=np.zeros(n, dtype=np.int32),
         )
@@ -217,17 +153,17 @@ class Placed(FixedPopulation[PlacedParameters]):
 
     def expected_plants(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> float:
         """Plants that are placed, and those that disturbances plant."""
-        return float(len(parameters.everyone) + planted(parameters.disturbances))
+        return float(len(parameters.plants) + planted(parameters.disturbances))
 
     def empty_reason(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> str | None:
         if self.expected_plants(parameters, site, species) > 0:
             return None
-        return "no plant is placed: community.plants is empty, and there is no community.table"
+        return "no plant is placed: community.plants is empty"
 
     def estimate_bytes(self, parameters: PlacedParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all plants at once; a plan asks this first, so that every plant is checked here."""
         known = {one.name for one in species}
-        if all(plant.species in known for plant in parameters.everyone):
+        if all(plant.species in known for plant in parameters.plants):
             self.init(parameters, site, species, 0)
         return _BYTES_AT_LEAST + math.ceil(self.expected_plants(parameters, site, species) * _BYTES_PER_PLANT)
 

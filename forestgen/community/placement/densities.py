@@ -33,7 +33,7 @@ class Sizes(Section):
     sigma: NonNegative = Field(0.4, le=3, description="Standard deviation of the natural logarithm; 0: all are alike.")
 
 
-def _one_size(value: Any) -> Any:
+def one_size(value: Any) -> Any:
     return {"median": value, "sigma": 0.0} if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
@@ -46,7 +46,7 @@ class Stand(Section):
     )
     map: DensityMap | None = Field(None, description="Relative density over the site, such as a painted picture.")
     conditions: Conditions = Field(Conditions(), description="What the species asks of the ground.")
-    radius_m: Annotated[Sizes | None, BeforeValidator(_one_size)] = Field(
+    radius_m: Annotated[Sizes | None, BeforeValidator(one_size)] = Field(
         None, description="Radii: a number, or {median, sigma} of a log-normal; null: median half of the largest."
     )
     height_sigma: NonNegative = Field(

@@ -18,6 +18,7 @@ from forestgen.community.population import Site
 from forestgen.community.registry import COMMUNITY_MODELS
 from forestgen.community.snapshot_checks import check_snapshot
 from forestgen.recipe.species import PlantType
+from forestgen.recipe.tree_sizes import TreeSizes
 from support.tiers import few
 
 MODELS = COMMUNITY_MODELS.ids()
@@ -31,7 +32,8 @@ PLACEMENTS = (
     "thomas",
     "uniform",
 )
-PLACING = (*PLACEMENTS, "placed")
+LISTED = ("inventory", "placed", "stand")
+PLACING = (*PLACEMENTS, *LISTED)
 FOUNDED = ("branch_modules", "ecoclimate")  # plants of the start seed others; none arrive from outside
 GROWING = tuple(name for name in MODELS if name not in (*PLACING, *FOUNDED))  # plants arrive by themselves
 CLIMATE = {"climate": {"temperature_c": [10.0] * 12, "precipitation_mm": [60.0] * 12}}
@@ -39,6 +41,8 @@ GIVEN = {"ecoclimate": CLIMATE}  # keys without which there are no parameters
 NEEDED = {
     "branch_modules": {"initial_plants": 9, "history_modules": True},
     "ecoclimate": {"initial_plants": 9, "history_modules": True, "soil_water": {"cell_m": 5}, **CLIMATE},
+    "inventory": {"table": "species,x_m,y_m,dbh_cm\n" + "".join(f"tree,{x},{2 * x},20\n" for x in range(9))},
+    "stand": {"storeys": [{"species": {"tree": 1}, "stems_per_ha": 150, "dbh": {"mean_cm": 20}}]},
     "placed": {"plants": [{"species": "tree", "position_m": [x, 2 * x]} for x in range(9)]},
     **{name: {"plants": {"tree": {"count": 9}}} for name in PLACEMENTS},
 }
@@ -61,6 +65,12 @@ TYPE = PlantType(
     determinacy=0.6,
     flowering_age_yr=4.0,
     seeds_per_yr=0.2,
+)
+SIZES = TreeSizes(
+    dbh_m={"at_10_m": 0.1, "height_exponent": 1.0, "spread": 0.2},
+    crown_width_m={"at_10_m": 3.0, "height_exponent": 0.8},
+    crown_ratio={"at_10_m": 1.0},
+    leaf_kg={"at_10_m": 3.0, "height_exponent": 2.0},
 )
 seeds, steps = st.integers(0, 2**63 - 1), st.integers(0, STEPS)
 
@@ -111,7 +121,7 @@ def test_a_key_left_over_from_another_model_is_told_as_such(name, key, knows):
 @pytest.fixture
 def species(tree):
     return [
-        tree(modules=TYPE),
+        tree(modules=TYPE, tree=SIZES),
         tree(name="b", growth_m_per_yr=0.2, shade_tolerance=0.8, old_age_survival=0.5, modules=TYPE),
     ]
 
@@ -134,7 +144,7 @@ other_parameters = pytest.mark.parametrize("parameters", [{}, {"step_yr": 0.3, "
 one_folder = HealthCheck.function_scoped_fixture
 
 
-@pytest.mark.parametrize("name", [*GROWING, "placed"])
+@pytest.mark.parametrize("name", [*GROWING, *LISTED])
 @other_parameters
 @settings(max_examples=8, deadline=None, suppress_health_check=[one_folder])
 @given(seed=seeds, step=steps)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from forestgen.community.model import simulate
 from forestgen.community.models.placed import MODEL, PlacedParameters
@@ -15,11 +14,6 @@ from forestgen.scene.plan import check_plan
 from support.error_messages import raises_error
 
 SITE = Site((20.0, 10.0))
-TABLE = """
-species, x_m, y_m, height_m, age_yr
-tree, 1.5, 2, 4,
-shrub, 20, 10, , 30
-"""
 
 
 @pytest.fixture
@@ -36,8 +30,10 @@ def test_plants_stand_as_given_and_grow_older(species):
     plants = [
         {"species": "shrub", "position_m": [3, 4], "radius_m": 0.25, "age_yr": 2.5, "azimuth_deg": 90},
         {"species": "tree", "position_m": [0, 10]},
+        {"species": "tree", "position_m": [1.5, 2], "height_m": 4},
+        {"species": "shrub", "position_m": [20, 10], "age_yr": 30},
     ]
-    first, *_, last = placed(species, 3, plants=plants, step_yr=0.5, table=TABLE)
+    first, *_, last = placed(species, 3, plants=plants, step_yr=0.5)
     assert first.plant_id.tolist() == [1, 2, 3, 4]
     assert first.position_m.tolist() == [[3, 4, 0], [0, 10, 0], [1.5, 2, 0], [20, 10, 0]]
     assert first.species.tolist() == [1, 0, 0, 1]
@@ -88,26 +84,6 @@ def test_a_species_of_one_height_takes_no_other(tree):
             placed(constant, plants=[{"species": "tree", "position_m": [1, 1], "height_m": height}])
 
 
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ("inventory.csv", "not a table"),
-        ("species, x_m\ntree, 1", "does not name its columns"),
-        ("species, x_m, y_m, colour\ntree, 1, 2, red", "does not name its columns"),
-        ("species, x_m, y_m, x_m\ntree, 1, 2, 1", "does not name its columns"),
-        ("species, x_m, y_m\ntree, 1, 2\ntree, 1", "row 2 of the table has another number"),
-        ("species, x_m, y_m\ntree, 1, two", "bad y_m in row 1"),
-        ("species, x_m, y_m\ntree, 1,", "row 1 of the table is no plant"),
-        ("species, x_m, y_m, height_m\ntree, 1, 2, -4", "greater than 0"),
-        ("species, x_m, y_m, height_m\ntree, 1, 2, nan", "finite"),
-        ("species, x_m, y_m, height_m, radius_m\ntree, 1, 2, 3, 1", "the allometry gives one"),
-    ],
-)
-def test_a_bad_table_has_a_message(table, message):
-    with pytest.raises(ValidationError, match=message):
-        PlacedParameters(table=table)
-
-
 def test_a_plan_refuses_what_the_simulation_would():
     recipe = {
         "forestgen": 1,
@@ -116,9 +92,6 @@ def test_a_plan_refuses_what_the_simulation_would():
         "community": {"model": "placed", "plants": [{"species": "spruce", "position_m": [30, 5]}]},
     }
     with raises_error(RecipeError, place="community.plants.0"):
-        check_plan(load_recipe_data(recipe, "test"), simulate_only=True)
-    recipe["community"] = {"model": "placed", "table": "species, x_m, y_m\nspurce, 1, 2"}
-    with raises_error(RecipeError, place="community.table"):
         check_plan(load_recipe_data(recipe, "test"), simulate_only=True)
 
 

@@ -34,6 +34,10 @@ def keys_of(name: str, model: str) -> dict[str, object]:
         keys["plants"] = {name: {"count": 4}}
     if model == "placed":
         keys["plants"] = [{"species": name, "position_m": [4, 5], "radius_m": 0.05}]
+    if model == "inventory":
+        keys["table"] = f"species,x_m,y_m,height_m\n{name},4,5,0.3"
+    if model == "stand":
+        keys |= {"storeys": [], "ground": {name: {"plants_per_ha": 500}}}
     if model in FOUNDED:
         keys |= {"initial_plants": 4, "history_modules": False}
     return keys

@@ -1,0 +1,410 @@
+"""Trees of an inventory: a list with places, or the trees of sample plots, as a file beside the recipe.
+
+A line of the list is a tree. What it does not say follows from the allometries of its species (`tree` of the species):
+the height from the diameter, the diameter from the height, crown and leaves from both, with numbers of the tree's own
+and by its neighbours. What it says is what is built. A step of Δt years makes trees older, and nothing else.
+
+========================  ==========================================================================================
+column                    what it is
+========================  ==========================================================================================
+species                   as the recipe, or `species_map`, names it
+x_m, y_m                  where it stands, metres; without both columns trees are placed at random
+dbh_cm or dbh_m           diameter at 1.3 m; this or a height is needed
+height_m                  height
+crown_radius_m            or crown_width_m, its double
+crown_base_m              height of the crown's base
+status                    alive or dead; empty: alive
+age_yr, azimuth_deg       age, turn about the vertical clockwise from above
+stems_per_ha or count     how many trees a line stands for, where there are no places; count is that of the plot
+========================  ==========================================================================================
+
+Parameters: see below.
+
+Recipe::
+
+    community:                           # a mapped plot
+      model: inventory
+      file: trees.csv
+      origin_m: [412300, 5612800]
+      species_map: {Picea abies: spruce, Fagus sylvatica: beech}
+
+    community:                           # trees of a plot of 500 m², on the whole site, somewhat regular
+      model: inventory
+      plot_area_m2: 500
+      clark_evans: 1.15
+      table: |
+        species, dbh_cm, height_m, count
+        spruce,  31.5,   24.1,     6
+        spruce,  18,     ,         11
+        birch,   22.4,   23,       2
+
+    community:                           # a file with other names of columns
+      model: inventory
+      file: Probefläche 7.csv
+      columns: {Baumart: species, BHD: dbh_cm, Höhe: height_m, X: x_m, Y: y_m}
+
+Decisions
+---------
+- The file is known by its content: the recipe's hash has its SHA-256, and a stored recipe has a copy beside it.
+- Cells are separated by commas, semicolons or tabs; with the latter two, decimals may have a comma. Text is UTF-8,
+  UTF-16 or Windows-1252. An empty cell, or NA, is a value that is not known; NaN is refused.
+- Columns of other names mean nothing, and a note says so; a name that is nearly one of these is refused.
+- plant_id counts the lines from 1. Of a list without places each line becomes as many trees as it stands for on this
+  site, rounded so that the sum is right; the thickest are placed first, as `stand` places trees.
+- Dead trees stand without leaves, and no neighbour counts them.
+- Two trees of one species on one spot are refused; stems may overlap otherwise.
+- Plants of species without `tree` need a height_m, which their species' largest plant bounds.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+
+import numpy as np
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, model_validator
+
+from forestgen.community.arrivals import heights_m, of_species, radii_m
+from forestgen.community.ground.living_conditions import Conditions
+from forestgen.community.placement.densities import grid_shape, relative_density
+from forestgen.community.placement.density_map import DensityMap
+from forestgen.community.population import Ecologies, Floats, Indices, Mask, Site, ecology_of
+from forestgen.community.stand import spacing
+from forestgen.community.stand.build import by_species, heights_of
+from forestgen.community.stand.tree_list import COLUMNS, MOST_ROWS, TreeList, read_trees
+from forestgen.community.static_model import Placement, StaticModel, StaticParameters
+from forestgen.community.tree_columns import competition_shifts
+from forestgen.core.cache import BoundedCache
+from forestgen.core.errors import AssetError, RecipeError
+from forestgen.core.frames import BREAST_HEIGHT_M
+from forestgen.core.randomness import child_rng
+from forestgen.recipe.fields import Flag, Name, Number, Positive, Section, Text, violation
+from forestgen.recipe.map_files import Sha256, known_file
+from forestgen.recipe.sources import Keys
+from forestgen.recipe.tree_sizes import NUMBERS
+
+if TYPE_CHECKING:
+    from forestgen.recipe.load import DrawnRecipe
+
+_BYTES_PER_TREE = 400
+_CELLS = 1024
+_lists: BoundedCache[TreeList] = BoundedCache(300_000_000, lambda one: one.nbytes)
+
+
+class TreeFile(Section):
+    """The file of a list of trees."""
+
+    file: Text = Field(min_length=1, exclude=True, description="Path, relative to the recipe's folder.")
+    sha256: Sha256 | None = Field(None, description="SHA-256 of the file; no file of other content is taken.")
+
+    _content: bytes = PrivateAttr()
+
+    @model_validator(mode="after")
+    def _read(self, info: ValidationInfo) -> Self:
+        if not hasattr(self, "_content"):  # else part of other parameters now, without its recipe's folder
+            folder: Path | None = (info.context or {}).get("folder")
+            try:
+                path = known_file(folder or Path(), self.file, self.sha256) if folder else Path(self.file)
+                self._content = path.read_bytes()
+            except AssetError as cause:
+                raise violation(cause.expected or "", problem=cause.problem, got=cause.got, hint=cause.hint) from cause
+            except OSError as cause:
+                raise violation("a file", problem="the file cannot be read", got=str(cause.strerror)) from cause
+        return self
+
+    @property
+    def content(self) -> bytes:
+        return self._content
+
+
+def _as_file(value: Any) -> Any:
+    return {"file": value} if isinstance(value, str) else value
+
+
+def _texts(value: Any) -> Any:
+    """A mapping whose keys may be codes, such as numbers of species."""
+    return {str(key): one for key, one in value.items()} if isinstance(value, dict) else value
+
+
+class InventoryParameters(StaticParameters):
+    """What a recipe says about the list."""
+
+    memory_hint: ClassVar[str] = "list fewer trees"
+
+    file: Annotated[TreeFile | None, BeforeValidator(_as_file)] = Field(
+        None, description="the list: a file's name, relative to the recipe's folder"
+    )
+    table: str | None = Field(None, max_length=1_000_000, description="instead of a file: the list itself")
+    species_map: Annotated[dict[str, Name], BeforeValidator(_texts)] = Field(
+        {}, description="the recipe's species for the list's names or codes"
+    )
+    columns: dict[str, str] = Field({}, description="this model's names for the list's columns")
+    origin_m: tuple[Number, Number] = Field((0.0, 0.0), description="x and y of the list at the site's corner, metres")
+    plot_area_m2: Positive | None = Field(
+        None, le=1e8, description="area of the plots together whose trees are listed without places, each `count` times"
+    )
+    clark_evans: Number = Field(
+        1.0,
+        ge=spacing.LEAST_R,
+        le=spacing.MOST_R,
+        description="pattern of trees without places: below 1 clumped, 1 random, above 1 regular",
+    )
+    map: DensityMap | None = Field(None, description="relative density of trees without places")
+    keep_out: DensityMap | None = Field(None, description="where no tree without place stands: any value above 0 bars")
+    periodic: Flag = Field(True, description="the site is a torus, without edges; false: a bounded site")
+
+    @model_validator(mode="after")
+    def _is_one_list(self) -> Self:
+        if self.file is not None and self.table is not None:
+            raise violation("file or table, not both", problem="two lists of trees", at="table")
+        unknown = [one for one in self.columns.values() if one not in COLUMNS]
+        if unknown:
+            raise violation(f"one of {', '.join(COLUMNS)}", problem="no such column", got=unknown[0], at="columns")
+        return self
+
+    def for_trial(self) -> Self:
+        """Without trees, which may stand anywhere on the whole site."""
+        return self.model_copy(update={"file": None, "table": None})
+
+    def named_species(self) -> Iterator[tuple[Keys, str]]:
+        yield from super().named_species()
+        yield from ((("species_map", name), one) for name, one in self.species_map.items())
+
+    def trees(self) -> TreeList | None:
+        """The list; None: the recipe has none. Raises `RecipeError` for what is no list of trees."""
+        if self.file is None and self.table is None:
+            return None
+        name = "community.table" if self.file is None else self.file.file
+        content = (self.table or "").encode() if self.file is None else self.file.content
+        key = (hashlib.blake2b(content).hexdigest(), name, tuple(self.columns.items()))
+        return _lists.get(key, lambda: read_trees(content, name, self.columns))
+
+
+class Inventory(StaticModel[InventoryParameters]):
+    Parameters = InventoryParameters
+    knows_trees: ClassVar[bool] = True
+
+    def place(
+        self, parameters: InventoryParameters, site: Site, species: Ecologies, rng: np.random.Generator
+    ) -> Placement:
+        """The trees of the list; raises `RecipeError` for one that cannot stand there."""
+        trees = parameters.trees()
+        if trees is None:
+            return Placement(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0))
+        sp = _species(trees, parameters, species)
+        _check_sizes(trees, sp, species)
+        own_rng, place_rng = rng.spawn(2)
+        if "x_m" in trees.numbers:
+            rows, position_m = np.arange(len(trees)), _positions(trees, sp, parameters, site)
+        else:
+            rows = _copies(trees, parameters, site, place_rng)
+            position_m = _placed(trees, sp, rows, parameters, site, species, place_rng)
+        normals = own_rng.standard_normal((len(rows), NUMBERS))
+        height_m = _heights(trees, rows, sp[rows], normals, position_m, parameters, site, species)
+        sizes = [trees.number(name)[rows] for name in ("dbh_m", "crown_radius_m", "crown_base_m")]
+        dead = trees.dead[rows]
+        sizes.append(np.where(dead, 0.0, np.nan))  # of leaves
+        ignored = ", ".join(trees.ignored)
+        return Placement(
+            sp[rows],
+            position_m,
+            radii_m(species, sp[rows], height_m),
+            height_m,
+            tree_sizes=np.stack(sizes, axis=1),
+            dead=dead,
+            age_yr=np.nan_to_num(trees.number("age_yr")[rows]),
+            azimuth_deg=trees.number("azimuth_deg")[rows],
+            notes=(f"columns of {trees.name} without meaning here: {ignored}",) if ignored else (),
+        )
+
+    def most_plants(self, parameters: InventoryParameters, site: Site, species: Ecologies) -> float:
+        """The trees of the list, each line as many as it stands for."""
+        trees = parameters.trees()
+        if trees is None:
+            return 0.0
+        return float(
+            len(trees) if "x_m" in trees.numbers else round(float(_numbers_here(trees, parameters, site).sum()))
+        )
+
+    def empty_reason(self, parameters: InventoryParameters, site: Site, species: Ecologies) -> str | None:
+        if self.expected_plants(parameters, site, species) > 0:
+            return None
+        if parameters.trees() is None:
+            return "no tree is placed: there is neither community.file nor community.table"
+        return "no tree is placed: the list has less than one tree for this site"
+
+    def estimate_bytes(self, parameters: InventoryParameters, site: Site, species: Ecologies) -> int:
+        """Bytes for all trees, and the cells of their list."""
+        trees = parameters.trees()
+        listed = 0 if trees is None else 300 * len(trees)
+        more = int(_BYTES_PER_TREE * self.expected_plants(parameters, site, species))
+        return super().estimate_bytes(parameters, site, species) + listed + more
+
+    def check_recipe(self, drawn: DrawnRecipe, parameters: InventoryParameters) -> None:
+        """Read and place all trees, so that every line is checked before anything is made."""
+        if {name for _, name in parameters.named_species()} - {*drawn.species}:
+            return  # refused already
+        species = [ecology_of(name, one) for name, one in drawn.species.items()]
+        rng = child_rng(drawn.image_seed, "community", 0)
+        self.place(parameters, Site(drawn.recipe.site.size_m), species, rng)
+
+
+def _species(trees: TreeList, parameters: InventoryParameters, species: Ecologies) -> Indices:
+    """(N,) index of each tree's species in the recipe."""
+    index = {one.name: i for i, one in enumerate(species)}
+    found = [index.get(parameters.species_map.get(name, name), -1) for name in trees.species_names]
+    sp = np.array(found, dtype=np.int64)[trees.species]
+    unknown = np.flatnonzero(sp < 0)
+    if len(unknown):
+        name = trees.species_names[trees.species[unknown[0]]]
+        others = sum(one < 0 for one in found) - 1
+        got = f"{name!r} in {int((trees.species == trees.species[unknown[0]]).sum()):,} lines"
+        got += f", and {others} more unknown names" if others else ""
+        hint = f"species_map: {{{name}: {species[0].name if species else 'spruce'}}}"
+        expected = f"one of {', '.join(index)}, or a name of community.species_map"
+        raise RecipeError("unknown species", where=trees.place(unknown[0]), expected=expected, got=got, hint=hint)
+    return sp
+
+
+def _refuse(
+    trees: TreeList, wrong: Mask, problem: str, expected: str, columns: tuple[str, ...], hint: str = ""
+) -> None:
+    """Raise `RecipeError` for the first of the wrong trees, if there are any."""
+    rows = np.flatnonzero(wrong)
+    if not len(rows):
+        return
+    values = {name: trees.number(name)[rows[0]] for name in columns}
+    got = ", ".join(f"{name} {'not known' if np.isnan(one) else f'{one:.9g}'}" for name, one in values.items())
+    got += f"; and {len(rows) - 1:,} more such lines" if len(rows) > 1 else ""
+    raise RecipeError(problem, where=trees.place(rows[0]), expected=expected, got=got, hint=hint or None)
+
+
+def _check_sizes(trees: TreeList, sp: Indices, species: Ecologies) -> None:
+    dbh, height, base = (trees.number(name) for name in ("dbh_m", "height_m", "crown_base_m"))
+    is_tree = np.array([one.tree is not None for one in species])[sp]
+    most = heights_m(species, sp, of_species(species, "max_radius_m")[sp]) * (1 + 1e-9)
+    sizes = ("dbh_m", "height_m")
+    _refuse(trees, np.isnan(dbh) & np.isnan(height), "a tree without a size", "a diameter or a height", sizes)
+    what = "a height_m: its species has no section `tree`, by which diameters give heights"
+    _refuse(trees, ~is_tree & np.isnan(height), "a plant without a height", what, sizes)
+    what = "a height_m that its species' largest plant has; see ecology.max_radius_m"
+    _refuse(trees, ~is_tree & (height > most), "no plant of the species is so tall", what, ("height_m",))
+    what = f"no diameter of a tree below {BREAST_HEIGHT_M} m, where diameters are measured"
+    _refuse(trees, (dbh > 0) & (height <= BREAST_HEIGHT_M), "the diameter and the height contradict", what, sizes)
+    what = "a crown base below the tree's top"
+    _refuse(trees, base >= height, "the crown and the height contradict", what, ("crown_base_m", "height_m"))
+
+
+def _positions(trees: TreeList, sp: Indices, parameters: InventoryParameters, site: Site) -> Floats:
+    """(N, 2) places on the site."""
+    position_m = np.stack([trees.number("x_m"), trees.number("y_m")], axis=1) - np.array(parameters.origin_m)
+    places, (width, depth) = ("x_m", "y_m"), site.size_m
+    _refuse(trees, np.isnan(position_m).any(axis=1), "a tree without a place", "an x_m and a y_m", places)
+    if {"stems_per_ha", "count"} & {*trees.numbers}:
+        problem, expected = "trees with places stand for themselves", "no column stems_per_ha or count beside x_m, y_m"
+        raise RecipeError(problem, where=f"{trees.name}, line 1", expected=expected, got="both")
+    x, y = parameters.origin_m
+    expected = f"x_m from {x:.10g} to {x + width:.10g} and y_m from {y:.10g} to {y + depth:.10g}"
+    outside = ((position_m < 0) | (position_m > np.array(site.size_m))).any(axis=1)
+    hint = "origin_m: [x, y] is the list's place of the site's south-western corner; or enlarge site.size_m"
+    _refuse(trees, outside, "the tree does not stand on the site", expected, places, hint)
+    order = np.lexsort((np.arange(len(trees)), sp, position_m[:, 1], position_m[:, 0]))
+    same = (np.diff(position_m[order], axis=0) == 0).all(axis=1) & (np.diff(sp[order]) == 0)
+    if same.any():
+        again = np.zeros(len(trees), dtype=np.bool_)
+        again[order[1:][same]] = True
+        twin = order[np.flatnonzero(order == np.argmax(again))[0] - 1]
+        expected = f"trees of one species at different places; line {trees.line[twin]} has this one"
+        _refuse(trees, again, "the tree is there twice", expected, places, "remove the line, or correct its place")
+    return np.asarray(position_m)
+
+
+def _numbers_here(trees: TreeList, parameters: InventoryParameters, site: Site) -> Floats:
+    """(N,) how many trees of the site each line of a list without places stands for."""
+    if "stems_per_ha" in trees.numbers:
+        number = trees.number("stems_per_ha") * site.area_ha
+    else:
+        plot_m2 = parameters.plot_area_m2 or site.area_m2
+        number = (trees.number("count") if "count" in trees.numbers else np.ones(len(trees))) * (site.area_m2 / plot_m2)
+        if parameters.plot_area_m2 is None and "count" not in trees.numbers:
+            problem, hint = "neither places nor numbers of trees", "plot_area_m2 is the area of the plots together"
+            expected = "columns x_m and y_m, stems_per_ha or count; or community.plot_area_m2"
+            raise RecipeError(problem, where=f"{trees.name}, line 1", expected=expected, got="none of them", hint=hint)
+    what = "a number of trees"
+    name = "stems_per_ha" if "stems_per_ha" in trees.numbers else "count"
+    _refuse(trees, np.isnan(number), "a line without a number of trees", what, (name,))
+    if number.sum() > MOST_ROWS:
+        expected, got = f"at most {MOST_ROWS:,} on the site", f"{number.sum():,.0f}"
+        raise RecipeError("too many trees", where=trees.name, expected=expected, got=got)
+    return np.asarray(number, dtype=np.float64)
+
+
+def _copies(trees: TreeList, parameters: InventoryParameters, site: Site, rng: np.random.Generator) -> Indices:
+    """The row of each tree that is placed: rows in order, each about as often as it stands for trees of the site."""
+    ends = np.cumsum(_numbers_here(trees, parameters, site))
+    marks = np.arange(round(float(ends[-1]))) + 0.999 * rng.random()
+    return np.asarray(np.searchsorted(ends, marks, side="right").clip(max=len(trees) - 1))
+
+
+def _placed(
+    trees: TreeList,
+    sp: Indices,
+    rows: Indices,
+    parameters: InventoryParameters,
+    site: Site,
+    species: Ecologies,
+    rng: np.random.Generator,
+) -> Floats:
+    """(M,) random places of trees, the thickest first."""
+    dbh = trees.number("dbh_m")[rows]
+    unknown = np.flatnonzero(np.isnan(dbh))
+    is_tree = np.array([one.tree is not None for one in species])[sp[rows[unknown]]]
+    some = unknown[is_tree]
+    height_m = trees.number("height_m")[rows]
+    dbh[some] = by_species(species, sp[rows[some]], height_m[some], np.zeros((len(some), NUMBERS))).dbh_m
+    dbh = np.nan_to_num(dbh, nan=0.005)
+    order = np.argsort(-dbh, kind="stable")
+    own = spacing.own_distance_m(dbh[order], site.area_m2, parameters.clark_evans)
+    widest = max(2 * float(dbh.max(initial=0.01)), float(own.max(initial=0.0)))
+    grid = spacing.empty_grid(len(rows), widest, site.size_m, periodic=parameters.periodic)
+    density = relative_density(Conditions(), parameters.map, parameters.keep_out, site, grid_shape(site, _CELLS))
+    ground = (density / max(float(density.max()), 1e-300), np.zeros(density.shape))
+    placed = spacing.place_storey(grid, 0, dbh[order], np.ones(len(rows)), parameters.clark_evans, ground, rng)
+    if placed < len(rows):
+        expected = f"at most about {placed:,} trees of these diameters, where trees may stand"
+        raise RecipeError("so many trees have no room", where=trees.name, expected=expected, got=f"{len(rows):,}")
+    position_m = np.empty((len(rows), 2))
+    position_m[order] = np.stack([grid.x, grid.y], axis=1)
+    return position_m
+
+
+def _heights(
+    trees: TreeList,
+    rows: Indices,
+    sp: Indices,
+    normals: Floats,
+    position_m: Floats,
+    parameters: InventoryParameters,
+    site: Site,
+    species: Ecologies,
+) -> Floats:
+    """(M,) heights: those of the list, others by diameters and neighbours."""
+    height_m, dbh_m = trees.number("height_m")[rows], trees.number("dbh_m")[rows]
+    missing = np.flatnonzero(np.isnan(height_m))
+    if not len(missing):
+        return height_m
+    height_m[missing] = heights_of(species, sp[missing], dbh_m[missing], normals[missing], np.zeros(len(missing)))
+    laws = [one.tree for one in species]
+    living = np.flatnonzero(np.array([law is not None for law in laws])[sp] & ~trees.dead[rows])
+    shift = np.zeros(len(rows))
+    shift[living] = competition_shifts(
+        position_m[living], sp[living], height_m[living], laws, site, periodic=parameters.periodic
+    )
+    height_m[missing] = heights_of(species, sp[missing], dbh_m[missing], normals[missing], shift[missing])
+    base_m = trees.number("crown_base_m")[rows]
+    return np.asarray(np.where(base_m >= height_m, base_m / 0.95, height_m))
+
+
+MODEL = Inventory()

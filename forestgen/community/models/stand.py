@@ -1,0 +1,339 @@
+"""Stands by what foresters know of them: species, stems, basal area, heights, storeys, gaps, cover, leaf area.
+
+The model places trees that meet the targets of a recipe, and says what it reached. A step of Δt years makes them
+older, and nothing else.
+
+For each storey, from the top down: N stems per hectare, basal area G, mean diameter D and its coefficient of variation
+v are bound by
+
+    G = N π/4 D² (1 + v²).
+
+Two of N, G and D give the third; with one of them alone, D is the diameter at which the storey's 100 thickest trees per
+hectare have its dominant height by the allometry of their species (`tree` of the species). Diameters follow a Weibull
+or a normal law, drawn from every part of it, and are scaled so that the sum is exact. A tree's height follows from its
+diameter by the allometry, from its own numbers and its neighbours: crowded trees are slender, trees at gaps stout. The
+heights of a storey are scaled to its dominant height, by which crowns become longer or shorter. Widths of all crowns
+are multiplied by one factor to meet `canopy_cover`, leaf areas by another to meet `leaf_area_index`.
+
+References: Clark and Evans 1954, Ecology 35 (pattern); Bailey and Dell 1973, Forest Science 19 (diameters by Weibull's
+law); Gustavsen 1980, Folia Forestalia 454 (height by age and site index); Runkle 1982, Ecology 63 (gaps, from stem to
+stem); Donnelly 1978 (edges). The allometries have the sources that the species say.
+
+Parameters: see below.
+
+Recipe::
+
+    community:                           # an old spruce stand with beech coming up
+      model: stand
+      storeys:
+        - species: {spruce: 0.8, pine: 0.2}
+          stems_per_ha: 600
+          basal_area_m2_per_ha: 42
+          dominant_height_m: 26
+        - species: {beech: 1}
+          stems_per_ha: 500
+          dominant_height_m: 7
+          clark_evans: 0.8
+      canopy_cover: 0.85
+      leaf_area_index: 6
+      gaps: {share: 0.06, diameter_m: 14}
+
+    community:                           # a planted stand, by age and site index
+      model: stand
+      storeys:
+        - {species: {pine: 1}, stems_per_ha: 900, age_yr: 60, site_index_m: 24, height_curve: pine, clark_evans: 1.3}
+
+    community:                           # an open birch wood over bracken
+      model: stand
+      storeys:
+        - species: {birch: 1}
+          basal_area_m2_per_ha: 12
+          dbh: {mean_cm: 18, cv: 0.3, law: normal}
+      ground: {bracken: {cover: 0.3}}
+
+Decisions
+---------
+- Targets are means over the whole site, those of a storey over that storey. `map` and `keep_out` say where trees stand,
+  and change no numbers.
+- A target is feasible where the trees of the stand differ in the mean by at most two standard deviations from their
+  species' allometry: in height for a dominant height, in crown width for a cover, in leaf mass for a leaf area index.
+  Beyond that the recipe is refused, with what these trees could have.
+- canopy_cover is the share of ground under crowns as discs of their radius. Rays find less: real crowns have gaps.
+- Crowns may interlock. Stems are apart by the sum of their diameters at least, from pith to pith.
+- A gap is a disc without stems of the first storey, from stem to stem of its edge; crowns lean into it. Its diameter
+  changes a little so that a whole number of gaps has the share.
+- Species of a lower storey stand below the crowns above as readily as in the open if their ecology.shade_tolerance is
+  1, and half as readily if it is 0.5. In a storey, tolerant species have more of the thin trees.
+- Whole trees: on a small site the number of stems is rounded; the basal area is met with those.
+- Heights by age are those of spruce or pine in Finland, whatever the species; say dominant_height_m where you know it.
+- Trees may be taller than their species' height_m; radius_m, the neighbourhood of other models, is then its largest.
+- Plants of `ground` are placed independently; their cover is that of discs of radius_m. Trees among them are seedlings:
+  of the sizes that their allometry and their neighbours give.
+- What was asked for and reached is in the snapshot's state (`targets`, `reached`) and in a note.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+
+import numpy as np
+from pydantic import BeforeValidator, Field, model_validator
+
+from forestgen.community.arrivals import radii_m
+from forestgen.community.ground.living_conditions import Conditions
+from forestgen.community.model import none_is
+from forestgen.community.models import uniform
+from forestgen.community.placement.densities import (
+    Sizes,
+    Stand,
+    check_sizes,
+    draw_radii,
+    grid_shape,
+    one_size,
+    plant_counts,
+    relative_density,
+)
+from forestgen.community.placement.density_map import DensityMap
+from forestgen.community.population import Ecologies, Floats, Site, SpeciesEcology, ecology_of
+from forestgen.community.stand import spacing
+from forestgen.community.stand.build import StandBuilder, StandTrees, measured
+from forestgen.community.stand.targets import TOLERANCE, Storey, check_trees, stocking
+from forestgen.community.static_model import Placement, StaticModel, StaticParameters, unknown_sizes
+from forestgen.core.errors import RecipeError
+from forestgen.core.randomness import child_rng
+from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, violation
+from forestgen.recipe.sources import Keys
+
+if TYPE_CHECKING:
+    from forestgen.recipe.load import DrawnRecipe
+
+_CELLS = 1024  # of the density, along the longer side
+_CELL_M = 0.5
+_TRIED_M2 = 40_000  # a site of at most this area is built when a recipe is checked
+_BYTES_PER_TREE = 300  # beside those of any static model; measured with 100,000 trees
+_GRID_BYTES = 40_000_000  # of cover and density
+
+
+class Gaps(Section):
+    """Openings of the upper storey."""
+
+    share: Positive = Field(le=0.5, description="Share of the ground, from stem to stem.")
+    diameter_m: Positive = Field(le=200, description="Diameter of a gap, metres.")
+
+
+class GroundPlants(Section):
+    """Plants of one species below the trees."""
+
+    plants_per_ha: NonNegative | None = Field(None, le=1e8, description="How many per hectare; or, instead, cover.")
+    cover: Positive | None = Field(None, le=0.99, description="Share of the ground under their discs of radius_m.")
+    radius_m: Annotated[Sizes | None, BeforeValidator(one_size)] = Field(
+        None, description="Radii: a number, or {median, sigma} of a log-normal; null: median half of the largest."
+    )
+    height_sigma: NonNegative = Field(0.0, le=1, description="Scatter of heights about the species' allometry.")
+    map: DensityMap | None = Field(None, description="Relative density over the site.")
+
+    @model_validator(mode="after")
+    def _one_number(self) -> Self:
+        if (self.plants_per_ha is None) == (self.cover is None):
+            raise violation("one of plants_per_ha and cover", problem="how many plants?")
+        return self
+
+    def stand(self, species: SpeciesEcology) -> Stand:
+        """As placement models take it."""
+        number = self.plants_per_ha
+        if self.cover is not None:
+            radii = draw_radii(self.radius_m, species, 4096, np.random.default_rng(0))
+            number = -math.log1p(-self.cover) / (math.pi * float(np.mean(radii**2))) * 1e4
+        return Stand.model_construct(
+            plants_per_ha=number, radius_m=self.radius_m, height_sigma=self.height_sigma, map=self.map,
+            count=None, conditions=Conditions(),
+        )  # fmt: skip
+
+
+class StandParameters(StaticParameters):
+    """What a recipe says about the stand."""
+
+    memory_hint: ClassVar[str] = "make the site smaller, or ask for fewer stems"
+
+    storeys: Annotated[tuple[Storey, ...], none_is(())] = Field((), max_length=6, description="from the top down")
+    canopy_cover: Positive | None = Field(None, lt=1, description="share of the ground under crowns as discs")
+    leaf_area_index: Positive | None = Field(None, le=15, description="one side of all leaves over the ground")
+    gaps: Gaps | None = Field(None, description="openings of the first storey")
+    ground: Annotated[dict[Name, GroundPlants], none_is({})] = Field({}, description="herbs, shrubs and seedlings")
+    map: DensityMap | None = Field(None, description="relative density of trees over the site")
+    keep_out: DensityMap | None = Field(None, description="where no plant may stand: any value above 0 bars")
+    periodic: Flag = Field(True, description="the site is a torus, without edges; false: a bounded site")
+
+    def for_trial(self) -> Self:
+        """Without plants: all have the same columns."""
+        return self.model_copy(update={"storeys": (), "ground": {}, "canopy_cover": None, "leaf_area_index": None})
+
+    def named_species(self) -> Iterator[tuple[Keys, str]]:
+        yield from super().named_species()
+        for index, storey in enumerate(self.storeys):
+            yield from ((("storeys", index, "species", name), name) for name in storey.species)
+        yield from ((("ground", name), name) for name in self.ground)
+
+    def ground_parameters(self, species: Ecologies) -> uniform.UniformParameters:
+        """The ground's plants as `uniform` places them."""
+        plants = {one.name: self.ground[one.name].stand(one) for one in species if one.name in self.ground}
+        return uniform.UniformParameters.model_construct(
+            plants=plants, keep_out=self.keep_out, periodic=self.periodic, cells=512, disturbances=()
+        )
+
+
+class StandModel(StaticModel[StandParameters]):
+    Parameters = StandParameters
+    state_keys: ClassVar[tuple[str, ...]] = ("targets", "reached")
+    knows_trees: ClassVar[bool] = True
+
+    def place(self, parameters: StandParameters, site: Site, species: Ecologies, rng: np.random.Generator) -> Placement:
+        """The trees, then the plants of the ground."""
+        tree_rng, gap_rng, ground_rng = rng.spawn(3)
+        trees, found = None, {}
+        if parameters.storeys:
+            for index, storey in enumerate(parameters.storeys):
+                check_trees(storey, species, f"community.storeys.{index}")
+            opened, gap = _density(parameters, site, gap_rng)
+            builder = StandBuilder(parameters.storeys, site, species, tree_rng, periodic=parameters.periodic)
+            trees = builder.trees(opened, gap, parameters.canopy_cover, parameters.leaf_area_index)
+            found = _report(parameters, trees, site, species)
+        ground = uniform.MODEL.place(parameters.ground_parameters(species), site, species, ground_rng)
+        return _joined(trees, ground, species, parameters, found)
+
+    def most_plants(self, parameters: StandParameters, site: Site, species: Ecologies) -> float:
+        """The trees and the ground's plants."""
+        return sum(self._counts(parameters, site, species))
+
+    def _counts(self, parameters: StandParameters, site: Site, species: Ecologies) -> tuple[float, float]:
+        trees = 0
+        for index, storey in enumerate(parameters.storeys):
+            where = f"community.storeys.{index}"
+            check_trees(storey, species, where)
+            trees += round(stocking(storey, species, where).stems_per_ha * site.area_ha)
+        ground = parameters.ground_parameters(species)
+        check_sizes(ground, species)
+        return float(trees), float(plant_counts(ground, site, species).sum())
+
+    def empty_reason(self, parameters: StandParameters, site: Site, species: Ecologies) -> str | None:
+        if self.expected_plants(parameters, site, species) > 0:
+            return None
+        if parameters.storeys or parameters.ground:
+            return "no plant is placed: the numbers per hectare are less than one plant on this site"
+        return "no plant is placed: community.storeys and community.ground are empty"
+
+    def estimate_bytes(self, parameters: StandParameters, site: Site, species: Ecologies) -> int:
+        """Bytes for all trees and grids at once."""
+        trees = self._counts(parameters, site, species)[0]
+        return super().estimate_bytes(parameters, site, species) + math.ceil(_BYTES_PER_TREE * trees) + _GRID_BYTES
+
+    def check_recipe(self, drawn: DrawnRecipe, parameters: StandParameters) -> None:
+        """Build the stand of a small site, so that targets which contradict each other are refused at once."""
+        site = Site(drawn.recipe.site.size_m)
+        species = [ecology_of(name, one) for name, one in drawn.species.items()]
+        if {name for _, name in parameters.named_species()} - {*drawn.species}:
+            return  # refused already
+        self._counts(parameters, site, species)
+        if site.area_m2 <= _TRIED_M2:
+            self.place(parameters, site, species, child_rng(drawn.image_seed, "community", 0))
+
+
+def _density(parameters: StandParameters, site: Site, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """(rows, cols) relative density of trees, at most 1, and 1 in gaps; row 0 at y = 0."""
+    cells = min(_CELLS, max(64, math.ceil(max(site.size_m) / _CELL_M)))
+    shape = grid_shape(site, cells)
+    density = relative_density(Conditions(), parameters.map, parameters.keep_out, site, shape)
+    if not density.any():
+        problem, expected = "no tree may stand anywhere", "a map and keep_out that leave some ground"
+        raise RecipeError(problem, where="community.map", expected=expected, got="0 on the whole site")
+    gap = np.zeros(shape)
+    if parameters.gaps is not None:
+        centre_m, radius_m = _gaps(parameters.gaps, site, parameters.periodic, rng)
+        y, x = (((np.arange(n) + 0.5) * side / n) for n, side in zip(shape, reversed(site.size_m), strict=True))
+        for at in centre_m:
+            dx, dy = np.abs(x - at[0]), np.abs(y - at[1])
+            if parameters.periodic:
+                dx, dy = np.minimum(dx, site.size_m[0] - dx), np.minimum(dy, site.size_m[1] - dy)
+            rows, cols = np.flatnonzero(dy < radius_m), np.flatnonzero(dx < radius_m)
+            inside = dy[rows, None] ** 2 + dx[None, cols] ** 2 < radius_m**2
+            gap[np.ix_(rows, cols)] = np.maximum(gap[np.ix_(rows, cols)], inside)
+    return density / density.max(), gap
+
+
+def _gaps(gaps: Gaps, site: Site, periodic: bool, rng: np.random.Generator) -> tuple[Floats, float]:
+    """(K, 2) middles of gaps that do not overlap, and their radius."""
+    count = max(1, round(gaps.share * site.area_m2 / (0.25 * math.pi * gaps.diameter_m**2)))
+    radius_m = math.sqrt(gaps.share * site.area_m2 / (math.pi * count))
+    grid = spacing.empty_grid(count, 2 * radius_m, site.size_m, periodic=periodic)
+    ground = (np.ones((1, 1)), np.zeros((1, 1)))
+    fits = min(site.size_m) >= 2 * radius_m
+    placed = spacing.place_storey(grid, 0, np.full(count, radius_m), np.ones(count), 1.0, ground, rng) if fits else 0
+    if placed < count:
+        problem = "the gaps have no room on the site"
+        expected = f"a share of at most about {placed * math.pi * radius_m**2 / site.area_m2:.2g}, or smaller gaps"
+        got = f"share {gaps.share:g} of gaps {2 * radius_m:.3g} m wide on {site.size_m[0]:g} x {site.size_m[1]:g} m"
+        raise RecipeError(problem, where="community.gaps", expected=expected, got=got)
+    return np.stack([grid.x, grid.y], axis=1), radius_m
+
+
+def _joined(
+    trees: StandTrees | None,
+    ground: Placement,
+    species: Ecologies,
+    parameters: StandParameters,
+    found: dict[str, Any],
+) -> Placement:
+    """Trees first, then the ground's plants."""
+    n = len(ground.species)
+    assert ground.height_m is not None
+    if trees is None:
+        return Placement(ground.species, ground.position_m, ground.radius_m, ground.height_m, notes=ground.notes)
+    age = np.array([storey.age_yr or 0.0 for storey in parameters.storeys])[trees.storey]
+    return Placement(
+        np.concatenate([trees.species, ground.species]),
+        np.concatenate([trees.position_m, ground.position_m]),
+        np.concatenate([radii_m(species, trees.species, trees.height_m), ground.radius_m]),
+        np.concatenate([trees.height_m, ground.height_m]),
+        tree_sizes=np.concatenate([trees.columns, unknown_sizes(n)]),
+        age_yr=np.concatenate([age, np.zeros(n)]),
+        notes=(*_notes(found), *ground.notes),
+        found=found,
+    )
+
+
+def _report(parameters: StandParameters, trees: StandTrees, site: Site, species: Ecologies) -> dict[str, Any]:
+    """What was asked for and what was reached, plain as in JSON."""
+    names = ("stems_per_ha", "basal_area_m2_per_ha", "clark_evans")
+    storeys = []
+    for one in parameters.storeys:
+        asked = {name: getattr(one, name) for name in names}
+        asked |= {"mean_dbh_cm": one.dbh.mean_cm, "dominant_height_m": one.top_height_m}
+        storeys.append({name: value for name, value in asked.items() if value is not None})
+    whole = {"canopy_cover": parameters.canopy_cover, "leaf_area_index": parameters.leaf_area_index}
+    targets = {"storeys": storeys, **{name: value for name, value in whole.items() if value is not None}}
+    reached = measured(trees, len(parameters.storeys), site, species, periodic=parameters.periodic)
+    return {"targets": targets, "reached": reached}
+
+
+def _notes(found: dict[str, Any]) -> Iterator[str]:
+    """The stand in a line, and the targets that whole trees do not meet."""
+    targets, reached = found["targets"], found["reached"]
+    parts = [
+        f"storey {k}: {one['stems_per_ha']:,.0f} stems/ha, basal area {one.get('basal_area_m2_per_ha', 0):.1f} m²/ha, "
+        f"dominant height {one.get('dominant_height_m', 0):.1f} m"
+        for k, one in enumerate(reached["storeys"], start=1)
+    ]
+    yield f"{'; '.join(parts)}; cover {reached['canopy_cover']:.2f}, leaf area index {reached['leaf_area_index']:.1f}"
+    pairs = [
+        (f"storey {k}: ", *both) for k, both in enumerate(zip(targets["storeys"], reached["storeys"], strict=True), 1)
+    ]
+    for place, asked, got in [*pairs, ("", targets, reached)]:
+        for name, value in asked.items():
+            if name in ("storeys", "clark_evans") or (got.get(name) and abs(got[name] / value - 1) <= TOLERANCE):
+                continue
+            yield f"{place}{name} is {got.get(name, 0):.4g}, not {value:g}: a site holds whole trees"
+
+
+MODEL = StandModel()

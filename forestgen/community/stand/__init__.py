@@ -1,0 +1,1 @@
+"""Stands by what foresters measure: places of stems, and crowns of a given cover."""
