@@ -27,7 +27,7 @@ def write_stand(folder: Path, table: StandTable, loaded: LoadedRecipe) -> None:
 
 
 def height_diameter_png(table: StandTable) -> bytes:
-    """Height over diameter at 1.3 m, a dot a living plant."""
+    """Height over diameter at 1.3 m, a dot a living plant of 1 cm and more."""
     figure = new_figure(*_SIZE_IN)
     axes = figure.add_subplot()
     names = list(dict.fromkeys(table.species.tolist()))

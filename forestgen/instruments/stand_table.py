@@ -64,6 +64,7 @@ MIN_DBH_CM = 7.0
 STOREYS = ("upper", "middle", "lower")
 ALL = "all"
 _DOMINANT_PER_HA = 100
+_LEAST_DBH_M = 0.01  # of plants in the picture: tall herbs have stems too
 _RAYS = 16_384  # on the site; those on copies of it beyond its edges come on top
 _LAYERS_M, _FEWEST_LAYERS = (1.0, 0.5, 0.2, 0.1, 0.05), 15
 _HEADS = ("stems/ha", "BA m2/ha", "Dq cm", "H m", "Hdom m", "H/D", "V m3/ha", "AGB t/ha", "LAI", "cover %")
@@ -109,7 +110,7 @@ class StandTable(Reading):
     standing_dead_per_ha: float
     layer_edges_m: Floats  # (K + 1,) above the stem bases
     leaf_area_density: Mapping[str, Floats]  # species -> (K,) m2/m3
-    dbh_m: Floats  # (M,) of the living plants that have one
+    dbh_m: Floats  # (M,) of the living plants of 1 cm and more, whose heights are drawn
     height_m: Floats  # (M,) of these
     species: NDArray[np.str_]  # (M,) of these
     colours: Mapping[str, str]  # of species on plots, where their files give one
@@ -199,7 +200,7 @@ def stand_table(
         plants = _Plants.of(scene, tracer.spec, meter, measures, min_dbh_cm / 100.0)
         met = _met_by_rays(scene, tracer, plants, float(measures.crown_width_m.max(initial=0.0)))
         edges_m, density = _profile(plants, meter, tracer.spec)
-    stems = np.isfinite(plants.dbh_m) & plants.alive
+    stems = (np.nan_to_num(plants.dbh_m) >= _LEAST_DBH_M) & plants.alive
     return StandTable(
         rows=tuple(_rows(plants, met)),
         site_ha=plants.site_ha,

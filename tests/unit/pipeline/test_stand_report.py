@@ -123,3 +123,39 @@ def test_files_hold_the_table(measured: tuple[StandTable, Path]) -> None:
     text = str(table)
     assert "BA m2/ha" in text
     assert text.count("\nfireweed") == 1  # one storey: no sum of it
+
+
+def beech_of(position_m: list[float], **community: Any) -> StandTable:
+    """A stand of one beech of 12 m."""
+    plants = [{"species": "beech", "position_m": position_m, "height_m": 12}]
+    data = {
+        **RECIPE,
+        "site": {"size_m": [16, 16]},
+        "species": {"beech": None},
+        "community": {"model": "placed", "plants": plants, **community},
+    }
+    return fg.load(data).stand(progress=False)
+
+
+@pytest.mark.slow
+def test_crowns_wrap_where_the_site_repeats() -> None:
+    """In a corner a tree covers as much as in the middle; where the site does not repeat, the crown's part on it."""
+    middle, corner, bounded = beech_of([8, 8]), beech_of([0, 0]), beech_of([0, 0], periodic=False)
+    cover = middle.total.canopy_cover
+    assert 0.02 < cover < 0.3
+    assert corner.total.canopy_cover == pytest.approx(cover, rel=0.08)
+    assert 0.1 * cover < bounded.total.canopy_cover < 0.45 * cover
+    for table in (corner, bounded):
+        assert table.total.leaf_area_index == pytest.approx(middle.total.leaf_area_index, rel=1e-6)
+        assert table.total.stems_per_ha == pytest.approx(1e4 / 256)
+        assert {row.species for row in table.rows} == {"beech", "all"}
+    assert len(str(middle).splitlines()) == 1 + 1 + 5  # one row of figures: there is nothing to sum
+
+
+@pytest.mark.slow
+def test_bare_ground_has_a_table() -> None:
+    table = fg.load({**RECIPE, "community": {"model": "placed", "plants": []}}).stand(progress=False)
+    (row,) = table.rows
+    assert (row.stems_per_ha, row.leaf_area_index, row.canopy_cover) == (0.0, 0.0, 0.0)
+    assert math.isnan(row.dominant_height_m)
+    assert json.loads(json.dumps(table.as_dict(), allow_nan=False))["rows"][0]["mean_height_m"] is None
