@@ -40,6 +40,7 @@ from forestgen.community.static_model import Change, GrowingModel, Placement, St
 from forestgen.dataset.formats.format import DatasetFormat
 from forestgen.dataset.settings import DatasetSettings
 from forestgen.instruments.instrument import Instrument, Reading
+from forestgen.instruments.stand_table import StandRow, StandTable
 from forestgen.labels.labelled import LabelledFrame, PlantViews, VisiblePlants
 from forestgen.labels.masks import AmodalMasks, PixelLabels
 from forestgen.recipe.cameras import Camera as CameraKeys
@@ -52,7 +53,20 @@ from forestgen.scene.spec import Camera
 _ERRORS = [name for name in fg.__all__ if name.endswith("Error")]
 _CLASSES = ("Recipe", "Stand", "Frame", "Dataset", "Plant")
 _FUNCTIONS = [name for name in fg.__all__ if name not in (*_ERRORS, *_CLASSES, "__version__")]
-_RESULTS = (Run, Validation, DryRun, Merged, Words, FittedKernel, PointStatistics, Entry, SpeciesEntry, Diagnosis)
+_RESULTS = (
+    Run,
+    Validation,
+    DryRun,
+    Merged,
+    Words,
+    FittedKernel,
+    PointStatistics,
+    Entry,
+    SpeciesEntry,
+    Diagnosis,
+    StandTable,
+    StandRow,
+)
 _STATIC = (StaticModel, GrowingModel, StaticParameters, Placement, Change)
 _PROTOCOL = (CommunityModel, CommunityParameters, Site, SpeciesEcology, Population, Status, Planting)
 _CAPABILITIES = (PlanChecks, HasObstacles, OwnSkeletons, OwnAir, SoilWater, AskedDensities)

@@ -22,6 +22,7 @@ from forestgen.dataset.formats.format import check_ids
 from forestgen.dataset.manifest import write_manifest
 from forestgen.dataset.settings import DatasetSettings, class_map
 from forestgen.dataset.writer import frame_folder_name, frame_row, write_frame, write_maps
+from forestgen.instruments.stand_table import StandTable, stand_table
 from forestgen.labels.channels.channel import ChannelView, add_channels
 from forestgen.labels.labelled import LabelledFrame, label_frame, shown_rows
 from forestgen.recipe.load import LoadedRecipe, dump_yaml
@@ -49,6 +50,7 @@ class RenderedFrame:
     attributes: Mapping[str, str]  # of frame.exr's header
     row: Mapping[str, Any]  # of the index, see `forestgen.dataset.index`
     notes: tuple[str, ...]  # of this frame, for people
+    stand: StandTable  # of the image
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,7 @@ class _ImageRenderer:
         yaml = dump_yaml(replace(drawn, data=write_maps(folder, drawn.data, drawn.folder)))
         folders, rows, notes = [], [], list(self.scene.notes)
         seen: set[int] = set()  # plants in view of any camera
+        stand: StandTable | None = None
         for frame in self.frames():
             folders.append(folder / frame.name)
             with self.timings("write"):
@@ -126,33 +129,36 @@ class _ImageRenderer:
             seen.update(visible.plant_id[visible.has_box & ~frame.labelled.outside].tolist())
             rows.append(dict(frame.row))
             notes += frame.notes
+            stand = frame.stand
             del frame  # before the next one is made
-        return WrittenImage(tuple(folders), tuple(rows), tuple(notes), self._report(len(seen)))
+        return WrittenImage(tuple(folders), tuple(rows), tuple(notes), self._report(len(seen), stand))
 
     def frames(self) -> Iterator[RenderedFrame]:
         scene = self.scene
-        for labelled in self._labelled():
+        for labelled, stand in self._labelled():
             name = frame_folder_name(scene.drawn.image_index, labelled.frame.camera.name)
             notes = tuple(self._notes(labelled, name))
             ground_m = scene.plan.views.ground_below(labelled.frame.camera)
-            row = frame_row(name, labelled, scene.drawn, scene.spec.sky, ground_m, notes)
+            figures = stand.total.figures()
+            row = frame_row(name, labelled, scene.drawn, scene.spec.sky, ground_m, figures, notes)
             attributes = {  # of the drawn recipe, so that an image drawn alone has the same bytes
                 "recipe_hash": recipe_hash(scene.drawn.data),
                 "seed": str(scene.drawn.recipe.seed),
                 "image_seed": str(scene.drawn.image_seed),
                 "samples": str(labelled.frame.radiance.samples),
             }
-            yield RenderedFrame(name, labelled, attributes, row, notes)
+            yield RenderedFrame(name, labelled, attributes, row, notes, stand)
             del labelled  # before the next one is made
 
-    def _labelled(self) -> Iterator[LabelledFrame]:
-        """What does not change between two cameras is set up once."""
+    def _labelled(self) -> Iterator[tuple[LabelledFrame, StandTable]]:
+        """With the stand as the first camera finds it. What does not change between two cameras is set up once."""
         scene, timings, channels = self.scene, self.timings, self.scene.drawn.recipe.labels.channels
         classes = class_map(scene.drawn)
         plants = scene.labelled or scene.population
         with timings("measures"):
             meter = PlantMeter(scene.spec.exemplars)
         tracer: SceneTracer | None = None
+        stand: StandTable | None = None
         for camera in scene.spec.cameras:
             spec = scene.at(camera.time_s)
             if tracer is None or tracer.spec is not spec:
@@ -160,12 +166,13 @@ class _ImageRenderer:
                 tracer = SceneTracer(spec, timings)
                 with timings("measures"):
                     measures = meter.measure(spec.instances.at(slice(0, len(plants))))
+            stand = stand or stand_table(scene, tracer, meter, timings)
             frame = self._rendered(tracer, camera)
             with timings("labels"):
                 shown = shown_rows(frame, plants)
                 labelled = label_frame(frame, plants.at(shown), classes, measures.at(shown), channels)
             del frame
-            yield labelled
+            yield labelled, stand
             del labelled  # one frame at a time in memory
 
     def _rendered(self, tracer: SceneTracer, camera: Camera) -> Frame:
@@ -177,7 +184,7 @@ class _ImageRenderer:
         view = ChannelView(tracer, self.scene.next_view(camera), progress, timings)
         return add_channels(frame, drawn.recipe.labels.channels, view)
 
-    def _report(self, visible_plants: int) -> dict[str, Any]:
+    def _report(self, visible_plants: int, stand: StandTable | None) -> dict[str, Any]:
         """The image's row in the manifest; `visible_plants` are in view of any of its cameras."""
         scene = self.scene
         return {
@@ -187,6 +194,7 @@ class _ImageRenderer:
             "counts": counts_of(scene.population),
             "standing_dead": standing_dead(scene.population),
             "visible_plants": visible_plants,
+            "stand": None if stand is None else stand.as_dict(),
             "triangles": sum(exemplar.triangles for exemplar in scene.spec.exemplars),
             "size_errors": [asdict(error) for error in scene.size_errors],
         }

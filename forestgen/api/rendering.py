@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from forestgen.instruments.calibration import Calibration
     from forestgen.instruments.instrument import Reading
     from forestgen.instruments.light_meter import LightReadings
+    from forestgen.instruments.stand_table import StandTable
     from forestgen.recipe.load import LoadedRecipe
     from forestgen.runs.start import DryRun
     from forestgen.runs.summary import Display
@@ -247,6 +248,36 @@ class Rendering:
             with FileSet(overwrite=overwrite) as files:
                 files.write(target, reading.content(target.suffix.lower(), self._loaded))
         return reading
+
+    def stand(
+        self,
+        out: PathLike | None = None,
+        *,
+        min_dbh_cm: float = 7.0,
+        overwrite: bool = False,
+        progress: bool | Progress | None = None,
+    ) -> StandTable:
+        """Measure the stand of the first image, as it is rendered: `measure` with a stand table.
+
+        Parameters
+        ----------
+        out : folder for stand.csv, stand.json, and pictures of diameters and heights and of leaf area by height.
+        min_dbh_cm : least diameter at 1.3 m of what counts as a stem.
+
+        Returns
+        -------
+        `rows` by species and storey, `total`, a profile; `print` shows the table.
+        """
+        from forestgen.dataset.folder import OutputFolder
+        from forestgen.instruments.stand_plots import write_stand
+        from forestgen.instruments.stand_table import INSTRUMENT
+
+        target = nullcontext() if out is None else OutputFolder(path_of(out, "out", output=True), overwrite=overwrite)
+        with target as folder:
+            found = cast("StandTable", self.measure(INSTRUMENT.name, {"min_dbh_cm": min_dbh_cm}, progress=progress))
+            if folder is not None:
+                write_stand(folder, found, self._loaded)
+        return found
 
     def weather(
         self,

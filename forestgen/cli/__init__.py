@@ -11,7 +11,7 @@ import typer
 from forestgen.cli.communities import fit_kernel, lsystem, simulate, stats
 from forestgen.cli.console import errors_for_people, names_of
 from forestgen.cli.datasets import doctor, merge, models, pack, report, schema, validate, verify
-from forestgen.cli.instruments import calibrate, light, measure, weather
+from forestgen.cli.instruments import calibrate, light, measure, stand, weather
 from forestgen.cli.parsing import NumbersCommand, add_completion, options_suggested, show_plainly, with_options
 from forestgen.cli.plant import plant
 from forestgen.cli.render import batch, render
@@ -82,6 +82,7 @@ _COMMANDS: tuple[tuple[Callable[..., None], str], ...] = (
     (pack, "pack outputs/forests --format webdataset --out outputs/shards"),
     (merge, "merge outputs/part-1 outputs/part-2 --out outputs/forests"),
     (simulate, "simulate recipes/quickstart.yaml --map-step 20 --map-step 150"),
+    (stand, "stand recipes/mixed_stand.yaml --out outputs/mixed_stand-table"),
     (plant, "plant spruce --height-m 12 --seed 3 --out tree.glb --out tree.png"),
     (validate, "validate recipes/quickstart.yaml --set seed=3"),
     (models, "models multiset_lsystem"),

@@ -1,4 +1,4 @@
-"""The commands that measure in a recipe's scene and make no data set: `measure`, `light`, `calibrate`, `weather`."""
+"""The commands that measure in a recipe's scene and make no data set: `measure`, `light`, `stand`, `calibrate`, ..."""
 
 from __future__ import annotations
 
@@ -84,6 +84,36 @@ def light(
     points = [one.split(",") for one in at]
     keys = {"samples": samples, "absolute_z": absolute_z, "spectrum": spectrum, "normals": normals or ["up"]}
     _measure(recipe, set_, INSTRUMENT.name, {"at": points, **keys}, out, overwrite, quiet)
+
+
+def stand(
+    recipe: Path,
+    out: Path | None = None,
+    min_dbh_cm: float = 7.0,
+    set_: list[str] | None = None,
+    json_: bool = False,
+    overwrite: bool = False,
+    quiet: bool = False,
+) -> None:
+    """Measure the stand that a recipe renders, by species and storey, as a forester does.
+
+    Prints stems, basal area, diameter, heights, slenderness, stem volume, biomass, leaf area index, and cover by
+    vertical rays. The plants are grown as for a picture, and their geometry is measured; no light is traced.
+
+    --out -o DIR  Folder for stand.csv, stand.json and two pictures: heights over diameters, leaf area by height.
+    --min-dbh-cm CM  Least diameter at 1.3 m of what counts as a stem.
+    """
+    from forestgen import load
+
+    started, say = time.perf_counter(), Printer(quiet)
+    table = load(recipe, set=set_).stand(out, min_dbh_cm=min_dbh_cm, overwrite=overwrite, progress=not (quiet or json_))
+    if json_:
+        say.json(table.as_dict())
+        return
+    say(str(table))
+    say(f"measured in {seconds(time.perf_counter() - started)}")
+    if out is not None:
+        say(f"files: {out}/")
 
 
 def calibrate(

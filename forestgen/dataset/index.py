@@ -29,6 +29,11 @@ Metres, degrees, pixels; the world's axes are x east, y north, z up. Shares are 
 | sunlit_share | double | of the other pixels, those whose centre the sun shines on |
 | depth_min_m, depth_median_m, depth_max_m | double | without the sky |
 | plants | int64 | of the whole stand |
+| stems_per_ha, basal_area_m2_per_ha | double | of the image's stand: living stems from 7 cm at 1.3 m on |
+| quadratic_mean_diameter_cm, mean_height_m, slenderness | double | of these stems; height over diameter, median |
+| dominant_height_m | double | mean of the 100 thickest stems a hectare |
+| stem_volume_m3_per_ha, biomass_t_per_ha | double | trunks of these stems; dry, of all plants |
+| leaf_area_index, canopy_cover | double | of all plants; share of vertical rays that meet one above 1.3 m |
 | plants_in_view, plants_truncated | int64 | those that win a pixel; of these, those that touch the border |
 | visible_fraction_median | double | of the plants in view; needs amodal labels |
 | instance_pixels_median | double | of the plants in view |
@@ -88,6 +93,9 @@ COLUMNS: dict[str, str] = {
     **dict.fromkeys(("relative_error", "relative_error_p95"), _NUMBER), "stopped_by": _TEXT,
     **dict.fromkeys(("sky_share", "sunlit_share", "depth_min_m", "depth_median_m", "depth_max_m"), _NUMBER),
     **dict.fromkeys(("plants", "plants_in_view", "plants_truncated"), _WHOLE),
+    **dict.fromkeys(("stems_per_ha", "basal_area_m2_per_ha", "quadratic_mean_diameter_cm", "mean_height_m"), _NUMBER),
+    **dict.fromkeys(("dominant_height_m", "slenderness", "stem_volume_m3_per_ha", "biomass_t_per_ha"), _NUMBER),
+    **dict.fromkeys(("leaf_area_index", "canopy_cover"), _NUMBER),
     **dict.fromkeys(("visible_fraction_median", "instance_pixels_median"), _NUMBER),
     "instance_pixels_histogram": _COUNTS,
     **dict.fromkeys(("class_pixels", "part_pixels"), _BY_NAME),

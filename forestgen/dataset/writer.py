@@ -134,11 +134,18 @@ def _kind_of(source: Path, ending: str) -> str:
 
 
 def frame_row(
-    name: str, labelled: LabelledFrame, drawn: DrawnRecipe, sky: Sky, ground_m: float, notes: Sequence[str] = ()
+    name: str,
+    labelled: LabelledFrame,
+    drawn: DrawnRecipe,
+    sky: Sky,
+    ground_m: float,
+    stand: Mapping[str, float | None],
+    notes: Sequence[str] = (),
 ) -> dict[str, Any]:
     """A frame's row of the index: plain values (numbers, texts, lists, dicts of them), the same in every run.
 
-    `name` is the folder's, `ground_m` the height of the ground below the camera, world; `notes` are for people.
+    `name` is the folder's, `ground_m` the height of the ground below the camera, world; `stand` has the figures of the
+    image's stand, by their columns; `notes` are for people.
     """
     return {
         "frame": name,
@@ -152,6 +159,7 @@ def frame_row(
         **_light(labelled.frame.radiance),
         **_view(labelled),
         **_plants(labelled),
+        **stand,
         "notes": list(notes),
         **{DRAW + dotted(keys): value for keys, value in drawn.draws.items()},
     }

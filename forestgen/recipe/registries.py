@@ -126,6 +126,7 @@ INSTRUMENTS = Registry(
         "light_meter": ("forestgen.instruments.light_meter:INSTRUMENT", "illuminance, colour and spectra at points"),
         "colour_chart": ("forestgen.instruments.colour_chart:INSTRUMENT", "colours against those of colour science"),
         "gap_fraction": ("forestgen.instruments.gap_fraction:INSTRUMENT", "the canopy's gaps in fisheyes that look up"),
+        "stand_table": ("forestgen.instruments.stand_table:INSTRUMENT", "stems, basal area, leaf area, cover, ..."),
     },
     contract="forestgen.instruments.instrument:Instrument",
 )

@@ -12,6 +12,8 @@ plant as a whole.
 - Crown width: the mean of the extents along the exemplar's x and y.
 - Leaf area: one side of all blades.
 - Crown base: the height that 2% of the leaf area lie below, along the plant's axis.
+- Stem volume: the integral of the trunk's section over the height, from the stem base to the tip; bark counts.
+- Wood volume: stem and branches above the ground, `Exemplar.wood_volume_m3`.
 - Stem base: the origin of the plant, where it stands. Tip: its highest vertex in the world. Crown centre: the centroid
   of the surface of the leaves, else of the flowers, else of all, in the exemplar; carried along.
 """
@@ -37,6 +39,8 @@ Floats = NDArray[np.float64]
 _DIRECTIONS_AT_ONCE = 1024
 _ATTITUDES = 64  # classes of the leaves' attitude
 _MOST_SECTIONS = 64  # of an exemplar: its instances are of many scales
+_VOLUME_SECTIONS = 40  # of a stem, at equal distances
+_LEVELS = 128  # of a profile of leaves
 
 
 @dataclass(frozen=True)
@@ -67,6 +71,7 @@ class PlantMeter:
         self._top = np.array([_top(exemplar) for exemplar in exemplars]).reshape(-1, 3)
         self._leaves = [_Leaves.of(exemplar) for exemplar in exemplars]
         self._hulls: dict[int, Floats] = {}  # of exemplars that have been seen leaning
+        self._stems: dict[int, float] = {}  # volumes, of exemplars whose stems were asked for
 
     def measure(self, instances: Instances) -> PlantMeasures:
         """Measures of plants as they stand."""
@@ -99,6 +104,35 @@ class PlantMeter:
             crown_centre_m=_moved(linear, self._centre[mine]) + origin,
         )
 
+    def volumes_m3(self, instances: Instances) -> tuple[Floats, Floats]:
+        """(N,) volumes of the stems, and (N,) of all wood above the ground."""
+        across, along = (np.linalg.norm(instances.transform[:, :, k], axis=1) for k in (0, 2))
+        mine = instances.exemplar.astype(np.intp)
+        for index in set(np.unique(mine).tolist()) - self._stems.keys():
+            self._stems[index] = stem_volume_m3(self._exemplars[index])
+        stem, wood = np.zeros(len(self._exemplars)), np.array([one.wood_volume_m3 for one in self._exemplars])
+        stem[list(self._stems)] = list(self._stems.values())
+        return stem[mine] * across**2 * along, wood[mine] * across**2 * along
+
+    def leaf_area_by_height_m2(
+        self, instances: Instances, leaf_area_m2: Floats, group: NDArray[np.integer], edges_m: Floats
+    ) -> Floats:
+        """(G, K) leaf area of the groups 0 to G - 1 between K + 1 heights above the stem base, along the plants' axes.
+
+        Leaves beyond the heights count in the layer next to them: the sum over all layers is the whole area.
+
+        `leaf_area_m2`: (N,) of the instances, as `measure` has it. `group`: (N,) their groups; -1: left out.
+        """
+        found = np.zeros((int(group.max(initial=0)) + 1, len(edges_m) - 1))
+        along = np.linalg.norm(instances.transform[:, :, 2], axis=1)
+        for index in np.unique(instances.exemplar).tolist():
+            rows = np.flatnonzero((instances.exemplar == index) & (group >= 0) & (leaf_area_m2 > 0.0))
+            leaves = self._leaves[index]
+            share = np.interp(edges_m / along[rows, None], leaves.level_m, leaves.below)
+            share[:, 0], share[:, -1] = 0.0, 1.0
+            np.add.at(found, group[rows], np.diff(share, axis=1) * leaf_area_m2[rows, None])
+        return found
+
     def _hull(self, index: int) -> Floats:
         """(V, 3) corners of an exemplar's convex hull, which hold the highest point of every pose."""
         if index not in self._hulls:
@@ -108,11 +142,13 @@ class PlantMeter:
 
 @dataclass(frozen=True)
 class _Leaves:
-    """Attitude and height of an exemplar's leaves."""
+    """Attitude and heights of an exemplar's leaves."""
 
     steepness: Floats  # (K,) squares of the normals' z
     share: Floats  # (K,) of the area
     base_m: float
+    level_m: Floats  # (L,) heights, the lowest and the highest of the leaves' among them
+    below: Floats  # (L,) share of the area below each
 
     @classmethod
     def of(cls, exemplar: Exemplar) -> _Leaves:
@@ -122,7 +158,7 @@ class _Leaves:
             if organ.part == Part.LEAF and len(organ.mesh.faces)
         ]
         if not corners:
-            return cls(np.zeros(1), np.zeros(1), np.nan)
+            return cls(np.zeros(1), np.zeros(1), np.nan, np.zeros(1), np.zeros(1))
         normal, height = (np.concatenate(one) for one in zip(*map(_normals, corners), strict=True))
         area = np.linalg.norm(normal, axis=1)
         square = np.divide(normal[:, 2] ** 2, area**2, out=np.zeros_like(area), where=area > 0.0)
@@ -130,7 +166,9 @@ class _Leaves:
         order = np.argsort(height, kind="stable")
         total = np.cumsum(area[order])
         base_m = float(height[order][np.searchsorted(total, BELOW_CROWN * total[-1])])
-        return cls(0.5 * (edges[1:] + edges[:-1]), share / max(float(share.sum()), 1e-300), base_m)
+        by_level, level_m = np.histogram(height, bins=_LEVELS, weights=area)
+        below = np.concatenate([[0.0], np.cumsum(by_level)]) / max(float(by_level.sum()), 1e-300)
+        return cls(0.5 * (edges[1:] + edges[:-1]), share / max(float(share.sum()), 1e-300), base_m, level_m, below)
 
     def area_factor(self, across: Floats, along: Floats) -> Floats:
         """(M,) area of the leaves over that in the exemplar, scaled by (M,) across and (M,) along the axis."""
@@ -184,6 +222,15 @@ def stem_diameter_m(exemplar: Exemplar, height_m: Floats) -> Floats:
     area = section_area_m2(trunks, stops)
     diameter = np.sqrt(4.0 / np.pi * np.where(area > 0.0, area, np.nan))
     return np.asarray((diameter if exact else np.interp(at, stops, diameter))[which])
+
+
+def stem_volume_m3(exemplar: Exemplar) -> float:
+    """Volume of the trunk above the origin: its sections at equal heights, by the midpoint rule; 0 without a trunk."""
+    trunks = [organ.mesh for organ in exemplar.organs if organ.part == Part.TRUNK and len(organ.mesh.vertices_m)]
+    top_m = max((float(mesh.vertices_m[:, 2].max()) for mesh in trunks), default=0.0)
+    step_m = max(top_m, 0.0) / _VOLUME_SECTIONS
+    height_m = (np.arange(_VOLUME_SECTIONS, dtype=np.float64) + 0.5) * np.float64(step_m)
+    return float(section_area_m2(trunks, height_m).sum() * step_m)
 
 
 def _furthest(points: Floats, directions: Floats) -> Floats:

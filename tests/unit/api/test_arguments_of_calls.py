@@ -48,6 +48,8 @@ def recipe() -> Any:
         ("at", lambda r: r.measure("light_meter")),
         ("spectrums", lambda r: r.measure("light_meter", {"at": [(1, 2, 3)], "spectrums": 5})),
         ("out", lambda r: r.measure("gap_fraction", out="gaps.csv")),
+        ("min_dbh_cm", lambda r: r.stand(min_dbh_cm=-1)),
+        ("out", lambda r: r.stand("\0")),
         ("map_steps", lambda r: r.simulate(map_steps=[1.5])),
         ("count", lambda r: r.weather(1.5)),
         ("width_px", lambda r: r.calibrate(width_px=64.5)),

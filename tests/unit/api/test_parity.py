@@ -33,6 +33,7 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], ...]] = {
     "weather": (fg.load, fg.Recipe.weather),
     "calibrate": (fg.load, fg.Recipe.calibrate),
     "measure": (fg.load, fg.Recipe.measure),
+    "stand": (fg.load, fg.Recipe.stand),
     "doctor": (fg.doctor,),
 }
 # Options whose parameter has another name: one value of many, or a flag's opposite.
@@ -94,7 +95,7 @@ def test_an_option_has_one_name_everywhere(name: str) -> None:
             assert "-o" in parameter.opts
 
 
-@pytest.mark.parametrize("name", ["validate", "doctor", "models", "stats", "verify"])
+@pytest.mark.parametrize("name", ["validate", "doctor", "models", "stats", "stand", "verify"])
 def test_what_is_looked_up_can_be_json(name: str) -> None:
     assert "--json" in set(options(commands()[name]))
 

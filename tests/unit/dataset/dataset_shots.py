@@ -126,6 +126,7 @@ def make_measures(population, rng):
         world_from_exemplar=np.concatenate([np.broadcast_to(np.eye(3), (n, 3, 3)), base[:, :, None]], axis=2),
         crown_width_m=rng.random(n) * 4,
         dbh_m=dbh,
+        crown_base_m=np.full(n, 1.5),
         leaf_area_m2=rng.random(n) * 50,
         stem_base_m=base,
         tip_m=base + np.array([0.1, 0.0, 3.0]),

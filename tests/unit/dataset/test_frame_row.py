@@ -11,6 +11,7 @@ from dataset_shots import CLASSES, make_camera
 from forestgen.core.parts import Part
 from forestgen.dataset.index import COLUMNS
 from forestgen.dataset.writer import frame_row
+from forestgen.instruments.stand_table import StandRow
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.spec import Sky
 
@@ -21,6 +22,7 @@ RECIPE = {
     "sky": {"turbidity": {"uniform": [2, 6]}, "clouds": {"type": "noise", "cover": 0.25}},
     "plants": {"season": "autumn"},
 }
+STAND = StandRow("all", "all", 0.0, 0.0, *[math.nan] * 4, 0.0, 0.0, 0.0, 0.0)
 SKY = Sky(sun_elevation_deg=30.0, sun_azimuth_deg=-90.0, turbidity=4.0)
 
 
@@ -31,7 +33,7 @@ def drawn():
 
 @pytest.fixture
 def row(shot, drawn):
-    return frame_row("000003-camera0", shot.labelled, drawn, SKY, 2.0, ["a note"])
+    return frame_row("000003-camera0", shot.labelled, drawn, SKY, 2.0, STAND.figures(), ["a note"])
 
 
 def test_counts_are_those_of_the_masks(row, shot):
@@ -96,7 +98,7 @@ def test_an_empty_stand(drawn):
     from format_shots import drawn as frame_of
 
     labelled = frame_of(np.zeros((8, 8)), part=np.zeros((8, 8)))
-    row = frame_row("000003-eye", labelled, drawn, SKY, 0.0)
+    row = frame_row("000003-eye", labelled, drawn, SKY, 0.0, STAND.figures())
     assert (row["plants"], row["plants_in_view"], row["sky_share"]) == (0, 0, 1.0)
     assert row["instance_pixels_histogram"] == []
     assert row["class_pixels"] == {"nothing": 64}

@@ -10,7 +10,7 @@ import pytest
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.exemplar import OrganMesh
-from forestgen.scene.plant_measures import PlantMeter, crown_centre, stem_diameter_m
+from forestgen.scene.plant_measures import PlantMeter, crown_centre, stem_diameter_m, stem_volume_m3
 from support.scenes import plain_ground, post, scattered_scene, simple_tree
 
 
@@ -126,3 +126,39 @@ def test_an_empty_scene():
     measures = measure_plants(scattered_scene(0, exemplars=1, leaves=3, terrain=plain_ground(0, 1)))
     assert measures.tip_m.shape == (0, 3)
     assert measures.dbh_m.shape == (0,)
+
+
+def test_volumes_are_those_of_the_cones_and_scale_with_the_instances(spec):
+    """Above the ground a trunk is a cone of eight sides, of the volume base times height over three."""
+    stem, wood = PlantMeter(spec.exemplars).volumes_m3(spec.instances)
+    scale = np.linalg.norm(spec.instances.transform[:, :, 2], axis=1)
+    height = np.array([exemplar.height_m for exemplar in spec.exemplars])[spec.instances.exemplar]
+    tip, foot = 0.9 * height, height * 0.012
+    base = 2 * np.sqrt(2) * (foot * tip / (tip + 0.2)) ** 2
+    np.testing.assert_allclose(stem, base * tip / 3 * scale**3, rtol=1e-3)
+    whole = np.array([exemplar.wood_volume_m3 for exemplar in spec.exemplars])[spec.instances.exemplar]
+    np.testing.assert_allclose(wood, whole * scale**3)
+
+
+def test_no_trunk_no_stem_volume():
+    tree = simple_tree("a", 10.0, 5, np.random.default_rng(1))
+    assert stem_volume_m3(replace(tree, organs=tree.organs[1:])) == 0.0
+
+
+def test_leaf_area_lies_at_the_heights_of_the_leaves(spec):
+    meter, measures, edges = PlantMeter(spec.exemplars), measure_plants(spec), np.arange(0.0, 16.0, 1.0)
+    group = np.arange(len(spec.instances)) % 2 - 1  # half of the plants is left out
+    found = meter.leaf_area_by_height_m2(spec.instances, measures.leaf_area_m2, group, edges)
+    exact = np.zeros((1, len(edges) - 1))
+    for row in np.flatnonzero(group == 0):
+        leaves = in_world(spec, row, (Part.LEAF,))
+        exact[0] += np.histogram(leaves[..., 2].mean(axis=1), edges, weights=area_of(leaves))[0]
+    np.testing.assert_allclose(found.sum(), measures.leaf_area_m2[group == 0].sum(), rtol=1e-9)
+    assert np.abs(found - exact).sum() < 0.02 * exact.sum()  # heights are known to a 128th of the crown
+
+
+def test_leaves_below_the_lowest_edge_count_in_the_lowest_layer(spec):
+    meter, measures = PlantMeter(spec.exemplars), measure_plants(spec)
+    group = np.zeros(len(spec.instances), dtype=int)
+    found = meter.leaf_area_by_height_m2(spec.instances, measures.leaf_area_m2, group, np.array([6.0, 7.0, 8.0]))
+    np.testing.assert_allclose(found.sum(), measures.leaf_area_m2.sum(), rtol=1e-9)
