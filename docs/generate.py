@@ -18,7 +18,7 @@ from typing import Any
 
 import generate_reference
 
-from forestgen.api.plants import drawn_of
+from forestgen.api.plant_requests import drawn_of
 from forestgen.community.registry import COMMUNITY_MODELS, COMPETITION_MODELS
 from forestgen.core.registry import Registry
 from forestgen.plants.parameters import PlantParameters

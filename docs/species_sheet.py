@@ -22,11 +22,13 @@ import generate
 import numpy as np
 from PIL import Image
 
-from forestgen.api.plants import described, grow, plan_of
+from forestgen.api.plant_requests import plan_of, request_of
+from forestgen.api.plants import described
 from forestgen.core.progress import Silent
 from forestgen.dataset.tonemap import tone_map
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.growing import grow_exemplar
 from forestgen.plants.plan import PlantPlan
 from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph, size_of_m
 from forestgen.scene.surfaces import materials_of
@@ -107,7 +109,7 @@ def turned(exemplar: Exemplar, angle_deg: float) -> Exemplar:
 
 def mature(plan: PlantPlan, name: str) -> Exemplar:
     """The plant that is shown."""
-    return grow(plan, name, plan.drawn.species[name].ecology.max_radius_m, SEED)
+    return grow_exemplar(request_of(plan, name, None, SEED))
 
 
 def numbers_of(plan: PlantPlan, exemplar: Exemplar) -> dict[str, float]:

@@ -145,7 +145,7 @@ class SpeciesEntry:
 
 def species() -> list[SpeciesEntry]:
     """The species that come with forestgen."""
-    from forestgen.api.plants import drawn_of
+    from forestgen.api.plant_requests import drawn_of
     from forestgen.plants.build import size_m
 
     found = []

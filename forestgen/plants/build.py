@@ -79,22 +79,13 @@ def build_exemplar(
 
     Raises `RecipeError`: a plant too large for memory, or a material that the species does not have.
     """
-    generator = GENERATORS.load(plant.generator)
     if wood is None:
         height_m, width_m = size_m(species, radius_m) if tree is None else (tree.height_m, tree.crown_width_m)
-        wood_rng, foliage_rng, level_rng, variation_rng = rng.spawn(4)
-        if tree is not None and isinstance(generator, ShapesTrees):
-            plant = generator.shaped(plant, tree)
-        skeleton = generator.grow(plant, height_m, width_m, wood_rng)
-        if plant.variation is not None:
-            skeleton = vary(skeleton, plant.variation, variation_rng)
-        _check_grown(species_name, skeleton)
-        placed = plant.place_foliage(skeleton, height_m, foliage_rng)
-        skeleton = replace(skeleton, organs=(*skeleton.organs, *placed))
+        skeleton, level_rng = _grown(species_name, plant, height_m, width_m, rng, tree)
     else:
         clothing_rng, level_rng = rng.spawn(2)
         height_m, width_m = max(wood.height_m, 0.01), float(np.ptp(wood.position_m[:, :2], axis=0).max())
-        skeleton = generator.clothe(plant, wood, height_m, clothing_rng)
+        skeleton = GENERATORS.load(plant.generator).clothe(plant, wood, height_m, clothing_rng)
     _check_grown(species_name, skeleton)
     templates = plant.templates()
     if tree is None:
@@ -125,6 +116,22 @@ def build_exemplar(
         leaf_area_m2=leaf_area_m2(organs, plant.shapes),
         wood_volume_m3=skeleton.volume_m3(),
     )
+
+
+def _grown(
+    species_name: str, plant: Any, height_m: float, width_m: float, rng: np.random.Generator, tree: TreeSize | None
+) -> tuple[Skeleton, np.random.Generator]:
+    """A plant of its generator with its foliage, before the fit; and the generator of its levels of detail."""
+    generator = GENERATORS.load(plant.generator)
+    wood_rng, foliage_rng, level_rng, variation_rng = rng.spawn(4)
+    if tree is not None and isinstance(generator, ShapesTrees):
+        plant = generator.shaped(plant, tree)
+    skeleton = generator.grow(plant, height_m, width_m, wood_rng)
+    if plant.variation is not None:
+        skeleton = vary(skeleton, plant.variation, variation_rng)
+    _check_grown(species_name, skeleton)
+    placed = plant.place_foliage(skeleton, height_m, foliage_rng)
+    return replace(skeleton, organs=(*skeleton.organs, *placed)), level_rng
 
 
 def estimate_triangles(plant: Any, wood: ModuleWood, rng: np.random.Generator) -> int:

@@ -9,16 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from forestgen.api.plants import (
-    default_outputs,
-    described,
-    model_of,
-    name_of,
-    numbered,
-    plan_of,
-    radius_of_m,
-    request_of,
-)
+from forestgen.api.plant_requests import name_of, plan_of, radius_of_m, request_of
+from forestgen.api.plants import default_outputs, described, model_of, numbered
 from forestgen.core.errors import OutputError, RecipeError
 from forestgen.core.parts import Part
 from forestgen.dataset.files import FileSet

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from forestgen.api.plants import drawn_of
+from forestgen.api.plant_requests import drawn_of
 from forestgen.community.population import Population, Site, ecology_of
 from forestgen.community.tree_columns import COLUMNS, _covers, with_tree_sizes
 

@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from forestgen.api.plants import plan_of
+from forestgen.api.plant_requests import plan_of
 from forestgen.recipe.assets import list_assets
 
 DOCS = Path(__file__).parents[3] / "docs"

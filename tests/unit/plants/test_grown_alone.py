@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from forestgen.api.plants import plan_of, plant
+from forestgen.api.plant_requests import plan_of
+from forestgen.api.plants import plant
 from forestgen.plants.generators.branch_modules import GENERATOR
 from forestgen.plants.growing import ExemplarRequest
 from forestgen.recipe.assets import list_assets

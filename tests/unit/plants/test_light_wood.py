@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from forestgen.api.plants import grow_files, model_of, plan_of, request_of
+from forestgen.api.plant_requests import plan_of, request_of
+from forestgen.api.plants import grow_files, model_of
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry import simplify

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import forestgen as fg
-from forestgen.api.plants import plan_of, request_of
+from forestgen.api.plant_requests import plan_of, request_of
 from forestgen.core.parts import Part
 from forestgen.plants.build import leaf_area_m2
 from forestgen.plants.exemplar import Exemplar

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from forestgen.api.plants import drawn_of
+from forestgen.api.plant_requests import drawn_of
 from forestgen.recipe.tree_sizes import TreeSizes, own_normals
 from support.field_trees import RELATIVES, classes, field_trees, spread_of_median
 

@@ -7,7 +7,7 @@ from dataclasses import astuple
 import numpy as np
 from scene_plants import population
 
-from forestgen.api.plants import drawn_of
+from forestgen.api.plant_requests import drawn_of
 from forestgen.plants.build import tree_size
 from forestgen.recipe.tree_sizes import own_normals
 from forestgen.scene.exemplars import plan_exemplars
