@@ -36,6 +36,7 @@ _SPREAD = (0.02, 1.0)
 _WIDEST = 1.2  # crown width over height, whatever the allometry says
 _CROWN = (0.1, 0.98)  # crown length over height
 _LEAST_DBH_M = 0.002
+_SAME = 1e-9  # heights that differ by so little are equal
 
 
 class SizeLaw(Section):
@@ -135,8 +136,10 @@ class TreeSizes(Section):
         for _ in range(20):
             spread = self.dbh_m.deviation(np.log(np.maximum(height, 0.1) / 10.0))
             wanted = np.log(dbh_m) - shift - 0.5 * spread * own - np.log(self.dbh_m.at_10_m)
-            above = np.exp(wanted / max(self.dbh_m.height_exponent, 0.1))
-            height = BREAST_HEIGHT_M + _ABOVE_BREAST_M * above
+            before = height
+            height = BREAST_HEIGHT_M + _ABOVE_BREAST_M * np.exp(wanted / max(self.dbh_m.height_exponent, 0.1))
+            if np.all(np.abs(height - before) <= _SAME * height):
+                break
         return np.asarray(height)
 
 

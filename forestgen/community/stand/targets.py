@@ -154,14 +154,16 @@ def _mean_by_height(storey: Storey, species: Ecologies, per_stem: float) -> floa
     assert top is not None
     relative = np.sort(storey.dbh.relative(_middles(_QUANTILES)))[::-1]
     stems, mean = storey.stems_per_ha or 500.0, 0.2
-    shares = [(laws_of(species, name), share) for name, share in storey.species.items()]
+    known_m = np.geomspace(1e-4, 50.0, _QUANTILES)
+    none = np.zeros((len(known_m), NUMBERS))
+    heights_m = sum(share * laws_of(species, name).height_of(known_m, none) for name, share in storey.species.items())
+    heights_m = np.asarray(heights_m) / sum(storey.species.values())
     for _ in range(10):
         tall = relative[: max(1, round(_QUANTILES * min(1.0, THICKEST_PER_HA / stems)))]
         low, high = 0.005, 5.0
         for _ in range(40):
             mean = math.sqrt(low * high)
-            heights = [share * law.height_of(mean * tall, np.zeros((len(tall), NUMBERS))) for law, share in shares]
-            height = float(np.mean(np.sum(heights, axis=0))) / sum(storey.species.values())
+            height = float(np.interp(mean * tall, known_m, heights_m).mean())
             low, high = (mean, high) if height < top else (low, mean)
         if storey.stems_per_ha is not None or storey.basal_area_m2_per_ha is None:
             break
