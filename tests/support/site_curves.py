@@ -8,7 +8,7 @@ at 80 years.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -76,13 +76,13 @@ RANGES_M = {
 }
 
 
-def grown_stand(name: str, years: int, *, side_m: float = SIDE_M, seed: int = 1, **keys: object) -> list[State]:
+def grown_stand(name: str, years: int, *, side_m: float = SIDE_M, seed: int = 1, **keys: Any) -> list[State]:
     """Each year's state of a planted stand of one shipped species, on a torus, at its best climate."""
     kind = shipped_plant_types()[name].model_copy(update=keys)
     ecology = SpeciesEcology(name, 0.1, 5.0, 0.5, 0.9, 0.0, 0.1, 4.0, 0.75, modules=kind)
-    parameters = MODEL.Parameters(
-        initial_plants=round(PLANTS_PER_HA * side_m**2 / 1e4), steps=years, periodic=True, seedling_spacing_m=1.0
-    )
+    plants = round(PLANTS_PER_HA * side_m**2 / 1e4)
+    section = {"initial_plants": plants, "steps": years, "periodic": True, "seedling_spacing_m": 1.0}
+    parameters = MODEL.Parameters.model_validate(section)
     states: list[State] = [MODEL.init(parameters, Site((side_m, side_m)), [ecology], seed)]
     for _ in range(years):
         states.append(MODEL.step(states[-1]))
