@@ -44,7 +44,7 @@ from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables
 from forestgen.core.threads import parallel_for
 
-_MOST_OPACITY = 0.99
+MOST_OPACITY = 0.99
 Types = NDArray[Any]  # (P,) index of each plant's type
 
 
@@ -166,7 +166,7 @@ class PlantSizes:
 
 def terminal_leaf_area_m2(tables: Tables) -> NDArray[np.float64]:
     """(T, S) one-sided leaf area of a terminal of thickness 1 of a grown module, m2."""
-    index = -2.0 * np.log1p(-np.minimum(tables.opacity, _MOST_OPACITY))
+    index = -2.0 * np.log1p(-np.minimum(tables.opacity, MOST_OPACITY))
     disc = np.pi * tables.grown_spheres_m[1] ** 2
     pipes = np.where(tables.terminal_index >= 0, tables.thickness**2, 0.0).sum(axis=1)
     return np.asarray(index[:, None] * disc / pipes)

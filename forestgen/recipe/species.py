@@ -263,6 +263,14 @@ class PlantType(Section):
     reach_m: Positive = Field(
         25.0, le=500, description="Way from the root at which a branch gets 1/e of what it would, metres."
     )
+    slowing_per_m: NonNegative = Field(
+        0.0,
+        le=1,
+        description="Share of the growth rate that a metre of the distance from the foot takes, 1/m; see the model.",
+    )
+    growth_spread: NonNegative = Field(
+        0.0, le=0.5, description="Standard deviation of plants' growth rates over their mean; see the model."
+    )
     compensation: NonNegative = Field(
         0.4, le=0.9, description="Light exposure of which a module can just live, and give nothing."
     )

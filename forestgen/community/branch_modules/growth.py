@@ -222,18 +222,30 @@ def distribute(
 STUNTED = 1 / 30  # share of the mature age that a module must have reached
 PATIENCE = 2.0  # within so many times the years that one of full vigour needs to grow up
 _NO_MODULE = 2**32 - 1  # number of the draw: no plant has so many modules
+_PACE = 2**32 - 2  # likewise
 
 
-def grow(modules: Modules, vigour: Floats32, species: SpeciesIndex, now: StepParameters) -> Floats32:
+def grow(modules: Modules, vigour: Floats32, species: SpeciesIndex, pace: Floats, now: StepParameters) -> Floats32:
     """(M,) physiological ages one step later: the growth rate rises smoothly from 0 at vigour_min to that of the type.
 
-    `vigour` (M,) is that of each module, over its size; `species` (P,) that of each plant.
+    `vigour` (M,) is that of each module, over its size; `species` and `pace` (P,) that of each plant.
     """
-    traits, kind = now.traits, np.repeat(species, np.diff(modules.first))
+    traits, counts = now.traits, np.diff(modules.first)
+    kind = np.repeat(species, counts)
     span = traits.vigour_max - traits.vigour_min
     x = np.clip((vigour - traits.vigour_min[kind]) / span[kind], 0.0, 1.0)
-    grown = modules.age + (3.0 - 2.0 * x) * x * x * traits.growth_rate_per_yr[kind] * now.parameters.step_yr
+    rate = np.repeat(pace * traits.growth_rate_per_yr[species], counts)
+    if np.any(traits.slowing_per_m > 0):
+        away_m = np.linalg.norm(modules.base_m, axis=1)
+        rate = rate * np.maximum(1.0 - traits.slowing_per_m[kind] * away_m, 0.0)
+    grown = modules.age + (3.0 - 2.0 * x) * x * x * rate * now.parameters.step_yr
     return np.minimum(grown, traits.mature_age[kind]).astype(np.float32)
+
+
+def pace_of(seed: int, plant_id: NDArray[np.uint32], species: SpeciesIndex, now: StepParameters) -> Floats:
+    """(P,) factor of each plant on its type's growth rate, uniform with mean 1, drawn once from its identity."""
+    share = uniform(seed, plant_id, np.full(len(plant_id), _PACE, dtype=np.uint64))
+    return np.asarray(1.0 + np.sqrt(12.0) * now.traits.growth_spread[species] * (share - 0.5))
 
 
 @dataclass(frozen=True)

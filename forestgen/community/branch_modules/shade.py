@@ -7,11 +7,11 @@ propagation after W. Palubicki et al., Self-organizing tree models for image syn
     Q_G = T exp(-(S_k + (D_k - own) / 2))
 
 The paper names a grid whose cells lose light below a module, and no rule. Here light falls by Beer's law through layers
-that count from the local ground. A module adds the optical depth opacity x area of its sphere's disc / area of a cell
-to the cells that the disc covers (as a square of the same area), in the layer of its centre: D_k. S_k is that of all
-layers above, spread by the kernel [s, 1 - 2 s, s] along x and y for each layer down. A module sees, over its own disc,
-all layers above its own and half of its own layer less itself. At the edge of a bounded site what would spread out is
-mirrored back: the stand goes on.
+that count from the local ground. A module adds the optical depth -ln(1 - opacity) x area of its sphere's disc /
+area of a cell to the cells that the disc covers (as a square of the same area), in the layer of its centre: D_k. S_k is
+that of all layers above, spread by the kernel [s, 1 - 2 s, s] along x and y for each layer down. A module sees, over
+its own disc, all layers above its own and half of its own layer less itself. At the edge of a bounded site what would
+spread out is mirrored back: the stand goes on.
 
 Obstacles are opaque: T, the share of the light that boxes let through, is 0 in them, 1 above them, and spreads down by
 the same kernel; a cell of which a box takes a part has at most the light of the other part.
@@ -210,8 +210,8 @@ def shade(
 
     `position_m`, (M, 2) or (M, 3), are the centres of the modules' spheres, world x and y; beyond the site they count
     at its edge, or around the torus. `height_m` (M,) are their heights above the local ground, below which they count
-    in the lowest layer. `depth` (M,) is the optical depth of each module over its sphere's disc: opacity x share that
-    is grown. Boxes stand on the local ground. More than 2000 layers are a ResourceError.
+    in the lowest layer. `depth` (M,) is the optical depth of each module over its sphere's disc: -ln(1 - opacity) x the
+    share that is grown. Boxes stand on the local ground. More than 2000 layers are a ResourceError.
     """
     position, height = np.array(position_m[:, :2], dtype=np.float64), np.ascontiguousarray(height_m, dtype=np.float64)
     radius = np.maximum(np.ascontiguousarray(radius_m, dtype=np.float64), 1e-6)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.architecture.geometry import spheres
+from forestgen.architecture.geometry import MOST_OPACITY, spheres
 from forestgen.architecture.modules import Modules
 from forestgen.architecture.prototypes import Tables, load_prototypes, tables_of
 from forestgen.community.arrivals import Rows
@@ -355,7 +355,7 @@ def surroundings_of(
     if parameters.global_shade:
         # The ground below a branch is that at the plant's foot: on a slope a crown keeps its height above its own foot.
         kind = np.repeat(plants.species, counts)
-        depth = now.traits.opacity[kind] * leaves
+        depth = -np.log1p(-np.minimum(now.traits.opacity[kind], MOST_OPACITY)) * leaves
         shadows = ShadowGrid(state.site.size_m, cell_m=parameters.cell_m, layer_m=parameters.cell_m, periodic=periodic)
         seen = shade(world, centre[:, 2], radius, depth, shadows, boxes)
         light *= seen.light

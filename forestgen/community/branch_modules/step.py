@@ -257,7 +257,8 @@ def step_forest(state: State, climate: LocalClimate | None = None, arriving: Arr
     gain = net_gain(used, species, modules.first, now)
     flow = distribute(modules, gain, stature, species, most, _form(plants, now)[0], now)
     ready = flow.vigour / stature.size
-    wood = replace(modules, age=growth.grow(modules, ready, species, now))
+    pace = growth.pace_of(state.seed, plants.plant_id, species, now)
+    wood = replace(modules, age=growth.grow(modules, ready, species, pace, now))
     wood, diameter_m = growth.overgrown(modules, wood, species, now)
     keep, disused_m2 = growth.shed(wood, ready, diameter_m, species, now)
     rows = growth.rows_after(wood, keep, flow.sprouts, plants.next_number)
@@ -378,6 +379,7 @@ def _turning(
     born, source, bearer = rows.new[chosen], rows.source[chosen], state.modules.parent_row()
     plant = np.searchsorted(after.first, chosen, side="right") - 1
     kind, prototype = plants.species[plant], after.prototype[chosen]
+    leads = is_axis & (traits.apical_control[kind] > 0.5)
     return Turning(
         base_world_m=np.column_stack([plants.position_m[plant], plants.ground_m[plant]]) + after.base_m[chosen],
         rotation=after.rotation[chosen],
@@ -385,9 +387,9 @@ def _turning(
         radius_m=tables.grown_spheres_m[1][kind, prototype],
         row=np.where(born, -1, source),
         parent_row=np.where(born, source, bearer[source]),
-        # The leader goes up: an angle from the vertical is what its branches have.
-        tropism_angle_rad=np.where(is_axis & (traits.apical_control[kind] > 0.5), 0.0, traits.tropism_angle_rad[kind]),
+        # The leader goes up, whatever stands beside it: an angle and room are what its branches turn to.
+        tropism_angle_rad=np.where(leads, 0.0, traits.tropism_angle_rad[kind]),
         tropism_weight=traits.tropism_weight[kind],
-        collision_weight=traits.collision_weight[kind],
+        collision_weight=np.where(leads, 0.0, traits.collision_weight[kind]),
         ground_m=plants.ground_m[plant],
     )

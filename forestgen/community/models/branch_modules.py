@@ -59,6 +59,13 @@ Decided where the print is silent or wrong:
   module taking its part; `upkeep` is taken from every metre alike. A sole stem ends at about 1.2 reaches, a lone tree
   with a leader at 1.2 to 1.8, in a stand lower. At every fork the children's vigour still sums to what reached the
   fork. As the toll is a share, a plant in want loses first what is darkest, its lowest branches.
+- `slowing_per_m` and `growth_spread` (0) are ours. By Eqs. 7 and 8 a leader grows at one speed as long as its vigour
+  is above v_max, and all leaders of a type alike: heights rise along a line, and no tree of a stand of one age falls
+  behind. So a module at d metres from the foot grows at ``1 - slowing_per_m d`` of its rate, as the way of water slows
+  it (Ryan, Yoder 1997): a stem's height then follows Mitscherlich's law, ``H = L (1 - exp(-k t))`` with
+  ``L = 1 / slowing_per_m``, as site curves do. And each plant's rate has a factor of its own, uniform about 1 with the
+  standard deviation growth_spread, drawn once from its identity: the slow are overtopped and die. Shipped trees have
+  growth rates, slowing and tolerance after site curves and yield tables; the rates of Table 1 give 0.2 to 0.4 m a year.
 - v_min (0.08) is not given, and stands for two scales: a module's vigour, and that of one of its K terminals, which
   share it. Terminals are compared with v_min / K. `sprouting` (2) times that is wanted of a terminal that sprouts: a
   new module must grow, and what grew must not fall at once.
@@ -74,7 +81,8 @@ Decided where the print is silent or wrong:
 - α of Table 1 is below 0 for hemlock, sequoia, willow and spruce, and Eq. 3 takes its cosine, which does not depend on
   the sign. Above 0 it is read as an angle from the vertical (cypress and eucalyptus rise steeply), below 0 as one
   below the horizontal: so conifers have the level and drooping branches that they are known by, and brooms otherwise.
-- The tropism's angle is that of branches: modules that continue a leading (λ > 0.5) plant's main axis turn upright.
+- The tropism's angle is that of branches: modules that continue a leading (λ > 0.5) plant's main axis turn upright,
+  whatever stands beside them: if they fled their neighbours, stems of forest trees would wander by a metre.
   Root modules are upright and never turn; the root's prototype is that of λ and D. A new module begins along the
   segment that bears it, rolled by a random angle of its identity; along the parent's own axis, as in the print,
   laterals would stand upright.

@@ -48,6 +48,18 @@ TABLE_1 = {
     "baobab": (450, 450, 0.15, 1.0, 0.5, 0.66, 0.33, 135, 0.52, 0.32, 0.42, 1.50, 1.06),
 }
 
+FASTER = {
+    "kapok": 0.75,
+    "cypress": 0.42,
+    "eucalyptus": 1.2,
+    "pine": 0.41,
+    "oak": 0.243,
+    "larch": 0.49,
+    "hemlock": 0.43,
+    "sequoia": 0.33,
+    "spruce": 0.275,
+}  # growth rates after site curves: support.site_curves
+
 
 def recipe(tmp_path: Path, community: str, more: str = "") -> Path:
     path = tmp_path / "recipe.yaml"
@@ -56,14 +68,18 @@ def recipe(tmp_path: Path, community: str, more: str = "") -> Path:
 
 
 @pytest.mark.parametrize("name", TABLE_1)
-def test_sixteen_types_have_the_numbers_of_table_1(name: str) -> None:
+def test_sixteen_types_have_the_numbers_of_table_1_but_for_growth_rates(name: str) -> None:
     one = biome.shipped_plant_types()[name]
     got = (
         one.life_span_yr, one.root_vigour_max, one.growth_rate_per_yr, one.apical_control, one.apical_control_mature,
         one.determinacy, one.determinacy_mature, one.flowering_age_yr, one.tropism_angle_rad, one.tropism_weight,
         one.tropism_strength, one.thickening_cm, one.length_per_age_m,
     )  # fmt: skip
-    assert got == TABLE_1[name]
+    expected = list(TABLE_1[name])
+    if name in FASTER:  # the table's rates give trees a half to a fifth of the height that theirs have at 80 years
+        assert FASTER[name] > expected[2]
+        expected[2] = FASTER[name]
+    assert got == tuple(expected)
 
 
 def test_prototypes_that_types_name_exist() -> None:
