@@ -23,7 +23,7 @@ from forestgen.runs.contract import HIDDEN, Count, JobRecord, StorageBackend, St
 # Everything that shapes a frame's files; the layers above only call it.
 _SOURCES = (
     "architecture", "atmosphere", "community", "core", "dataset", "geometry", "labels", "lsystem", "plants", "recipe",
-    "render", "scene", "__init__.py", "pipeline.py",
+    "render", "scene", "instruments/instrument.py", "instruments/stand_table.py", "__init__.py", "pipeline.py",
 )  # fmt: skip
 # Of these, what only reads frames, writes the files over all of them, or checks and shows what people give and see.
 _WITHOUT = (
