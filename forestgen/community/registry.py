@@ -39,7 +39,7 @@ _COMPETITION = {
     "domination": "of two circles that intersect, the smaller gets nothing (Deussen et al. 1998, Lane 2002)",
     "firbank_watkinson": "zones of influence: shared ground is divided by height (Firbank and Watkinson 1985)",
     "leps_kindlmann": "areas of overlap, weighted by the ratio of heights (Lepš and Kindlmann 1987)",
-    "light": "crowns overlap; each gets the light that the leaves above it leave (Monsi and Saeki 1953)",
+    "crown_light": "crowns overlap; each gets the light that the leaves above it leave (Monsi and Saeki 1953)",
     "aikman_watkinson": "size relative to the mean and plot crowding; positions do not matter (Aikman and Watkinson "
     "1980)",
 }

@@ -72,8 +72,8 @@ class SizeError:
     plants: int
     exemplars: int
     radius_rms: float | None  # root mean square of (exemplar radius / plant radius - 1); None: trees, built to sizes
-    dbh_rms: float | None  # of (scaled exemplar's diameter / tree's - 1); None: no trees
     crown_width_rms: float | None  # of (scaled exemplar's crown width / allometric width - 1); None without a crown
+    dbh_rms: float | None = None  # of (scaled exemplar's diameter / tree's - 1); None: no trees
 
 
 def check_traits(traits: Sequence[str], population: Population, where: str) -> None:

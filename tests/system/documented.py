@@ -105,6 +105,12 @@ def _pack(given: dict[str, Any]) -> Any:
     )
 
 
+def _stand(given: dict[str, Any]) -> Any:
+    del given["quiet"], given["json"]
+    recipe, out = _loaded(given), given.pop("out")
+    return recipe.stand(out, progress=False, **given)
+
+
 def _plant(given: dict[str, Any]) -> Any:
     for name in ("quiet", "json", "list"):
         given.pop(name)
@@ -119,6 +125,7 @@ _CALLS: dict[str, Callable[[dict[str, Any]], Any]] = {
     "weather": _weather,
     "pack": _pack,
     "plant": _plant,
+    "stand": _stand,
     "merge": lambda given: fg.merge(
         given["sources"], given["out"], link=given["link"], overwrite=given["overwrite"], progress=False
     ),

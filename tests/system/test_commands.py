@@ -28,6 +28,7 @@ COMMANDS = (
     "pack",
     "merge",
     "simulate",
+    "stand",
     "plant",
     "validate",
     "models",

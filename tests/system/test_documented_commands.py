@@ -126,7 +126,10 @@ def test_python_has_each_documented_command_and_argument(
     tiny(tmp_path).rename(tmp_path / "recipe.yaml")
     monkeypatch.chdir(tmp_path)
     called = {}
-    for owner, names in ((fg.Recipe, ("render", "batch", "simulate", "weather")), (fg, ("merge", "verify", "doctor"))):
+    for owner, names in (
+        (fg.Recipe, ("render", "batch", "simulate", "stand", "weather")),
+        (fg, ("merge", "verify", "doctor")),
+    ):
         for name in names:
             called[name] = create_autospec(getattr(owner, name))
             monkeypatch.setattr(owner, name, called[name])

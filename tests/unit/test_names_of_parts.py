@@ -90,6 +90,10 @@ OTHER_THAN_MODELS = {  # file -> names that are no community model's in it, or a
     "cli/__init__.py": {"multiset_lsystem"},  # an example of a command
     "cli/parsing.py": {"multiset_lsystem"},  # an example of a setting
     "api/plants.py": {"stand"},  # where a tree grows
+    "api/plant_requests.py": {"stand"},  # the same
+    "pipeline.py": {"stand"},  # a key of the manifest
+    "instruments/stand_table.py": {"stand"},  # a stage of the timings
+    "instruments/stand_plots.py": {"stand"},  # a word on pictures
     "cli/plant.py": {"stand"},  # the same
     "recipe/tree_sizes.py": {"stand"},
     "community/fitting/report.py": {"deformation_kernel", "stand"},  # the model that is fitted; a key

@@ -18,8 +18,8 @@ from forestgen.scene.exemplars import SizeError
 def test_a_width_that_no_plant_has_is_a_dash() -> None:
     errors = [asdict(SizeError("birch", 2, 1, 0.05, 0.1)), asdict(SizeError("snag", 3, 1, 0.2, None))]
     birch, snag = (line.split() for line in list(_size_errors(errors))[1:])
-    assert birch[-4:] == ["5.0", "%", "10.0", "%"]
-    assert snag[-3:] == ["20.0", "%", "-"]
+    assert birch[-5:] == ["5.0", "%", "10.0", "%", "-"]
+    assert snag[-4:] == ["20.0", "%", "-", "-"]
 
 
 def _ends(error: BaseException, capsys: pytest.CaptureFixture[str]) -> tuple[object, str]:

@@ -263,7 +263,7 @@ def test_everything_of_the_site_and_of_a_species_is_told(tmp_path: Path) -> None
     plan = planned(tmp_path, SUCCESSION)
     for whole in (plan.community.site, plan.community.ecologies[1]):
         for one in fields(whole):
-            if one.name in ("height", "modules"):
+            if one.name in ("height", "modules", "tree"):
                 changed = replace(whole, **{one.name: None})
             elif one.name == "size_m":
                 changed = replace(whole, size_m=(20.0, 17.0))

@@ -123,7 +123,13 @@ def test_impossible_parameters_are_refused(bad):
 
 
 def test_competition_models_are_found_by_name():
-    assert COMPETITION_MODELS.ids() == ["aikman_watkinson", "domination", "firbank_watkinson", "leps_kindlmann"]
+    assert COMPETITION_MODELS.ids() == [
+        "aikman_watkinson",
+        "crown_light",
+        "domination",
+        "firbank_watkinson",
+        "leps_kindlmann",
+    ]
     for name in COMPETITION_MODELS.ids():
         environment = COMPETITION_MODELS.load(name)
         got = environment.answer(environment.Parameters(), make([0.5] * 3, np.eye(3, 2) * 9), SIZE, periodic=True)

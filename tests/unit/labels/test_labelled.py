@@ -54,7 +54,7 @@ def population():
 
 def measures(count):
     return PlantMeasures(
-        np.zeros(count, np.uint32), np.zeros((count, 3, 4)), *np.ones((3, count)), *np.zeros((3, count, 3))
+        np.zeros(count, np.uint32), np.zeros((count, 3, 4)), *np.ones((4, count)), *np.zeros((3, count, 3))
     )
 
 

@@ -35,7 +35,7 @@ def point_at(x_px, y_px, depth_m):
 def measures(points_m):
     n = len(points_m)
     return PlantMeasures(
-        np.zeros(n, np.uint32), np.zeros((n, 3, 4)), *np.ones((3, n)), *np.moveaxis(np.asarray(points_m), 1, 0)
+        np.zeros(n, np.uint32), np.zeros((n, 3, 4)), *np.ones((4, n)), *np.moveaxis(np.asarray(points_m), 1, 0)
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import forestgen as fg
-from forestgen.community.competition import light
+from forestgen.community.competition import crown_light
 from forestgen.community.competition.contract import Circles
 from forestgen.community.competition.leps_kindlmann import lens_area
 
@@ -25,7 +25,7 @@ def circles(seed: int, n: int, side_m: float) -> Circles:
 
 
 def answer(plants: Circles, side_m: float, *, periodic: bool, **keys: float) -> np.ndarray:
-    return light.MODEL.answer(light.LightParameters(**keys), plants, (side_m, side_m), periodic=periodic)
+    return crown_light.MODEL.answer(crown_light.LightParameters(**keys), plants, (side_m, side_m), periodic=periodic)
 
 
 def every_pair(plants: Circles, side_m: float, *, periodic: bool, k: float, leaves: float, base: float) -> np.ndarray:
@@ -81,7 +81,7 @@ def test_succession_under_light_is_a_closed_forest_of_two_storeys() -> None:
         "species": {
             name: {"from": name, "ecology": {"seedlings_per_ha_per_yr": rate}} for name, rate in ecology.items()
         },
-        "community": {"model": "multiset_lsystem", "program": "light", "steps": 160},
+        "community": {"model": "multiset_lsystem", "program": "crown_light", "steps": 160},
     }
     stand = fg.load(recipe).simulate()
     dbh_m, height_m = stand["dbh_m"], stand["height_m"]
