@@ -77,7 +77,7 @@ def assemble_image(
         population = plan.community.with_tree_sizes(final_population(plan.community, progress))
     site, plants = plan.drawn.recipe.site, len(population)
     if site.surroundings.kind == "repeat":
-        plants += most_copies(population, site.size_m)
+        plants += most_copies(population, site.size_m, flat=plan.community.site.height is None)
     check_memory(plan, plants=plants, memory_budget_bytes=memory_budget_bytes)
     scene = build_scene(plan, population, progress, timings)
     clouds, where = plan.drawn.recipe.render.clouds, plan.drawn.where("render", "clouds")

@@ -57,7 +57,9 @@ def _about_species(ecology: SpeciesEcology) -> dict[str, Any]:
     """What a community may depend on of a species."""
     about = {one.name: getattr(ecology, one.name) for one in fields(ecology)}
     sections = {name: about.pop(name) for name in ("modules", "tree")}
-    return about | {name: one.model_dump(mode="json") for name, one in sections.items() if one is not None}
+    known = {name: one.model_dump(mode="json") for name, one in sections.items() if one is not None}
+    known.get("tree", {}).pop("source", None)  # a text for people
+    return about | known
 
 
 def _about_site(plan: CommunityPlan) -> dict[str, Any]:

@@ -97,7 +97,7 @@ def build_exemplar(
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
     in_leaf_m = 0.0
-    if leaves != SUMMER:
+    if not leaves.is_whole:
         feet, _, upper = _extents(skeleton.organs, templates)
         in_leaf_m = float((feet + upper)[:, 2].max())
         skeleton = with_leaves(skeleton, plant.shapes, leaves, rng.spawn(1)[0])

@@ -71,6 +71,11 @@ class LeafState:
     spectra: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)  # of `SEASONS` in the leaves' spectrum; sum 1
     flowers: bool = True  # whether flowers and fruits are there
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether the plant has all that it has in summer, of whatever colour."""
+        return (self.share, self.size, self.flowers) == (1.0, 1.0, True)
+
     @classmethod
     def of_season(cls, season: Season) -> LeafState:
         """All leaves, of one season's spectrum."""

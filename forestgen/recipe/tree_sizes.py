@@ -9,6 +9,10 @@ for crown width W, dry leaf mass M and crown length C. Each x is a normal number
 deviation s + t ln(H / 10); so trees of one height differ, and a tree with a stouter stem than others has a wider,
 longer and leafier crown. Competition shifts D: what grows in the open is stouter, what is suppressed is slender.
 
+The shifts: an open-grown Norway spruce of 6.4 m and a Scots pine of 5.6 m have a diameter of 10 cm (Stampfer 1995, in
+Vospernik, Monserud & Sterba 2010, Forest Ecology and Management 260, 1735-1753), 1.46 and 1.23 times that of trees in
+stands; in theory the ratio to the mean stem of the densest stand is 2 (Sterba 1975, there).
+
 Below 3 m, where few trees are measured, a seedling is a smaller tree: W is in proportion to H, M to H^2.5.
 """
 

@@ -127,9 +127,7 @@ def plan_exemplars(
         if given is not None and index in given:
             part = given[index]
         elif library is not None and library_tree is not None and np.isfinite(sizes[rows, 0]).all():
-            part = plan_library_trees(
-                index, name, sizes[rows], radius_m[rows], per_species, seed, (library, variants), library_tree
-            )
+            part = plan_library_trees(index, name, sizes[rows], per_species, seed, (library, variants), library_tree)
         elif np.isfinite(sizes[rows, 0]).all():
             part = plan_trees(index, sizes[rows], radius_m[rows], per_species, child_seed(seed, "k-means", name))
             part = part.split("variant", own[rows])
@@ -194,9 +192,10 @@ def size_errors(
         if not rows.any():
             continue
         mine = plan.exemplar_of_plant[rows]
-        made = exemplar_height_m, exemplar_width_m
+        built = np.where(np.isnan(plan.tree[:, 1]), exemplar_width_m, plan.tree[:, 1])  # in leaf
+        made = exemplar_height_m, built
         across = instance_scales(sizes[rows], population.height_m[rows], mine, *made)[1]
-        width = exemplar_width_m[mine] * across / plant_width_m[rows]
+        width = built[mine] * across / plant_width_m[rows]
         trees = np.isfinite(sizes[rows, 0]) & (plan.plant[mine] < 0)
         thick = trees & np.isfinite(sizes[rows, 2]) & np.isfinite(plan.tree[mine, 2])
         errors.append(

@@ -129,12 +129,13 @@ def repeated(site: SurroundedStand, height: HeightField, seed: int, labelled: bo
     )
 
 
-def most_copies(population: Population, size_m: tuple[float, float]) -> int:
-    """About how many plants near the site `repeated` will add, at most, on even ground."""
+def most_copies(population: Population, size_m: tuple[float, float], *, flat: bool) -> int:
+    """About how many plants near the site `repeated` will add, at most; on uneven ground they reach farther."""
+    farther = 1.0 if flat else UNEVEN_REACHES
     rows, total = np.arange(len(population)), 0.0
     for members in _by_height(population, rows):
         blocks = _block_counts(size_m, _reach_m(population, members))
-        reach = np.ceil(_reach_m(population, members) * blocks / size_m - 1e-9)  # blocks on each side
+        reach = np.ceil(farther * _reach_m(population, members) * blocks / size_m - 1e-9)  # blocks on each side
         total += len(members) * (float(np.prod((blocks + 2 * reach) / blocks)) - 1.0)
     return int(total)
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.population import Population
+from forestgen.community.tree_columns import COLUMNS
 from forestgen.core.randomness import child_rng
 from forestgen.scene.exemplar_plan import TREE_SIZES, ExemplarPlan, Floats, cluster, rungs_of
 
@@ -21,6 +22,7 @@ LibraryTree = Callable[[str, int, int], Floats]  # species, rung, variant -> (5,
 
 _WIDTH_WEIGHT, _BASE_WEIGHT, _LEAF_WEIGHT = 0.5, 0.4, 0.4  # against height and diameter
 _LEAST_DBH_M = 0.002
+_BARE = 1e-6  # leaf area over the square of the width: dead trees are told apart from all others
 _MOST_STRETCH = 1.6  # of a tree's width over its height
 
 
@@ -28,14 +30,14 @@ def tree_sizes_of(population: Population) -> Floats:
     """(N, 5) sizes of each plant in the order of `TreeSize`; NaN of plants that are no trees."""
     columns = population.columns
     sizes = np.full((len(population), TREE_SIZES), np.nan)
-    if "crown_radius_m" not in columns:
+    if not all(name in columns for name in COLUMNS):
         return sizes
     radius_m, base_m, leaf_m2 = (
         np.asarray(columns[name]) for name in ("crown_radius_m", "crown_base_m", "leaf_area_m2")
     )
     dbh_m = np.asarray(columns["dbh_m"])
     sizes[:] = np.stack([population.height_m, 2.0 * radius_m, dbh_m, base_m, leaf_m2], axis=1)
-    sizes[~np.isfinite(leaf_m2)] = np.nan
+    sizes[~np.isfinite(sizes[:, [0, 1, 3, 4]]).all(axis=1)] = np.nan
     return sizes
 
 
@@ -74,7 +76,7 @@ def _tree_features(sizes: Floats) -> Floats:
         _WIDTH_WEIGHT * np.log(width_m),
         np.log(np.where(np.isnan(dbh_m), _LEAST_DBH_M, dbh_m) / width_m),
         _BASE_WEIGHT * np.log(ratio / (1.0 - ratio)),
-        _LEAF_WEIGHT * np.log(leaf_m2 / width_m**2),
+        _LEAF_WEIGHT * np.log(np.maximum(leaf_m2 / width_m**2, _BARE)),
     ]
     return np.stack(columns, axis=1)
 
@@ -83,7 +85,6 @@ def plan_library_trees(
     index: int,
     name: str,
     sizes: Floats,
-    radius_m: Floats,
     per_species: int,
     seed: int,
     counts: tuple[int, int],
@@ -96,26 +97,27 @@ def plan_library_trees(
     rungs, label = np.unique(rungs_of(sizes[:, 0], per_species), return_inverse=True)
     variants, shown = counts
     features = _tree_features(sizes)[:, 1:]
-    parts: list[tuple[int, int, Floats, NDArray[np.int64]]] = []
+    parts: list[tuple[int, int, Floats]] = []
     exemplar = np.zeros(len(sizes), dtype=np.int64)
-    for number, rung in enumerate(rungs.tolist()):
+    bare = sizes[:, 4] == 0.0  # dead
+    for rung, dead in sorted(set(zip(rungs[label.reshape(-1)].tolist(), bare.tolist(), strict=True))):
         chosen = np.sort(child_rng(seed, "library", name, rung).permutation(variants)[:shown])
         made = np.array([library_tree(name, rung, int(variant)) for variant in chosen])
-        rows = np.flatnonzero(label.reshape(-1) == number)
+        made[:, 4] *= not dead
+        rows = np.flatnonzero((rungs[label.reshape(-1)] == rung) & (bare == dead))
         away = np.sum((features[rows, None] - _tree_features(made)[None, :, 1:]) ** 2, axis=2)
-        nearest = np.argmin(away, axis=1)
-        used, place = np.unique(nearest, return_inverse=True)
+        used, place = np.unique(np.argmin(away, axis=1), return_inverse=True)
         exemplar[rows] = len(parts) + place.reshape(-1)
-        parts += [(rung, int(chosen[k]), made[k], rows) for k in used.tolist()]
-    radius = np.array([np.exp(np.log(radius_m[rows]).mean()) for *_, rows in parts])
+        parts += [(rung, int(chosen[k]), made[k]) for k in used.tolist()]
+    radius = np.array([0.5 * made[1] for *_, made in parts])  # of the library alone: images share its exemplars
     plan = ExemplarPlan.of_species(
         index,
         radius,
         exemplar,
-        rank=np.array([rung for rung, *_ in parts]),
-        tree=np.array([made for _, _, made, _ in parts]),
+        rank=np.array([rung for rung, _, _ in parts]),
+        tree=np.array([made for _, _, made in parts]),
     )
-    return replace(plan, variant=np.array([variant for _, variant, *_ in parts], dtype=np.int64))
+    return replace(plan, variant=np.array([variant for _, variant, _ in parts], dtype=np.int64))
 
 
 def instance_scales(

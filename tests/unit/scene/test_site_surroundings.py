@@ -175,8 +175,8 @@ def test_copies_move_as_their_plants_and_nothing_else_moves():
 
 def test_the_number_of_copies_is_known_before_there_are_exemplars():
     site, found = around()
-    assert found.copies <= most_copies(site.population, SIZE_M) <= 1.2 * found.copies
-    assert most_copies(site.population.at(np.zeros(0, dtype=np.int64)), SIZE_M) == 0
+    assert found.copies <= most_copies(site.population, SIZE_M, flat=True) <= 1.2 * found.copies
+    assert most_copies(site.population.at(np.zeros(0, dtype=np.int64)), SIZE_M, flat=True) == 0
 
 
 def test_a_bare_site_has_bare_surroundings():

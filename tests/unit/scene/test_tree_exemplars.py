@@ -73,3 +73,25 @@ def test_a_library_shows_each_tree_the_variant_most_like_it() -> None:
     assert errors[1] < errors[0]
     again = plan_exemplars(plants, 8, 1, variants=6, library=6, library_tree=made)
     np.testing.assert_array_equal(again.tree, many.tree)
+
+
+def test_dead_trees_have_exemplars_without_leaves_and_a_librarys_size_is_no_images_own() -> None:
+    species, plants = trees(200)
+    dead = np.arange(200) % 7 == 0
+    plants.columns["leaf_area_m2"][dead] = 0.0  # type: ignore[index]
+
+    def made(name: str, rung: int, variant: int) -> np.ndarray:
+        height_m = np.array([1.25**rung])
+        sizes = species.tree.sizes(height_m, own_normals(1000 + rung, np.array([variant], dtype=np.uint64)))
+        return np.array(astuple(tree_size(species, float(height_m[0]), sizes)))
+
+    for keys in ({}, {"library": 4, "variants": 2, "library_tree": made}):
+        plan = plan_exemplars(plants, 12, 1, **keys)  # type: ignore[arg-type]
+        leaf_m2 = plan.tree[plan.exemplar_of_plant, 4] / plan.tree[plan.exemplar_of_plant, 1] ** 2
+        assert np.all(leaf_m2[dead] < 1e-5)
+        assert np.all(leaf_m2[~dead] > 1e-2)
+        assert np.isfinite(plan.tree[:, [0, 1, 3, 4]]).all()
+    few = plants.at(np.arange(50))
+    for one in (plants, few):
+        plan = plan_exemplars(one, 12, 1, library=4, variants=4, library_tree=made)
+        np.testing.assert_allclose(plan.radius_m, 0.5 * plan.tree[:, 1])
