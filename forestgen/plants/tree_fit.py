@@ -31,6 +31,7 @@ _SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the lengt
 _MOST_LEAVES = 8.0  # times as many leaves as the generator placed
 _STRAIGHTENED = 0.7  # of a stem's way aside, as it grew
 _TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
+_MEASURED_M = 2.0  # lower trees keep their thickness: breast height is among their tips
 _POWER = (0.3, 3.0)  # of the radius
 _HIGHEST_BASE, _LOWEST_BASE = 0.95, 0.02  # of the crown, over the height, where heights are stretched apart
 
@@ -239,7 +240,7 @@ def fit_wood(skeleton: Skeleton, flare: float, dbh_m: float) -> Skeleton:
     stem = _stem(skeleton)
     heights = np.maximum.accumulate(skeleton.position_m[stem, 2].astype(np.float64))
     radius = skeleton.radius_m.astype(np.float64)
-    if not np.isfinite(dbh_m) or len(heights) < 2 or float(heights.max()) <= BREAST_HEIGHT_M:
+    if not np.isfinite(dbh_m) or len(heights) < 2 or float(heights.max()) < _MEASURED_M:
         return skeleton
     twig = min(_TWIG_RADIUS_M, 0.1 * dbh_m)
 

@@ -77,3 +77,12 @@ def test_the_way_of_growing_is_checked() -> None:
         fg.plant("spruce", 10.0, grown="lonely")  # type: ignore[arg-type]
     with raises_error(fg.RecipeError, place="grown"):
         fg.plant("fireweed", grown="open")
+
+
+def test_saplings_that_reach_breast_height_with_their_tips_are_thin() -> None:
+    for name in ("spruce", "birch"):
+        plan = plan_of(name, 0)
+        for height_m in (1.31, 1.4, 1.9):
+            exemplar = grow_exemplar(request_of(plan, name, height_m, 0, "open"))
+            assert exemplar.wood_volume_m3 < 0.005
+            assert exemplar.crown_width_m < 2.5
