@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.mesh import Floats, Mesh, surface_area_m2
+from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
 from forestgen.plants.leaf_fall import with_leaves
@@ -24,7 +24,7 @@ from forestgen.plants.parameters import Fit, ShapesTrees, Sways
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
-from forestgen.plants.tree_fit import TreeSize, fit_tree
+from forestgen.plants.tree_fit import TreeSize, fit_tree, organ_boxes, stalk_materials
 from forestgen.plants.variation.model import vary
 from forestgen.recipe.phenology import SUMMER, LeafState
 from forestgen.recipe.species import Species
@@ -98,7 +98,7 @@ def build_exemplar(
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
     in_leaf_m = 0.0
     if not leaves.is_whole:
-        feet, _, upper = _extents(skeleton.organs, templates)
+        feet, _, upper = organ_boxes(skeleton.organs, templates)
         in_leaf_m = float((feet + upper)[:, 2].max())
         skeleton = with_leaves(skeleton, plant.shapes, leaves, rng.spawn(1)[0])
     seen = simplified(skeleton, templates, pixel_m, level_rng)
@@ -162,8 +162,7 @@ def _with_visible_organs(skeleton: Skeleton, templates: Mapping[str, Mesh]) -> S
 
 def leaf_area_m2(organs: Iterable[OrganMesh], shapes: Mapping[str, OrganForm]) -> float:
     """Area of the blades, one side: of all that is labelled leaf, but for stalks that have a material of their own."""
-    stalks = {getattr(shape, "stalk_material", None) for shape in shapes.values()}
-    stalks -= {shape.material for shape in shapes.values()}
+    stalks = stalk_materials(shapes)
     blades = (one for one in organs if one.part == Part.LEAF and one.material not in stalks)
     return sum(surface_area_m2(one.mesh) for one in blades)
 
@@ -208,7 +207,7 @@ def fit(skeleton: Skeleton, templates: Mapping[str, Mesh], how: Fit, height_m: f
         case "scale":
             return _scale(skeleton, templates, height_m)
         case "scale_all":
-            feet, _, high = _extents(skeleton.organs, templates)
+            feet, _, high = organ_boxes(skeleton.organs, templates)
             top = max(float(skeleton.position_m[:, 2].max()), float((feet + high)[:, 2].max()))
             return _scaled(skeleton, height_m / max(top, 1e-9), organs_too=True)
         case "none":
@@ -217,7 +216,7 @@ def fit(skeleton: Skeleton, templates: Mapping[str, Mesh], how: Fit, height_m: f
 
 def _scale(skeleton: Skeleton, templates: Mapping[str, Mesh], height_m: float) -> Skeleton:
     """The wood scaled until the topmost point, of wood or organ, is at `height_m`; organs keep their size."""
-    feet, _, high = _extents(skeleton.organs, templates)
+    feet, _, high = organ_boxes(skeleton.organs, templates)
     nodes = float(skeleton.position_m[:, 2].max())
     factor = height_m / max(nodes, 1e-9)
     for _ in range(_ROUNDS):
@@ -243,7 +242,7 @@ def _stretch(skeleton: Skeleton, templates: Mapping[str, Mesh], height_m: float,
     is mostly leaf), the organs shrink too.
     """
     organs = skeleton.organs
-    feet, low, high = _extents(organs, templates)
+    feet, low, high = organ_boxes(organs, templates)
     nodes = skeleton.position_m.astype(np.float64)
     top = max(float(nodes[:, 2].max()), 1e-9)
     stretch, organ_size = np.ones(3), 1.0
@@ -261,17 +260,6 @@ def _stretch(skeleton: Skeleton, templates: Mapping[str, Mesh], height_m: float,
         position_m=(nodes * stretch).astype(np.float32),
         organs=tuple(moved(placement, stretch, organ_size) for placement in organs),
     )
-
-
-def _extents(organs: Sequence[OrganPlacements], templates: Mapping[str, Mesh]) -> tuple[Floats, Floats, Floats]:
-    """Feet of all organs and the corners of their boxes, relative to them, each (M, 3)."""
-    feet, low, high = [np.zeros((1, 3))], [np.zeros((1, 3))], [np.zeros((1, 3))]
-    for placement in organs:
-        reach = templates[placement.shape].vertices_m @ placement.frame[:, :, :3].transpose(0, 2, 1)
-        feet.append(placement.frame[:, :, 3].astype(np.float64))
-        low.append(reach.min(axis=1).astype(np.float64))
-        high.append(reach.max(axis=1).astype(np.float64))
-    return np.concatenate(feet), np.concatenate(low), np.concatenate(high)
 
 
 def moved(placement: OrganPlacements, stretch: NDArray[np.floating], organ_size: float) -> OrganPlacements:

@@ -47,10 +47,15 @@ class TreeSize:
     leaf_area_m2: float  # one side
 
 
+def stalk_materials(shapes: Mapping[str, OrganForm]) -> set[str | None]:
+    """Materials of stalks alone, which are no blades though they are labelled leaf."""
+    stalks = {getattr(shape, "stalk_material", None) for shape in shapes.values()}
+    return stalks - {shape.material for shape in shapes.values()}
+
+
 def blade_areas_m2(shapes: Mapping[str, OrganForm]) -> dict[str, float]:
     """Area of the blades of one organ of each shape, one side, at size 1: what `build.leaf_area_m2` counts."""
-    stalks = {getattr(shape, "stalk_material", None) for shape in shapes.values()}
-    stalks -= {shape.material for shape in shapes.values()}
+    stalks = stalk_materials(shapes)
     return {
         name: sum(
             surface_area_m2(piece.mesh)
@@ -168,7 +173,8 @@ def stretch_to(
     skeleton: Skeleton, templates: Mapping[str, Mesh], blade: Mapping[str, float], size: TreeSize
 ) -> Stretch:
     """What gives the skeleton, with its organs, the tree's height, crown width and crown base."""
-    feet, low, high, area = _organ_boxes(skeleton.organs, templates, blade)
+    feet, low, high = organ_boxes(skeleton.organs, templates)
+    area = np.concatenate([np.zeros(1), *(_areas(one, blade) for one in skeleton.organs)])
     nodes = skeleton.position_m.astype(np.float64)
     raw_top = max(float((feet + high)[:, 2].max()), float(nodes[:, 2].max()), 1e-6)
     middle = 0.5 * (low + high)[:, 2]
@@ -212,18 +218,15 @@ def _mean_width(nodes: Floats, low: Floats, high: Floats) -> float:
     return float(np.mean(most - least))
 
 
-def _organ_boxes(
-    organs: Sequence[OrganPlacements], templates: Mapping[str, Mesh], blade: Mapping[str, float]
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Feet of all organs, the corners of their boxes relative to them, each (M, 3), and (M,) areas of their blades."""
-    feet, low, high, area = [np.zeros((1, 3))], [np.zeros((1, 3))], [np.zeros((1, 3))], [np.zeros(1)]
-    for one in organs:
-        reach = templates[one.shape].vertices_m @ one.frame[:, :, :3].transpose(0, 2, 1)
-        feet.append(one.frame[:, :, 3].astype(np.float64))
+def organ_boxes(organs: Sequence[OrganPlacements], templates: Mapping[str, Mesh]) -> tuple[Floats, Floats, Floats]:
+    """Feet of all organs and the corners of their boxes, relative to them, each (1 + M, 3); the first is the origin."""
+    feet, low, high = [np.zeros((1, 3))], [np.zeros((1, 3))], [np.zeros((1, 3))]
+    for placement in organs:
+        reach = templates[placement.shape].vertices_m @ placement.frame[:, :, :3].transpose(0, 2, 1)
+        feet.append(placement.frame[:, :, 3].astype(np.float64))
         low.append(reach.min(axis=1).astype(np.float64))
         high.append(reach.max(axis=1).astype(np.float64))
-        area.append(_areas(one, blade))
-    return np.concatenate(feet), np.concatenate(low), np.concatenate(high), np.concatenate(area)
+    return np.concatenate(feet), np.concatenate(low), np.concatenate(high)
 
 
 def _low_quantile(height_m: Floats, area: Floats) -> float | None:

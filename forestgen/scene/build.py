@@ -45,7 +45,7 @@ class BuiltScene:
     size_errors: list[SizeError]  # how well exemplars stand for the plants
     sway: Sway | None = None  # of the plants in the wind; None: still air
     notes: tuple[str, ...] = ()  # for people: of the community, on cameras in trunks, and on unknown infrared
-    labelled: Population | None = None  # with the plants outside of the site that have a plant_id; None: there are none
+    labelled: Population | None = None  # with the plants outside of the site that have a plant_id; None: the same
     _posed: dict[float, SceneSpec] = field(default_factory=dict, repr=False, compare=False)  # by time, the last two
 
     @property

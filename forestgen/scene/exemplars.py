@@ -129,7 +129,9 @@ def plan_exemplars(
         elif library is not None and library_tree is not None and np.isfinite(sizes[rows, 0]).all():
             part = plan_library_trees(index, name, sizes[rows], per_species, seed, (library, variants), library_tree)
         elif np.isfinite(sizes[rows, 0]).all():
-            part = plan_trees(index, sizes[rows], radius_m[rows], per_species, child_seed(seed, "k-means", name))
+            own_traits = _features(radius_m[rows], [column[rows] for column in columns])[:, 1:]
+            trees = sizes[rows], radius_m[rows], own_traits
+            part = plan_trees(index, *trees, per_species, child_seed(seed, "k-means", name))
             part = part.split("variant", own[rows])
         elif library is not None:
             rungs, label = np.unique(rungs_of(population.radius_m[rows], per_species), return_inverse=True)

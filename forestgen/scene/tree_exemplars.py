@@ -41,13 +41,14 @@ def tree_sizes_of(population: Population) -> Floats:
     return sizes
 
 
-def plan_trees(index: int, sizes: Floats, radius_m: Floats, clusters: int, seed: int) -> ExemplarPlan:
+def plan_trees(index: int, sizes: Floats, radius_m: Floats, traits: Floats, clusters: int, seed: int) -> ExemplarPlan:
     """Exemplars of a species' trees: each cluster's is built to the sizes in its middle.
 
-    `sizes`: (n, 5) of the trees. `radius_m`: (n,) of their neighbourhoods.
+    `sizes`: (n, 5) of the trees. `radius_m`: (n,) of their neighbourhoods. `traits`: (n, K) what else tells them apart,
+    weighted.
     """
     low = np.isnan(sizes[:, 2])  # below breast height
-    features = _tree_features(sizes)
+    features = np.concatenate([_tree_features(sizes), traits], axis=1)
     middles, label = cluster(features, clusters, seed)
     height = np.exp(middles[:, 0])
     width = np.exp(middles[:, 1] / _WIDTH_WEIGHT)

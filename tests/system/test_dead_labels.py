@@ -20,7 +20,7 @@ seed: 3
 site: {size_m: [12, 12], terrain: flat, ground: soil_wet}
 species:
   birch: {from: birch, modules: {life_span_yr: 4, seeds_per_yr: 0}}
-  pine: {from: pine, modules: {growth_rate_per_yr: 0.5, temperature_c: 8}}
+  pine: {from: pine, modules: {growth_rate_per_yr: 0.5, temperature_c: 8, shade_tolerance: 0.9}}
 community:
   model: branch_modules
   steps: 9
@@ -65,7 +65,7 @@ def test_the_table_says_who_is_dead_bare_and_under_stress(data_set: Path) -> Non
     dead = np.array(plants["status"]) == Status.DEAD
     species = np.array(plants["species"])
     assert dead.any()
-    assert "birch" in set(species[dead])
+    assert set(species[dead]) == {"birch"}
     assert not np.array(plants["leaf_area_m2"])[dead].any()
     assert np.all(np.array(plants["leaf_area_m2"])[~dead] > 0)
     felt = np.array(plants["adaptation"], dtype=np.float64)

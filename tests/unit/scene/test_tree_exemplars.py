@@ -95,3 +95,17 @@ def test_dead_trees_have_exemplars_without_leaves_and_a_librarys_size_is_no_imag
     for one in (plants, few):
         plan = plan_exemplars(one, 12, 1, library=4, variants=4, library_tree=made)
         np.testing.assert_allclose(plan.radius_m, 0.5 * plan.tree[:, 1])
+
+
+def test_traits_count_for_trees_too() -> None:
+    """Trees of two ages and the same sizes have exemplars of their own where the age is a trait."""
+    _, plants = trees(60)
+    object.__setattr__(plants, "age_yr", np.where(np.arange(60) % 2, 100.0, 10.0))
+    for name in ("dbh_m", "crown_radius_m", "crown_base_m", "leaf_area_m2"):
+        plants.columns[name][:] = plants.columns[name][0]  # type: ignore[index]
+    object.__setattr__(plants, "height_m", np.full(60, plants.height_m[0]))
+    object.__setattr__(plants, "radius_m", np.full(60, 1.0))
+    assert len(plan_exemplars(plants, 6, 1)) == 1
+    old = plan_exemplars(plants, 6, 1, traits=["age_yr"])
+    assert len(old) == 2
+    assert len(np.unique(old.exemplar_of_plant[::2])) == len(np.unique(old.exemplar_of_plant[1::2])) == 1
