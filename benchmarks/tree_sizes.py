@@ -15,7 +15,16 @@ import argparse
 import numpy as np
 
 import forestgen as fg
-from support.field_trees import MEASURES, RELATIVES, Allometries, classes, field_trees, fitted, spread_of_median
+from support.field_trees import (
+    MEASURES,
+    RELATIVES,
+    Allometries,
+    classes,
+    field_trees,
+    fitted,
+    sizes_of,
+    spread_of_median,
+)
 
 DRAWS = 200  # trees drawn for each measured one
 COLUMNS = {"dbh": "dbh_m", **MEASURES}
@@ -34,7 +43,7 @@ def drawn_over_measured(allometries: Allometries, trees, name: str, rng) -> str:
     return f"{np.median(measured):.3g} x {ratio:.2f} cv x {variation:.2f} +-{100 * np.expm1(error):.0f}%"
 
 
-def left_out(trees, name: str, rng) -> str:  # type: ignore[no-untyped-def]
+def left_out(trees, name: str, tallest_m: float, rng) -> str:  # type: ignore[no-untyped-def]
     """Median ratio of each study to allometries of the others, over trees of all heights."""
     ratios = []
     for study in sorted(trees.study.unique()):
@@ -42,7 +51,7 @@ def left_out(trees, name: str, rng) -> str:  # type: ignore[no-untyped-def]
         others = trees[trees.study != study]
         if len(own) < 5 or (others[COLUMNS[name]] > 0.0).sum() < 8:
             continue
-        allometries = fitted(others)
+        allometries = fitted(others, tallest_m)
         if name == "dbh" or name in allometries.others:
             drawn = allometries.draw(np.repeat(own.height_m.to_numpy(), DRAWS), rng)[name]
             ratios.append(f"{study} {np.median(drawn) / np.median(own[COLUMNS[name]]):.2f}")
@@ -65,8 +74,10 @@ def main() -> None:
     for species in arguments.species:
         rng = np.random.default_rng(1)
         trees = field_trees(RELATIVES[species])
-        allometries = fitted(trees)
-        print(f"\n{species}: {len(trees)} trees of {trees.study.nunique()} studies, {', '.join(RELATIVES[species])}")
+        tallest_m = sizes_of(species).tallest_m
+        allometries = fitted(trees, tallest_m)
+        studies = f"{len(trees)} trees of {trees.study.nunique()} studies"
+        print(f"\n{species}: {studies}, {', '.join(RELATIVES[species])}; tallest {tallest_m:.0f} m")
         for name, allometry in {"dbh": allometries.dbh, **allometries.others}.items():
             value = np.exp(allometry.at_10_m) if name != "crown" else 1.0 / (1.0 + np.exp(-allometry.at_10_m))
             at_10_m, slope = f"{name:<6} {value:7.3f} at 10 m, exponent {allometry.exponent:5.2f}", allometry.spread[1]
@@ -79,7 +90,7 @@ def main() -> None:
                 leaf_kg, width_m = members.leaf_mass_kg.median(), members.crown_width_m.median()
                 print("    " + grown(species, float(members.height_m.median()), leaf_kg, width_m))
         for name in COLUMNS:
-            if text := left_out(trees, name, rng):
+            if text := left_out(trees, name, tallest_m, rng):
                 print(f"  left out, {name}: {text}")
 
 

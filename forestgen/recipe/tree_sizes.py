@@ -2,12 +2,17 @@
 
 Of a tree of height H metres, with D the diameter at breast height::
 
-    D = d ((H - 1.3) / 8.7)^p e^x
+    D = d (h(H) / h(10))^p e^x      h(H) = (H - 1.3) / (T - H)
     W, M, C / (H - C) = v (H / 10)^p (D / D(H))^q e^x      D(H): the median diameter at this height
 
 for crown width W, dry leaf mass M and crown length C. Each x is a normal number of the tree's own, of standard
 deviation s + t ln(H / 10); so trees of one height differ, and a tree with a stouter stem than others has a wider,
 longer and leafier crown. Competition shifts D: what grows in the open is stouter, what is suppressed is slender.
+
+The other way round, the height of a tree of a diameter is 1.3 m + (T - 1.3 m) / (1 + c D^(-1/p)): the curve of Hossfeld
+(1822; form IV in Zeide 1993, Analysis of growth equations, Forest Science 39, 594-616), which ends at T. T of the
+shipped species is that of 5 m steps with the least error of D over measured trees, or a published height of the tallest
+trees near it; the species' files say which.
 
 The shifts: an open-grown Norway spruce of 6.4 m and a Scots pine of 5.6 m have a diameter of 10 cm (Stampfer 1995, in
 Vospernik, Monserud & Sterba 2010, Forest Ecology and Management 260, 1735-1753), 1.46 and 1.23 times that of trees in
@@ -35,7 +40,7 @@ NUMBERS = 4  # standard normal numbers of a tree: of D, W, C and M
 MOST_NORMAL = 2.5  # a tree's own numbers are no further from 0
 _SAPLING_M = 3.0
 _LEAF_POWER = 2.5
-_ABOVE_BREAST_M = 10.0 - BREAST_HEIGHT_M
+_TOP = 0.95  # of the height of the tallest: from here on slenderness stays
 _SPREAD = (0.02, 1.0)
 _WIDEST = 1.2  # crown width over height, whatever the allometry says
 _CROWN = (0.1, 0.98)  # crown length over height
@@ -43,21 +48,28 @@ _LEAST_DBH_M = 0.002
 _SAME = 1e-9  # heights that differ by so little are equal
 
 
-class SizeLaw(Section):
-    """Median and spread of one size over the height of a tree, and how it follows the stem's diameter."""
+class StemLaw(Section):
+    """Median and spread of the stem's diameter over the height of a tree."""
 
     at_10_m: Positive = Field(description="Median of trees 10 m tall.")
-    height_exponent: Number = Field(0.0, ge=-5, le=6, description="Power p of the height.")
-    dbh_exponent: Number = Field(0.0, ge=-1, le=5, description="Power q of the diameter over its median.")
+    height_exponent: Number = Field(ge=0.2, le=3, description="Power p of the height above 1.3 m over what is left.")
     spread: NonNegative = Field(0.0, le=1, description="Standard deviation s of the logarithm, 10 m tall.")
     spread_slope: Number = Field(0.0, ge=-1, le=1, description="Its change t with the logarithm of the height.")
+
+    def deviation(self, log_height: Floats) -> Floats:
+        """Standard deviation of the logarithm; `log_height`: of the height over 10 m."""
+        return np.asarray(np.clip(self.spread + self.spread_slope * log_height, *_SPREAD))
+
+
+class SizeLaw(StemLaw):
+    """Median and spread of another size over the height of a tree, and how it follows the stem's diameter."""
+
+    height_exponent: Number = Field(0.0, ge=-5, le=6, description="Power p of the height.")
+    dbh_exponent: Number = Field(0.0, ge=-1, le=5, description="Power q of the diameter over its median.")
 
     def log_median(self, log_height: Floats) -> Floats:
         """Logarithm of the median; `log_height`: of the height over 10 m."""
         return np.asarray(np.log(self.at_10_m) + self.height_exponent * log_height)
-
-    def deviation(self, log_height: Floats) -> Floats:
-        return np.asarray(np.clip(self.spread + self.spread_slope * log_height, *_SPREAD))
 
 
 @dataclass(frozen=True)
@@ -73,7 +85,10 @@ class Sizes:
 class TreeSizes(Section):
     """How a species' trees are proportioned, where they grow in a closed stand."""
 
-    dbh_m: SizeLaw = Field(description="Diameter at breast height, metres; its power is that of height above 1.3 m.")
+    tallest_m: Positive = Field(
+        ge=12, le=200, description="Height T of the tallest trees, which no tree reaches by its diameter."
+    )
+    dbh_m: StemLaw = Field(description="Diameter at breast height, metres.")
     crown_width_m: SizeLaw = Field(description="Mean diameter of the crown, metres.")
     crown_ratio: SizeLaw = Field(description="Crown length over the length of the stem below it.")
     leaf_kg: SizeLaw = Field(description="Dry mass of the leaves, kg.")
@@ -90,9 +105,23 @@ class TreeSizes(Section):
         return float(np.log({"stand": 1.0, "open": self.open_grown, "suppressed": self.suppressed}[grown]))
 
     def log_dbh(self, height_m: Floats) -> Floats:
-        """Logarithm of the median diameter; of trees below breast height that of the least one."""
-        above = np.maximum(height_m - BREAST_HEIGHT_M, 1e-3) / _ABOVE_BREAST_M
-        return np.maximum(self.dbh_m.log_median(np.log(above)), np.log(_LEAST_DBH_M))
+        """Logarithm of the median diameter; of trees below breast height that of the least one.
+
+        Trees that are taller than 0.95 T have the slenderness of that height.
+        """
+        top_m = _TOP * self.tallest_m
+        stretched = self._log_stretched(np.clip(height_m, BREAST_HEIGHT_M + 1e-3, top_m)) - self._log_stretched(10.0)
+        median = np.log(self.dbh_m.at_10_m) + self.dbh_m.height_exponent * stretched
+        return np.asarray(np.maximum(median + np.log(np.maximum(height_m / top_m, 1.0)), np.log(_LEAST_DBH_M)))
+
+    def height_deviation(self, height_m: Floats) -> Floats:
+        """(N,) standard deviation of the logarithm of the height of trees of one diameter."""
+        height_m = np.clip(height_m, BREAST_HEIGHT_M + 0.1, _TOP * self.tallest_m)
+        steepness = height_m / (height_m - BREAST_HEIGHT_M) + height_m / (self.tallest_m - height_m)
+        return np.asarray(self.dbh_m.deviation(np.log(height_m / 10.0)) / (self.dbh_m.height_exponent * steepness))
+
+    def _log_stretched(self, height_m: Floats | float) -> Floats:
+        return np.asarray(np.log((height_m - BREAST_HEIGHT_M) / (self.tallest_m - height_m)))
 
     def sizes(
         self, height_m: Floats, normals: Floats, shift: Floats | float = 0.0, dbh_m: Floats | None = None
@@ -135,13 +164,16 @@ class TreeSizes(Section):
         The height is the most likely one of a tree of this diameter in a stand of all heights where its own number and
         the height share the deviation evenly: the number counts half.
         """
+        from scipy.special import expit  # slow to import
+
         own = np.clip(normals[:, 0], -MOST_NORMAL, MOST_NORMAL)
         height = np.full(dbh_m.shape, 10.0)
         for _ in range(20):
             spread = self.dbh_m.deviation(np.log(np.maximum(height, 0.1) / 10.0))
             wanted = np.log(dbh_m) - shift - 0.5 * spread * own - np.log(self.dbh_m.at_10_m)
+            stretched = wanted / self.dbh_m.height_exponent + self._log_stretched(10.0)
             before = height
-            height = BREAST_HEIGHT_M + _ABOVE_BREAST_M * np.exp(wanted / max(self.dbh_m.height_exponent, 0.1))
+            height = BREAST_HEIGHT_M + (self.tallest_m - BREAST_HEIGHT_M) * expit(stretched)
             if np.all(np.abs(height - before) <= _SAME * height):
                 break
         return np.asarray(height)

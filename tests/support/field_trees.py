@@ -8,10 +8,11 @@ Allometries
 -----------
 Of a tree of height H metres, with D the diameter at breast height in metres::
 
-    D = d ((H - 1.3) / 8.7)^p e^(s x)
+    D = d (h(H) / h(10))^p e^(s x)      h(H) = (H - 1.3) / (T - H)
     W, M, C / (1 - C) = v (H / 10)^p (D / D(H))^q e^(s x)     D(H): the median diameter at this height
 
-for crown width W in metres, dry leaf mass M in kg and crown length C as a share of H. Each x is a standard normal
+for crown width W in metres, dry leaf mass M in kg and crown length C as a share of H; T is the height of the tallest
+trees. Each x is a standard normal
 number of the tree's own. The spread s is linear in the logarithm of H. The fit is by least absolute deviations, since
 an allometry gives the median.
 """
@@ -27,7 +28,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from forestgen.api.plant_requests import drawn_of
 from forestgen.core.frames import BREAST_HEIGHT_M
+from forestgen.recipe.tree_sizes import TreeSizes
 
 Floats = NDArray[np.float64]
 
@@ -65,9 +68,10 @@ def field_trees(species: Sequence[str] | None = None) -> pd.DataFrame:
     return trees.assign(crown_ratio=(1.0 - base_m / trees.height_m).clip(*_NARROW))
 
 
-def _above_breast(height_m: Floats) -> Floats:
-    """Height above breast height, stretched so that 10 m stay 10 m."""
-    return (height_m - BREAST_HEIGHT_M) * (10.0 / (10.0 - BREAST_HEIGHT_M))
+def _stretched(height_m: Floats, tallest_m: float) -> Floats:
+    """Height of which the logarithm is linear in that of the diameter; 10 m stay 10 m."""
+    of = (height_m - BREAST_HEIGHT_M) / (tallest_m - height_m)
+    return np.asarray(10.0 * of * (tallest_m - 10.0) / (10.0 - BREAST_HEIGHT_M))
 
 
 @dataclass(frozen=True)
@@ -92,12 +96,13 @@ class Allometries:
     """A species' allometries; those of what too few trees were measured for are missing."""
 
     dbh: Allometry
+    tallest_m: float
     others: Mapping[str, Allometry]
 
     def draw(self, height_m: Floats, rng: np.random.Generator) -> dict[str, Floats]:
         """Sizes of a tree of each height: ``dbh`` in metres, and those of `MEASURES` that are known."""
         relative = self.dbh.deviation(height_m) * rng.normal(size=height_m.shape)
-        sizes = {"dbh": np.exp(self.dbh.median(_above_breast(height_m)) + relative)}
+        sizes = {"dbh": np.exp(self.dbh.median(_stretched(height_m, self.tallest_m)) + relative)}
         for name, allometry in self.others.items():
             value = allometry.median(height_m, relative) + allometry.deviation(height_m) * rng.normal(
                 size=height_m.shape
@@ -106,12 +111,20 @@ class Allometries:
         return sizes
 
 
-def fitted(trees: pd.DataFrame, fewest: int = 8) -> Allometries:
+def sizes_of(name: str) -> TreeSizes:
+    """The tree sizes of a shipped species."""
+    tree = drawn_of(name, 0).species[name].tree
+    assert tree is not None
+    return tree
+
+
+def fitted(trees: pd.DataFrame, tallest_m: float, fewest: int = 8) -> Allometries:
     """Allometries of `field_trees`; of a size that fewer than `fewest` trees have there is none."""
-    trees = trees[trees.height_m >= _SHORTEST_M]
+    trees = trees[(trees.height_m >= _SHORTEST_M) & (trees.height_m < 0.95 * tallest_m)]
     height = trees.height_m.to_numpy()
-    dbh = _allometry(_above_breast(height), np.log(trees.dbh_m.to_numpy()))
-    relative = np.log(trees.dbh_m.to_numpy()) - dbh.median(_above_breast(height))
+    stretched = _stretched(height, tallest_m)
+    dbh = _allometry(stretched, np.log(trees.dbh_m.to_numpy()), spread_over_m=height)
+    relative = np.log(trees.dbh_m.to_numpy()) - dbh.median(stretched)
     others = {}
     for name, column in MEASURES.items():
         value = trees[column].to_numpy()
@@ -120,10 +133,12 @@ def fitted(trees: pd.DataFrame, fewest: int = 8) -> Allometries:
             share = value[known]
             logarithm = np.log(share / (1.0 - share)) if name == "crown" else np.log(share)
             others[name] = _allometry(height[known], logarithm, relative[known])
-    return Allometries(dbh, others)
+    return Allometries(dbh, tallest_m, others)
 
 
-def _allometry(height_m: Floats, value: Floats, relative: Floats | None = None) -> Allometry:
+def _allometry(
+    height_m: Floats, value: Floats, relative: Floats | None = None, spread_over_m: Floats | None = None
+) -> Allometry:
     columns = [np.ones_like(height_m), np.log(height_m / 10.0), *([] if relative is None else [relative])]
     terms = np.stack(columns, axis=1)
     found = np.linalg.lstsq(terms, value, rcond=None)[0]
@@ -132,7 +147,8 @@ def _allometry(height_m: Floats, value: Floats, relative: Floats | None = None) 
         found = np.linalg.lstsq(terms * weight[:, None], value * weight, rcond=None)[0]
     # The mean of |x| of a normal number is sqrt(2 / pi) of its standard deviation.
     away = np.sqrt(np.pi / 2.0) * np.abs(value - terms @ found)
-    spread = np.linalg.lstsq(terms[:, :2], away, rcond=None)[0]
+    over = terms[:, 1] if spread_over_m is None else np.log(spread_over_m / 10.0)
+    spread = np.linalg.lstsq(np.stack([np.ones_like(over), over], axis=1), away, rcond=None)[0]
     at_10_m, exponent, *others = (float(one) for one in found)
     return Allometry(at_10_m, exponent, sum(others), (float(spread[0]), float(spread[1])), len(value))
 

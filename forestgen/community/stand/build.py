@@ -15,9 +15,9 @@ from forestgen.community.stand.targets import THICKEST_PER_HA, Storey, diameters
 from forestgen.community.tree_columns import competition_shifts
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import BREAST_HEIGHT_M
-from forestgen.recipe.tree_sizes import NUMBERS, SizeLaw, Sizes
+from forestgen.recipe.tree_sizes import NUMBERS, Sizes
 
-MOST_DEVIATIONS = 2.0  # by which the trees of a stand may differ from their species' allometry in the mean
+MOST_DEVIATIONS = 3.0  # by which the trees of a stand may differ from their species' allometry in the mean
 _LEAST_HEIGHT_M = 1.4
 _HIGHEST_BASE = 0.95  # over the height
 _MOST_MEASURED = 10_000  # trees whose nearest one is looked for
@@ -77,10 +77,11 @@ def deviation_of(species: Ecologies, sp: Indices, height_m: Floats, size: str, w
     value = np.zeros(len(sp))
     for index in np.unique(sp).tolist():
         mine = sp == index
-        law: SizeLaw = getattr(laws_of(species, species[index].name), size)
-        value[mine] = law.deviation(np.log(height_m[mine] / 10.0))
-        if size == "dbh_m":  # as a deviation of the height
-            value[mine] /= max(law.height_exponent, 0.3)
+        law = laws_of(species, species[index].name)
+        if size == "height_m":
+            value[mine] = law.height_deviation(height_m[mine])
+        else:
+            value[mine] = getattr(law, size).deviation(np.log(height_m[mine] / 10.0))
     return float(np.average(value, weights=weight))
 
 
@@ -212,7 +213,7 @@ class StandBuilder:
             scaled[rows] = np.maximum(BREAST_HEIGHT_M + factor * (height_m[rows] - BREAST_HEIGHT_M), _LEAST_HEIGHT_M)
             if not check:
                 continue
-            deviation = deviation_of(self._species, sp[tall], height_m[tall], "dbh_m", np.ones(len(tall)))
+            deviation = deviation_of(self._species, sp[tall], height_m[tall], "height_m", np.ones(len(tall)))
             most = math.exp(MOST_DEVIATIONS * deviation)
             if not 1.0 / most <= factor <= most:
                 low, high = (BREAST_HEIGHT_M + f * (mean - BREAST_HEIGHT_M) for f in (1.0 / most, most))

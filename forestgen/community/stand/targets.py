@@ -21,6 +21,7 @@ TOLERANCE = 0.05  # of a target that others determine
 THICKEST_PER_HA = 100  # whose mean height is the dominant height
 INDEX_AGE_YR = 100
 _QUANTILES = 1000
+_TOP = 0.95  # of the height of the tallest trees: the highest dominant height
 _SMALLEST = 0.2  # diameter of a normal distribution's thinnest tree over the mean
 _CURVES = {  # asymptote in metres, b, c: see `dominant_height_at`
     "spruce": (147.481, 4.64631, 0.29981),
@@ -141,14 +142,14 @@ def stocking(storey: Storey, species: Ecologies, where: str) -> Stocking:
             raise RecipeError(problem, where=where, expected=expected, got=got, hint="leave one of the three out")
         mean = fitting
     elif mean is None:
-        mean = _mean_by_height(storey, species, per_stem)
+        mean = _mean_by_height(storey, species, per_stem, where)
     if stems is None:
         assert area is not None
         stems = area / (per_stem * mean**2)
     return Stocking(stems, mean, stems * per_stem * mean**2)
 
 
-def _mean_by_height(storey: Storey, species: Ecologies, per_stem: float) -> float:
+def _mean_by_height(storey: Storey, species: Ecologies, per_stem: float, where: str) -> float:
     """The mean diameter, metres, at which the thickest trees have the dominant height by their allometry."""
     top = storey.top_height_m
     assert top is not None
@@ -158,6 +159,10 @@ def _mean_by_height(storey: Storey, species: Ecologies, per_stem: float) -> floa
     none = np.zeros((len(known_m), NUMBERS))
     heights_m = sum(share * laws_of(species, name).height_of(known_m, none) for name, share in storey.species.items())
     heights_m = np.asarray(heights_m) / sum(storey.species.values())
+    if top > _TOP * heights_m[-1]:
+        problem, expected = "trees of these species are not so tall", f"at most {_TOP * heights_m[-1]:.3g} m"
+        hint = "give stems_per_ha and a dbh too; or raise tree.tallest_m in the species' files"
+        raise RecipeError(problem, where=where, expected=expected, got=f"a dominant height of {top:.3g} m", hint=hint)
     for _ in range(10):
         tall = relative[: max(1, round(_QUANTILES * min(1.0, THICKEST_PER_HA / stems)))]
         low, high = 0.005, 5.0

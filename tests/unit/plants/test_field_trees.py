@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from support.field_trees import RELATIVES, classes, field_trees, fitted, spread_of_median
+from support.field_trees import RELATIVES, classes, field_trees, fitted, sizes_of, spread_of_median
 
 
 def test_allometries_are_found_again_in_trees_drawn_from_them() -> None:
-    """Fitted to 4,000 trees that a allometry draws, the allometry comes out again."""
+    """Fitted to 4,000 trees that an allometry draws, the allometry comes out again."""
     rng = np.random.default_rng(5)
-    allometries = fitted(field_trees(RELATIVES["spruce"]))
+    allometries = fitted(field_trees(RELATIVES["spruce"]), 50.0)
     height_m = rng.uniform(4.0, 35.0, 4000)
     drawn = allometries.draw(height_m, rng)
     trees = field_trees(RELATIVES["spruce"]).iloc[:1].loc[[0] * len(height_m)].reset_index(drop=True)
@@ -22,7 +22,7 @@ def test_allometries_are_found_again_in_trees_drawn_from_them() -> None:
         leaf_mass_kg=drawn["leaves"],
         crown_ratio=drawn["crown"],
     )
-    again = fitted(trees)
+    again = fitted(trees, 50.0)
     for name, allometry in {"dbh": allometries.dbh, **allometries.others}.items():
         found = again.dbh if name == "dbh" else again.others[name]
         assert found.at_10_m == pytest.approx(allometry.at_10_m, abs=0.06)
@@ -36,7 +36,7 @@ def test_drawn_diameters_have_the_measured_median(name: str) -> None:
     """In each class of height within 25%, or within two standard errors of the measured median."""
     rng = np.random.default_rng(1)
     trees = field_trees(RELATIVES[name])
-    allometries = fitted(trees)
+    allometries = fitted(trees, sizes_of(name).tallest_m)
     for low, high, members in classes(trees, fewest=10):
         measured = members.dbh_m.to_numpy()
         drawn = allometries.draw(np.repeat(members.height_m.to_numpy(), 200), rng)["dbh"]
@@ -47,5 +47,5 @@ def test_drawn_diameters_have_the_measured_median(name: str) -> None:
 def test_stout_trees_have_wide_and_long_crowns() -> None:
     """At one height, crowns are wider, longer and leafier where the stem is thicker."""
     for species in ("spruce", "pine", "birch", "oak"):
-        others = fitted(field_trees(RELATIVES[species])).others
+        others = fitted(field_trees(RELATIVES[species]), sizes_of(species).tallest_m).others
         assert min(allometry.relative_dbh for allometry in others.values()) > 0.5

@@ -245,6 +245,10 @@ CONTRADICTIONS = {
         "community.storeys.0",
     ),
     "gaps without room": ({"storeys": [STOREY], "gaps": {"share": 0.5, "diameter_m": 6}}, "community.gaps"),
+    "taller than the species": (
+        {"storeys": [{"species": {"birch": 1}, "stems_per_ha": 600, "dominant_height_m": 60}]},
+        "community.storeys.0",
+    ),
     "storeys upside down": (
         {"storeys": [{**STOREY, "dominant_height_m": 25}, {**STOREY, "dominant_height_m": 30}]},
         "community.storeys.1",
