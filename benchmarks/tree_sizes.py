@@ -16,18 +16,17 @@ import numpy as np
 
 import forestgen as fg
 from support.field_trees import (
-    MEASURES,
+    COLUMNS,
+    DRAWS,
     RELATIVES,
     Allometries,
     classes,
     field_trees,
     fitted,
+    left_out,
     sizes_of,
     spread_of_median,
 )
-
-DRAWS = 200  # trees drawn for each measured one
-COLUMNS = {"dbh": "dbh_m", **MEASURES}
 
 
 def drawn_over_measured(allometries: Allometries, trees, name: str, rng) -> str:  # type: ignore[no-untyped-def]
@@ -41,21 +40,6 @@ def drawn_over_measured(allometries: Allometries, trees, name: str, rng) -> str:
     variation = np.std(drawn) / np.mean(drawn) / (np.std(measured) / np.mean(measured))
     error = 2.0 * spread_of_median(measured, rng)
     return f"{np.median(measured):.3g} x {ratio:.2f} cv x {variation:.2f} +-{100 * np.expm1(error):.0f}%"
-
-
-def left_out(trees, name: str, tallest_m: float, rng) -> str:  # type: ignore[no-untyped-def]
-    """Median ratio of each study to allometries of the others, over trees of all heights."""
-    ratios = []
-    for study in sorted(trees.study.unique()):
-        own = trees[(trees.study == study) & (trees.height_m >= 5.0) & (trees[COLUMNS[name]] > 0.0)]
-        others = trees[trees.study != study]
-        if len(own) < 5 or (others[COLUMNS[name]] > 0.0).sum() < 8:
-            continue
-        allometries = fitted(others, tallest_m)
-        if name == "dbh" or name in allometries.others:
-            drawn = allometries.draw(np.repeat(own.height_m.to_numpy(), DRAWS), rng)[name]
-            ratios.append(f"{study} {np.median(drawn) / np.median(own[COLUMNS[name]]):.2f}")
-    return ", ".join(ratios)
 
 
 def grown(species: str, height_m: float, leaf_kg: float, width_m: float) -> str:
@@ -90,8 +74,8 @@ def main() -> None:
                 leaf_kg, width_m = members.leaf_mass_kg.median(), members.crown_width_m.median()
                 print("    " + grown(species, float(members.height_m.median()), leaf_kg, width_m))
         for name in COLUMNS:
-            if text := left_out(trees, name, tallest_m, rng):
-                print(f"  left out, {name}: {text}")
+            if ratios := left_out(trees, name, tallest_m, rng):
+                print(f"  left out, {name}: " + ", ".join(f"{study} {ratio:.2f}" for study, ratio in ratios.items()))
 
 
 if __name__ == "__main__":

@@ -41,6 +41,8 @@ _SHORTEST_M = 3.0  # tree that a allometry is fitted to
 _ROUNDS = 100  # of least absolute deviations
 _NARROW = (0.02, 0.98)  # crown ratios
 MEASURES = {"width": "crown_width_m", "leaves": "leaf_mass_kg", "crown": "crown_ratio"}
+COLUMNS = {"dbh": "dbh_m", **MEASURES}
+DRAWS = 200  # trees drawn for each measured one
 
 #: Measured relatives of the shipped trees.
 RELATIVES: Mapping[str, Sequence[str]] = {
@@ -134,6 +136,21 @@ def fitted(trees: pd.DataFrame, tallest_m: float, fewest: int = 8) -> Allometrie
             logarithm = np.log(share / (1.0 - share)) if name == "crown" else np.log(share)
             others[name] = _allometry(height[known], logarithm, relative[known])
     return Allometries(dbh, tallest_m, others)
+
+
+def left_out(trees: pd.DataFrame, name: str, tallest_m: float, rng: np.random.Generator) -> dict[str, float]:
+    """Drawn over measured median of each study, over trees of all heights, by allometries fitted to the others."""
+    ratios = {}
+    for study in sorted(trees.study.unique()):
+        own = trees[(trees.study == study) & (trees.height_m >= CLASSES_M[0]) & (trees[COLUMNS[name]] > 0.0)]
+        others = trees[trees.study != study]
+        if len(own) < 5 or (others[COLUMNS[name]] > 0.0).sum() < 8:
+            continue
+        allometries = fitted(others, tallest_m)
+        if name == "dbh" or name in allometries.others:
+            drawn = allometries.draw(np.repeat(own.height_m.to_numpy(), DRAWS), rng)[name]
+            ratios[study] = float(np.median(drawn) / np.median(own[COLUMNS[name]]))
+    return ratios
 
 
 def _allometry(

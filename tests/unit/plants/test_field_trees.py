@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from support.field_trees import RELATIVES, classes, field_trees, fitted, sizes_of, spread_of_median
+from support.field_trees import COLUMNS, RELATIVES, classes, field_trees, fitted, left_out, sizes_of, spread_of_median
 
 
 def test_allometries_are_found_again_in_trees_drawn_from_them() -> None:
@@ -42,6 +42,26 @@ def test_drawn_diameters_have_the_measured_median(name: str) -> None:
         drawn = allometries.draw(np.repeat(members.height_m.to_numpy(), 200), rng)["dbh"]
         away = abs(np.log(np.median(drawn) / np.median(measured)))
         assert away <= max(np.log(1.25), 2.0 * spread_of_median(measured, rng)), (low, high)
+
+
+def test_studies_are_foretold_by_the_others() -> None:
+    """Each study against allometries fitted to the others. Studies differ by site and age, so that not all are met;
+    but half of the median diameters are within 25%, and on the whole nothing is too large or too small."""
+    rng = np.random.default_rng(1)
+    away = {
+        size: np.log(
+            [
+                ratio
+                for name in RELATIVES
+                for ratio in left_out(field_trees(RELATIVES[name]), size, sizes_of(name).tallest_m, rng).values()
+            ]
+        )
+        for size in COLUMNS
+    }
+    assert np.median(np.abs(away["dbh"])) < np.log(1.25)
+    for size, ratios in away.items():
+        if len(ratios) >= 5:  # widths are of one study
+            assert abs(ratios.mean()) < max(np.log(1.1), 2.0 * ratios.std() / np.sqrt(len(ratios))), size
 
 
 def test_stout_trees_have_wide_and_long_crowns() -> None:
