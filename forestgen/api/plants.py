@@ -15,6 +15,7 @@ from forestgen.api.display import display_of
 from forestgen.api.plant_requests import name_of, plan_of, request_of
 from forestgen.core.arguments import PathLike, number_of, path_of, paths_of, whole_of
 from forestgen.core.errors import RecipeError
+from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
 from forestgen.core.progress import Progress, Silent
 from forestgen.dataset.files import FileSet, check_writable
@@ -30,6 +31,7 @@ from forestgen.plants.plan import PlantPlan
 from forestgen.recipe.species import Species
 from forestgen.recipe.tree_sizes import Grown
 from forestgen.render.studio import EXPOSURE, PictureSettings, camera_of, photograph
+from forestgen.scene.plant_measures import leaf_base_m, stem_diameter_m
 from forestgen.scene.spec import Camera, Material
 from forestgen.scene.surfaces import materials_of
 
@@ -50,6 +52,8 @@ class SinglePlant:
     seed: int
     height_m: float
     crown_width_m: float
+    dbh_m: float | None  # diameter at breast height; None: no trunk there
+    crown_base_m: float | None  # below which few leaves are; None: no leaves
     triangles: dict[str, int]  # by part
     leaf_area_m2: float  # one side
     leaf_area_index: float  # leaf area over the crown's projection, pi/4 width^2
@@ -370,7 +374,8 @@ def model_of(exemplar: Exemplar, species: Species, materials: Mapping[tuple[str,
         pieces.append(Piece(f"{organ.part.name.lower()}-{organ.material}", organ.part, organ.mesh, surface, area))
     measures = asdict(described(exemplar, species, seed))
     del measures["triangles"], measures["files"]
-    properties = {"species": exemplar.species, "description": species.description, **measures}
+    known = {name: value for name, value in measures.items() if value is not None}
+    properties = {"species": exemplar.species, "description": species.description, **known}
     return Model(exemplar.species, pieces, properties)
 
 
@@ -392,11 +397,14 @@ def described(exemplar: Exemplar, species: Species, seed: int) -> SinglePlant:
         part = organ.part.name.lower().replace("_", " ")
         triangles[part] = triangles.get(part, 0) + organ.mesh.triangles
     crown_m2 = math.pi / 4 * exemplar.crown_width_m**2
+    dbh_m, base_m = float(stem_diameter_m(exemplar, np.array([BREAST_HEIGHT_M]))[0]), leaf_base_m(exemplar)
     return SinglePlant(
         species=exemplar.species,
         seed=seed,
         height_m=exemplar.height_m,
         crown_width_m=exemplar.crown_width_m,
+        dbh_m=None if math.isnan(dbh_m) else dbh_m,
+        crown_base_m=None if math.isnan(base_m) else base_m,
         triangles=triangles,
         leaf_area_m2=exemplar.leaf_area_m2,
         leaf_area_index=exemplar.leaf_area_m2 / crown_m2 if crown_m2 else 0.0,

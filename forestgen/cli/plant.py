@@ -15,6 +15,7 @@ from forestgen.core.figures import count, show_bytes, table_lines, three_digits
 if TYPE_CHECKING:
     from forestgen.api.plants import SinglePlant
 
+_THIN_M = 0.01  # stems of herbs are not shown
 _MOST_FILES = 6  # named one by one
 _OPTIONS = (  # of `grow_files`
     "height_m", "grown", "seed", "frames", "frames_per_s", "detail", "wood_triangles", "size_px", "samples",
@@ -90,7 +91,9 @@ def _print(made: Sequence[SinglePlant], say: Printer, as_json: bool, frames: boo
 
 
 def _print_one(one: SinglePlant, say: Printer) -> None:
-    say(f"{one.species}: {one.height_m:.2f} m tall, crown {one.crown_width_m:.2f} m wide")
+    stem = "" if one.dbh_m is None or one.dbh_m < _THIN_M else f", stem {100 * one.dbh_m:.1f} cm at 1.3 m"
+    base = "" if one.crown_base_m is None else f" and {one.crown_base_m:.2f} m above the ground"
+    say(f"{one.species}: {one.height_m:.2f} m tall, crown {one.crown_width_m:.2f} m wide{base}{stem}")
     parts = ", ".join(f"{number:,} {part}" for part, number in one.triangles.items())
     say(f"  {sum(one.triangles.values()):,} triangles: {parts}")
     index = f"; leaf area index {one.leaf_area_index:.2f}" if one.leaf_area_m2 else ""
@@ -99,12 +102,14 @@ def _print_one(one: SinglePlant, say: Printer) -> None:
 
 
 def _print_many(made: Sequence[SinglePlant], say: Printer, *, frames: bool) -> None:
-    rows = [("frame" if frames else "seed", "height", "crown", "triangles", "leaf area", "index", "wood", "leaves")]
+    first = "frame" if frames else "seed"
+    rows = [(first, "height", "dbh", "crown", "triangles", "leaf area", "index", "wood", "leaves")]
     for number, one in enumerate(made, start=1):
         rows.append(
             (
                 str(number if frames else one.seed),
                 f"{one.height_m:.2f} m",
+                "none" if one.dbh_m is None else f"{100 * one.dbh_m:.1f} cm",
                 f"{one.crown_width_m:.2f} m",
                 f"{sum(one.triangles.values()):,}",
                 f"{one.leaf_area_m2:.3g} m²",

@@ -224,6 +224,11 @@ def stem_diameter_m(exemplar: Exemplar, height_m: Floats) -> Floats:
     return np.asarray((diameter if exact else np.interp(at, stops, diameter))[which])
 
 
+def leaf_base_m(exemplar: Exemplar) -> float:
+    """Height of the crown's base: 1 in 50 of the leaf area is below it; NaN without leaves."""
+    return _Leaves.of(exemplar).base_m
+
+
 def stem_volume_m3(exemplar: Exemplar) -> float:
     """Volume of the trunk above the origin: its sections at equal heights, by the midpoint rule; 0 without a trunk."""
     trunks = [organ.mesh for organ in exemplar.organs if organ.part == Part.TRUNK and len(organ.mesh.vertices_m)]

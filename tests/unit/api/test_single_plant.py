@@ -41,6 +41,16 @@ def test_numbers_follow_from_the_geometry(fireweed) -> None:
     assert one.wood_kg == pytest.approx(exemplar.wood_volume_m3 * species.tissue.wood_density_kg_per_m3)
     assert sum(one.triangles.values()) == exemplar.triangles
     assert one.height_m == pytest.approx(1.2, rel=0.02)
+    assert one.dbh_m is None
+    assert 0.0 < one.crown_base_m < one.height_m
+
+
+def test_a_trees_stem_and_crown_base_are_those_it_was_built_to() -> None:
+    plan = plan_of("birch", 0)
+    request = request_of(plan, "birch", 12.0, 4)
+    one = described(grow_exemplar(request), plan.drawn.species["birch"], 4)
+    assert one.dbh_m == pytest.approx(request.tree.dbh_m, rel=0.05)
+    assert one.crown_base_m == pytest.approx(request.tree.crown_base_m, rel=0.05, abs=0.24)
 
 
 def test_height_and_radius_are_each_others_inverse(fireweed) -> None:
