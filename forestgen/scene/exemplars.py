@@ -195,8 +195,7 @@ def size_errors(
             continue
         mine = plan.exemplar_of_plant[rows]
         built = np.where(np.isnan(plan.tree[:, 1]), exemplar_width_m, plan.tree[:, 1])  # in leaf
-        made = exemplar_height_m, built
-        across = instance_scales(sizes[rows], population.height_m[rows], mine, *made)[1]
+        across = instance_scales(sizes[rows], population.height_m[rows], mine, exemplar_height_m, plan.tree)[1]
         width = built[mine] * across / plant_width_m[rows]
         trees = np.isfinite(sizes[rows, 0]) & (plan.plant[mine] < 0)
         thick = trees & np.isfinite(sizes[rows, 2]) & np.isfinite(plan.tree[mine, 2])

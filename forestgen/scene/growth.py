@@ -30,8 +30,9 @@ from forestgen.plants.levels import PIXEL_STEPS_M, level_for
 from forestgen.plants.parameters import CrownProfile, ShapesTrees
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.tree_fit import TreeSize
+from forestgen.recipe.schema import MOST_LIBRARY
 from forestgen.recipe.species import Building, Material, Species
-from forestgen.recipe.tree_sizes import own_normals
+from forestgen.recipe.tree_sizes import NUMBERS, own_normals
 from forestgen.scene.building import exemplar_of, plan_buildings
 from forestgen.scene.exemplar_plan import SIZE_STEP, ExemplarPlan
 from forestgen.scene.exemplars import (
@@ -45,7 +46,7 @@ from forestgen.scene.exemplars import (
     unique_plants,
 )
 from forestgen.scene.phenology import leaf_class_of_plant, leaf_states
-from forestgen.scene.plan import Plan, check_own_triangles
+from forestgen.scene.plan import Plan, check_exemplars, check_own_triangles
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 from forestgen.scene.surfaces import material_of_class
@@ -104,13 +105,21 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
 
 
 def _library_tree(plan: Plan, name: str, rung: int, variant: int) -> Floats:
-    """(5,) sizes of a library's tree, in the order of `TreeSize`: of a stand, with numbers of its own."""
+    """(5,) sizes of a library's tree, in the order of `TreeSize`: of a stand, with numbers of its own.
+
+    The fewer of a size an image shows, the nearer are they to the median tree, for which one alone must stand. Their
+    leaf area is the mean of trees of their height, not the median.
+    """
     species, drawn = plan.drawn.species[name], plan.drawn
     assert species.tree is not None  # its plants have sizes
-    root = child_root(drawn.recipe.seed, "library", drawn.split, name, rung)
-    height_m = np.array([SIZE_STEP**rung])
-    sizes = species.tree.sizes(height_m, own_normals(root, np.array([variant], dtype=np.uint64)))
-    return np.array(astuple(tree_size(species, float(height_m[0]), sizes)))
+    root, height_m = child_root(drawn.recipe.seed, "library", drawn.split, name, rung), SIZE_STEP**rung
+    many = own_normals(root, np.arange(MOST_LIBRARY, dtype=np.uint64))
+    left = 1.0 / drawn.recipe.plants.variants_per_size  # of the variance, which the image's trees do not show
+    normals = np.concatenate([np.sqrt(1.0 - left) * many[variant : variant + 1], np.zeros((1, NUMBERS)), many])
+    sizes = species.tree.sizes(np.full(len(normals), height_m), normals)
+    tree = np.array(astuple(tree_size(species, height_m, sizes)))
+    tree[4] *= (sizes.leaf_kg[2:].mean() / sizes.leaf_kg[1]) ** left
+    return tree
 
 
 def pixel_size_m(
@@ -213,7 +222,10 @@ def _tables(plan: Plan, population: Population) -> Tables:
 def grow_planned(
     plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress, population: Population
 ) -> tuple[Exemplar, ...]:
-    """The exemplars of a plan; see `exemplar_requests`."""
+    """The exemplars of a plan; see `exemplar_requests`.
+
+    Raises `ResourceError`: too little memory is left to render them.
+    """
     section = plan.drawn.recipe.plants
     kept = section.cache and (section.library is not None or plan.drawn.image_index < MOST_CACHED_IMAGES)
     buildings = _buildings(plan, exemplar_plan, population)
@@ -225,6 +237,7 @@ def grow_planned(
         grown = grow_exemplars(requests, store=store, advance=advance)
     if section.geometry == "silhouettes":
         grown = tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
+    check_exemplars(plan, grown)
     plants = iter(grown)
     exemplars = (built[index] if index in built else next(plants) for index in range(len(exemplar_plan)))
     columns = zip(exemplars, exemplar_plan.is_unique.tolist(), exemplar_plan.leaves.tolist(), strict=True)
