@@ -86,7 +86,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             chosen.exemplar_of_plant,
             exemplars,
             drawn.image_seed,
-            stands_for_m=chosen.stands_for_m(population.height_m),
+            stands_for_m=chosen.stands_for(population.height_m),
             tree=chosen.tree,
             is_unique=chosen.is_unique,
         )

@@ -61,10 +61,10 @@ class ExemplarPlan:
             is_unique=np.arange(count) < unique,
         )
 
-    def stands_for_m(self, height_m: Floats) -> Floats:
-        """(E,) height of the plant whose own branches each exemplar has, of (N,) of the plants; NaN: of none."""
+    def stands_for(self, size: Floats) -> Floats:
+        """(E,) size of the plant whose own branches each exemplar has, of (N,) of the plants; NaN: of none."""
         own, found = self.plant >= 0, np.full(len(self), np.nan)
-        found[own] = height_m[self.plant[own]]
+        found[own] = size[self.plant[own]]
         return found
 
     def first_plant(self, plant_id: NDArray[np.integer]) -> Ints:

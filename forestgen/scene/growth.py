@@ -90,17 +90,11 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
     chosen = chosen.split("leaves", leaf_class_of_plant(plan.drawn, population))
     if not section.levels or pixel_m is None:
         return chosen
-    own_height_m = np.ones(len(population))
-    for index, name in enumerate(population.species_names):
-        rows = population.species == index
-        exemplar_radius_m = chosen.radius_m[chosen.exemplar_of_plant[rows]]
-        if name in plan.drawn.species:
-            own_height_m[rows] = modelled_species(plan.drawn, name).allometry.height(exemplar_radius_m)
-            made_m = chosen.tree[chosen.exemplar_of_plant[rows], 0]
-            own_height_m[rows] = np.where(np.isnan(made_m), own_height_m[rows], made_m)
-    stand_in = chosen.plant[chosen.exemplar_of_plant]
-    own_height_m = np.where(stand_in < 0, own_height_m, population.height_m[np.maximum(stand_in, 0)])
-    scale = population.height_m / own_height_m  # of the instance
+    built_m = np.where(chosen.plant < 0, chosen.tree[:, 0], chosen.stands_for(population.height_m))
+    for index in np.flatnonzero(np.isnan(built_m)).tolist():
+        species = modelled_species(plan.drawn, population.species_names[chosen.species[index]])
+        built_m[index] = species.allometry.height(chosen.radius_m[index])
+    scale = population.height_m / built_m[chosen.exemplar_of_plant]  # of the instance
     return chosen.split("level", level_for(pixel_m / scale))
 
 
@@ -357,14 +351,10 @@ def errors_of_sizes(
 
     An exemplar with a plant's own branches has that plant's own size: leaves beyond its modules are no error.
     """
-    widths_m, plant = _widths_m(plan, population), exemplar_plan.plant
-    height_m, width_m = (
-        np.where(plant < 0, made, grown[np.maximum(plant, 0)]) if len(population) else made
-        for made, grown in (
-            (np.array([exemplar.height_m for exemplar in exemplars]), population.height_m),
-            (np.array([exemplar.crown_width_m for exemplar in exemplars]), widths_m),
-        )
-    )
+    widths_m = _widths_m(plan, population)
+    height_m, width_m = exemplar_plan.stands_for(population.height_m), exemplar_plan.stands_for(widths_m)
+    height_m = np.where(np.isnan(height_m), [exemplar.height_m for exemplar in exemplars], height_m)
+    width_m = np.where(np.isnan(width_m), [exemplar.crown_width_m for exemplar in exemplars], width_m)
     for index, name in enumerate(population.species_names):
         generator = plan.plants.generators.get(name)  # none: a building
         if generator is None or not GENERATORS.load(generator.generator).has_crown:

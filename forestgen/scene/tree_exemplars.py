@@ -37,15 +37,10 @@ _MOST_STRETCH = 1.6  # of a tree's width over its height
 
 def tree_sizes_of(population: Population) -> Floats:
     """(N, 5) sizes of each plant in the order of `TreeSize`; NaN of plants that are no trees."""
-    columns = population.columns
-    sizes = np.full((len(population), TREE_SIZES), np.nan)
-    if not all(name in columns for name in COLUMNS):
-        return sizes
-    radius_m, base_m, leaf_m2 = (
-        np.asarray(columns[name]) for name in ("crown_radius_m", "crown_base_m", "leaf_area_m2")
-    )
-    dbh_m = np.asarray(columns["dbh_m"])
-    sizes[:] = np.stack([population.height_m, 2.0 * radius_m, dbh_m, base_m, leaf_m2], axis=1)
+    if not all(name in population.columns for name in COLUMNS):
+        return np.full((len(population), TREE_SIZES), np.nan)
+    dbh_m, radius_m, base_m, leaf_m2 = (np.asarray(population.columns[name], dtype=np.float64) for name in COLUMNS)
+    sizes = np.stack([population.height_m, 2.0 * radius_m, dbh_m, base_m, leaf_m2], axis=1)
     sizes[~np.isfinite(sizes[:, [0, 1, 3, 4]]).all(axis=1)] = np.nan
     return sizes
 
