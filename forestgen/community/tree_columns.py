@@ -48,7 +48,8 @@ def with_tree_sizes(
         trees &= np.diff(population.modules.first) == 0
     if not trees.any():
         return population
-    known = {name: _column(population, name) for name in COLUMNS}
+    nothing = np.full(len(population), np.nan)
+    known = {name: np.array(population.columns.get(name, nothing), dtype=np.float64) for name in COLUMNS}
     if not np.isnan([known[name][trees] for name in COLUMNS]).any():
         return population
     living = np.flatnonzero(trees & (population.status != Status.DEAD))
@@ -75,13 +76,6 @@ def with_tree_sizes(
             known[name][rows] = np.where(np.isnan(own), values, own)
     known["crown_base_m"] = np.minimum(known["crown_base_m"], 0.95 * population.height_m)
     return replace(population, columns={**population.columns, **known})
-
-
-def _column(population: Population, name: str) -> Floats:
-    """A copy of a model's own column, or NaN."""
-    if name in population.columns:
-        return np.array(population.columns[name], dtype=np.float64)
-    return np.full(len(population), np.nan)
 
 
 def competition_shifts(

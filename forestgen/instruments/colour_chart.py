@@ -124,13 +124,14 @@ def measure_chart(
 
 
 def with_chart(spec: SceneSpec, point_m: Floats, normal: Floats, camera: Camera) -> SceneSpec:
-    """The scene with the chart as one more instance, and the chart's camera alone."""
+    """The scene with the chart as one more instance, the last one on the site, and the chart's camera alone."""
     old = spec.instances
-    last = int(old.plant_id.max(initial=0))
+    row, last = len(old) - old.outside, int(old.plant_id.max(initial=0))
     instances = Instances(
-        exemplar=np.append(old.exemplar, len(spec.exemplars)).astype(np.uint32),
-        transform=np.concatenate([old.transform, checker.transform(point_m, normal)[None]]),
-        plant_id=np.append(old.plant_id, last + 1).astype(np.uint32),
+        exemplar=np.insert(old.exemplar, row, len(spec.exemplars)),
+        transform=np.insert(old.transform, row, checker.transform(point_m, normal), axis=0),
+        plant_id=np.insert(old.plant_id, row, last + 1),
+        outside=old.outside,
     )
     return replace(
         spec,

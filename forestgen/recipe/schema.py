@@ -33,6 +33,7 @@ from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Building, Species
 
 SCHEMA_VERSION = 1
+MOST_LIBRARY = 1000  # plants of a size
 Extent = Annotated[fields.Positive, Field(le=5000)]
 _Error = Annotated[fields.Number, Field(gt=0, le=10)]
 _Samples = Annotated[fields.Whole, Field(ge=1, le=65536)]
@@ -189,8 +190,9 @@ class Plants(fields.Section):
         10,
         ge=1,
         le=1000,
-        description="Sizes modelled for each species: the centres of clusters of its plants' radii. Every plant is one "
-        "of these, scaled to its exact height.",
+        description="Sizes modelled for each species: the centres of clusters of its plants' radii, or of its trees' "
+        "sizes. Every plant is one of these, scaled to its exact height. Living and dead trees, and those above and "
+        "below breast height, have one at least.",
     )
     variants_per_size: fields.Whole = Field(
         1,
@@ -202,7 +204,7 @@ class Plants(fields.Section):
     library: fields.Whole | None = Field(
         None,
         ge=1,
-        le=1000,
+        le=MOST_LIBRARY,
         description="Plants of each size that all images of a split share, for data sets of many images: sizes are on "
         "a fixed scale, and an image shows `variants_per_size` of them. null: every image grows its own plants. No "
         "two splits share a plant.",

@@ -17,6 +17,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.phenology import SUMMER
 from forestgen.scene.building import building_materials
+from forestgen.scene.exemplar_plan import TREE_SIZES
 from forestgen.scene.exemplars import SizeError
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
 from forestgen.scene.leaf_variation import vary_leaves
@@ -78,16 +79,15 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         chosen = choose_exemplars(plan, population, _close_cameras(plan))
         exemplars = grow_planned(plan, chosen, progress, population)
     with timer("clouds"):
-        request = CloudRequest(drawn, plan.views.lowest_m, progress, stand, simulated)
-        clouds = cloud_source_of(drawn).grid(request)
+        clouds = cloud_source_of(drawn).grid(CloudRequest(drawn, plan.views.lowest_m, progress, stand, simulated))
     with timer("scene"):
         instances = place_instances(
             stand.obstacles.turned(population),
             chosen.exemplar_of_plant,
             exemplars,
             drawn.image_seed,
-            stands_for_m=chosen.stands_for_m(population.height_m),
-            built_width_m=chosen.tree[:, 1],
+            stands_for_m=chosen.stands_for(population.height_m),
+            tree=chosen.tree,
             is_unique=chosen.is_unique,
         )
         base_materials = _materials(plan, population)
@@ -97,7 +97,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         rng = child_rng(drawn.image_seed, "terrain", "colour")
         wetness = wetness_of(stand, population)
         terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness, around.reach_m)
-        varied, materials = vary_leaves(around.exemplars, around.materials, drawn.image_seed)
+        plant = np.pad(chosen.first_plant(population.plant_id), (0, len(around.exemplars) - len(exemplars)))
+        varied, materials = vary_leaves(around.exemplars, around.materials, plant, drawn.image_seed)
         spec = SceneSpec(
             exemplars=varied,
             materials=materials,
@@ -166,11 +167,11 @@ def place_instances(
     seed: int,
     *,
     stands_for_m: NDArray[np.float64] | None = None,
-    built_width_m: NDArray[np.float64] | None = None,
+    tree: NDArray[np.float64] | None = None,
     is_unique: NDArray[np.bool_] | None = None,
 ) -> Instances:
-    """One instance a plant: its exemplar scaled to the plant's exact height, a tree's also to its crown width, and
-    turned by the plant's own angle.
+    """One instance a plant: its exemplar scaled to the plant's exact height, a tree's also across, and turned by the
+    plant's own angle.
 
     The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it; a community
     that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not.
@@ -179,17 +180,15 @@ def place_instances(
     ----------
     stands_for_m : (E,) height of the plant whose own branches an exemplar has; NaN or None: the exemplar's height is
         that of its plants.
-    built_width_m : (E,) crown width that a tree was built to, in leaf; NaN or None: that of the exemplar's geometry.
+    tree : (E, 5) sizes that trees were built to, see `ExemplarPlan.tree`; None: there are none.
     is_unique : (E,) exemplars of one plant alone, whose branches know their neighbours: neither turned nor scaled.
     """
     heights = np.array([exemplar.height_m for exemplar in exemplars], dtype=np.float64)
     if stands_for_m is not None:
         heights = np.where(np.isnan(stands_for_m), heights, stands_for_m)
-    widths = np.array([exemplar.crown_width_m for exemplar in exemplars], dtype=np.float64)
-    if built_width_m is not None:
-        widths = np.where(np.isnan(built_width_m), widths, built_width_m)
+    made = np.full((len(exemplars), TREE_SIZES), np.nan) if tree is None else tree
     sizes = tree_sizes_of(population)
-    scale, across = instance_scales(sizes, population.height_m, exemplar_of_plant, heights, widths)
+    scale, across = instance_scales(sizes, population.height_m, exemplar_of_plant, heights, made)
     angle = np.array([child_rng(seed, "plant", int(i)).random() for i in population.plant_id]) * 2 * np.pi
     if "azimuth_deg" in population.columns:
         turned = -np.radians(population.columns["azimuth_deg"].astype(np.float64))

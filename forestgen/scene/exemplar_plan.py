@@ -61,11 +61,22 @@ class ExemplarPlan:
             is_unique=np.arange(count) < unique,
         )
 
-    def stands_for_m(self, height_m: Floats) -> Floats:
-        """(E,) height of the plant whose own branches each exemplar has, of (N,) of the plants; NaN: of none."""
+    def stands_for(self, size: Floats) -> Floats:
+        """(E,) size of the plant whose own branches each exemplar has, of (N,) of the plants; NaN: of none."""
         own, found = self.plant >= 0, np.full(len(self), np.nan)
-        found[own] = height_m[self.plant[own]]
+        found[own] = size[self.plant[own]]
         return found
+
+    def first_plant(self, plant_id: NDArray[np.integer]) -> Ints:
+        """(E,) lowest id of the plants that each exemplar, or one of other detail or leaves, stands for.
+
+        `plant_id`: (N,) of the plants.
+        """
+        own = np.stack([self.species, self.rank, self.variant, self.plant], axis=1).astype(np.int64)
+        same = np.unique(own, axis=0, return_inverse=True)[1].reshape(-1)
+        first = np.full(len(self), np.iinfo(np.int64).max)
+        np.minimum.at(first, same[self.exemplar_of_plant], plant_id.astype(np.int64))
+        return np.asarray(first[same])
 
     def split(self, field: Literal["variant", "level", "leaves"], value_of_plant: Ints) -> ExemplarPlan:
         """An exemplar for each pair of exemplar and value that some plant has, in the order of both."""
@@ -90,6 +101,24 @@ def cluster(features: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:
     place = np.empty(clusters, dtype=np.int64)
     place[order] = np.arange(clusters)
     return centres[order], place[labels]
+
+
+def cluster_groups(features: Floats, group: Ints, clusters: int, seed: int) -> Ints:
+    """(n,) the cluster of each row, in the order of the groups, then as in `cluster`; none has rows of two groups.
+
+    Each group has one at least. The others go one by one to the group whose spread (the root of its sum of squares),
+    over the clusters that it has, is largest.
+    """
+    rows = [np.flatnonzero(group == one) for one in np.unique(group)]
+    spread = np.array([np.sqrt(len(one) * features[one].var(axis=0).sum()) for one in rows])
+    most = np.array([len(np.unique(features[one], axis=0)) for one in rows])
+    count = np.ones(len(rows), dtype=np.int64)
+    while count.sum() < min(clusters, most.sum()):
+        count[np.argmax(np.where(count < most, spread / count, -1.0))] += 1
+    label = np.empty(len(group), dtype=np.int64)
+    for one, first, own in zip(rows, np.cumsum(count) - count, count.tolist(), strict=True):
+        label[one] = first + cluster(features[one], own, seed)[1]
+    return np.unique(label, return_inverse=True)[1].reshape(-1)
 
 
 def rung_of(value: float, step: float) -> int:

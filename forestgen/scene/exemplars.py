@@ -195,8 +195,7 @@ def size_errors(
             continue
         mine = plan.exemplar_of_plant[rows]
         built = np.where(np.isnan(plan.tree[:, 1]), exemplar_width_m, plan.tree[:, 1])  # in leaf
-        made = exemplar_height_m, built
-        across = instance_scales(sizes[rows], population.height_m[rows], mine, *made)[1]
+        across = instance_scales(sizes[rows], population.height_m[rows], mine, exemplar_height_m, plan.tree)[1]
         width = built[mine] * across / plant_width_m[rows]
         trees = np.isfinite(sizes[rows, 0]) & (plan.plant[mine] < 0)
         thick = trees & np.isfinite(sizes[rows, 2]) & np.isfinite(plan.tree[mine, 2])
@@ -271,16 +270,12 @@ def plan_own(population: Population, index: int, is_unique: Bools, per_species: 
     rows = np.flatnonzero(population.species == index)
     unique, others = rows[is_unique[rows]], rows[~is_unique[rows]]
     dead = population.status[others] == Status.DEAD
-    stand_in, label = _stand_ins(population, others[~dead], per_species, child_seed(seed, "k-means", "own", index))
-    if dead.any():
-        theirs = _stand_ins(population, others[dead], per_species, child_seed(seed, "k-means", "dead", index))
-        living, label = label, np.empty(len(others), dtype=np.int64)
-        label[~dead], label[dead] = living, len(stand_in) + theirs[1]
-        stand_in = np.concatenate([stand_in, theirs[0]])
-    plant = np.concatenate([unique, stand_in])
-    of_plant = np.empty(len(rows), dtype=np.uint32)
+    plant, of_plant = unique, np.empty(len(rows), dtype=np.uint32)
     of_plant[is_unique[rows]] = np.arange(len(unique))
-    of_plant[~is_unique[rows]] = len(unique) + label
+    for those, key in ((~dead, "own"), (dead, "dead")):
+        stand_in, label = _stand_ins(population, others[those], per_species, child_seed(seed, "k-means", key, index))
+        of_plant[np.flatnonzero(~is_unique[rows])[those]] = len(plant) + label
+        plant = np.concatenate([plant, stand_in])
     return ExemplarPlan.of_species(
         index, population.radius_m[plant], of_plant, plant=plant.astype(np.int64), unique=len(unique)
     )

@@ -30,8 +30,9 @@ from forestgen.plants.levels import PIXEL_STEPS_M, level_for
 from forestgen.plants.parameters import CrownProfile, ShapesTrees
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.tree_fit import TreeSize
+from forestgen.recipe.schema import MOST_LIBRARY
 from forestgen.recipe.species import Building, Material, Species
-from forestgen.recipe.tree_sizes import own_normals
+from forestgen.recipe.tree_sizes import NUMBERS, own_normals
 from forestgen.scene.building import exemplar_of, plan_buildings
 from forestgen.scene.exemplar_plan import SIZE_STEP, ExemplarPlan
 from forestgen.scene.exemplars import (
@@ -45,7 +46,7 @@ from forestgen.scene.exemplars import (
     unique_plants,
 )
 from forestgen.scene.phenology import leaf_class_of_plant, leaf_states
-from forestgen.scene.plan import Plan, check_own_triangles
+from forestgen.scene.plan import Plan, check_exemplars, check_own_triangles
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 from forestgen.scene.surfaces import material_of_class
@@ -89,28 +90,30 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
     chosen = chosen.split("leaves", leaf_class_of_plant(plan.drawn, population))
     if not section.levels or pixel_m is None:
         return chosen
-    own_height_m = np.ones(len(population))
-    for index, name in enumerate(population.species_names):
-        rows = population.species == index
-        exemplar_radius_m = chosen.radius_m[chosen.exemplar_of_plant[rows]]
-        if name in plan.drawn.species:
-            own_height_m[rows] = modelled_species(plan.drawn, name).allometry.height(exemplar_radius_m)
-            made_m = chosen.tree[chosen.exemplar_of_plant[rows], 0]
-            own_height_m[rows] = np.where(np.isnan(made_m), own_height_m[rows], made_m)
-    stand_in = chosen.plant[chosen.exemplar_of_plant]
-    own_height_m = np.where(stand_in < 0, own_height_m, population.height_m[np.maximum(stand_in, 0)])
-    scale = population.height_m / own_height_m  # of the instance
+    built_m = np.where(chosen.plant < 0, chosen.tree[:, 0], chosen.stands_for(population.height_m))
+    for index in np.flatnonzero(np.isnan(built_m)).tolist():
+        species = modelled_species(plan.drawn, population.species_names[chosen.species[index]])
+        built_m[index] = species.allometry.height(chosen.radius_m[index])
+    scale = population.height_m / built_m[chosen.exemplar_of_plant]  # of the instance
     return chosen.split("level", level_for(pixel_m / scale))
 
 
 def _library_tree(plan: Plan, name: str, rung: int, variant: int) -> Floats:
-    """(5,) sizes of a library's tree, in the order of `TreeSize`: of a stand, with numbers of its own."""
+    """(5,) sizes of a library's tree, in the order of `TreeSize`: of a stand, with numbers of its own.
+
+    The fewer of a size an image shows, the nearer are they to the median tree, for which one alone must stand. Their
+    leaf area is the mean of trees of their height, not the median.
+    """
     species, drawn = plan.drawn.species[name], plan.drawn
     assert species.tree is not None  # its plants have sizes
-    root = child_root(drawn.recipe.seed, "library", drawn.split, name, rung)
-    height_m = np.array([SIZE_STEP**rung])
-    sizes = species.tree.sizes(height_m, own_normals(root, np.array([variant], dtype=np.uint64)))
-    return np.array(astuple(tree_size(species, float(height_m[0]), sizes)))
+    root, height_m = child_root(drawn.recipe.seed, "library", drawn.split, name, rung), SIZE_STEP**rung
+    many = own_normals(root, np.arange(MOST_LIBRARY, dtype=np.uint64))
+    left = 1.0 / drawn.recipe.plants.variants_per_size  # of the variance, which the image's trees do not show
+    normals = np.concatenate([np.sqrt(1.0 - left) * many[variant : variant + 1], np.zeros((1, NUMBERS)), many])
+    sizes = species.tree.sizes(np.full(len(normals), height_m), normals)
+    tree = np.array(astuple(tree_size(species, height_m, sizes)))
+    tree[4] *= (sizes.leaf_kg[2:].mean() / sizes.leaf_kg[1]) ** left
+    return tree
 
 
 def pixel_size_m(
@@ -213,7 +216,10 @@ def _tables(plan: Plan, population: Population) -> Tables:
 def grow_planned(
     plan: Plan, exemplar_plan: ExemplarPlan, progress: Progress, population: Population
 ) -> tuple[Exemplar, ...]:
-    """The exemplars of a plan; see `exemplar_requests`."""
+    """The exemplars of a plan; see `exemplar_requests`.
+
+    Raises `ResourceError`: too little memory is left to render them.
+    """
     section = plan.drawn.recipe.plants
     kept = section.cache and (section.library is not None or plan.drawn.image_index < MOST_CACHED_IMAGES)
     buildings = _buildings(plan, exemplar_plan, population)
@@ -225,6 +231,7 @@ def grow_planned(
         grown = grow_exemplars(requests, store=store, advance=advance)
     if section.geometry == "silhouettes":
         grown = tuple(_silhouette(request, one) for request, one in zip(requests, grown, strict=True))
+    check_exemplars(plan, grown)
     plants = iter(grown)
     exemplars = (built[index] if index in built else next(plants) for index in range(len(exemplar_plan)))
     columns = zip(exemplars, exemplar_plan.is_unique.tolist(), exemplar_plan.leaves.tolist(), strict=True)
@@ -344,14 +351,10 @@ def errors_of_sizes(
 
     An exemplar with a plant's own branches has that plant's own size: leaves beyond its modules are no error.
     """
-    widths_m, plant = _widths_m(plan, population), exemplar_plan.plant
-    height_m, width_m = (
-        np.where(plant < 0, made, grown[np.maximum(plant, 0)]) if len(population) else made
-        for made, grown in (
-            (np.array([exemplar.height_m for exemplar in exemplars]), population.height_m),
-            (np.array([exemplar.crown_width_m for exemplar in exemplars]), widths_m),
-        )
-    )
+    widths_m = _widths_m(plan, population)
+    height_m, width_m = exemplar_plan.stands_for(population.height_m), exemplar_plan.stands_for(widths_m)
+    height_m = np.where(np.isnan(height_m), [exemplar.height_m for exemplar in exemplars], height_m)
+    width_m = np.where(np.isnan(width_m), [exemplar.crown_width_m for exemplar in exemplars], width_m)
     for index, name in enumerate(population.species_names):
         generator = plan.plants.generators.get(name)  # none: a building
         if generator is None or not GENERATORS.load(generator.generator).has_crown:

@@ -7,7 +7,11 @@ plot and height by 16%. Both come from the table ``standards/leaf_variation``: w
 leaf of their species, as factors on the reflectance and transmittance of that leaf's spectrum, whatever its season. See
 `docs/spectra/make_leaves.py` for the measurements.
 
-Materials with `leaf_type` take part. An exemplar has one chlorophyll, so plants that share an exemplar are alike.
+Materials with `leaf_type` take part. An exemplar has one chlorophyll, so plants that share an exemplar are alike,
+whatever their detail and season. One of its plants, of the lowest plant_id, decides on its place among the exemplars of
+its species, which are evenly spread over the normal distribution: their standard deviation is that of plants, however
+many there are, and other numbers of exemplars leave most plants about as green as they were. One alone is as green as
+the mean, as are the far meshes around a site.
 
 References
 ----------
@@ -17,7 +21,6 @@ Serbin et al. 2014 (Ecological Applications 24, 1651-1669). Shiklomanov et al. 2
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -35,6 +38,8 @@ from forestgen.recipe.spectra import Columns, load_table
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Material
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 Materials = dict[tuple[str, str], Material]
 CLASSES = ("sun", "middle", "shade")
 _CELLS = 32  # along the crown's longest side
@@ -42,11 +47,15 @@ _RAREST = 0.02  # share of plants that are cut off at each end of the distributi
 
 
 def vary_leaves(
-    exemplars: Sequence[Exemplar], materials: Mapping[tuple[str, str], Material], seed: int
+    exemplars: Sequence[Exemplar], materials: Mapping[tuple[str, str], Material], plant: Ints, seed: int
 ) -> tuple[tuple[Exemplar, ...], Materials]:
-    """Exemplars with their leaves in classes, and the materials of all."""
-    found, varied, grown = dict(materials), [], Counter[str]()
-    for number, exemplar in enumerate(exemplars):
+    """Exemplars with their leaves in classes, and the materials of all.
+
+    `plant`: (E,) id of the plant that decides on each exemplar's chlorophyll, see `ExemplarPlan.first_plant`; 0: none.
+    """
+    found, varied = dict(materials), []
+    deviations = _deviations([one.species for one in exemplars], plant, seed)
+    for exemplar, number, deviation in zip(exemplars, plant.tolist(), deviations.tolist(), strict=True):
         leafy = [
             organ
             for organ in exemplar.organs
@@ -57,28 +66,35 @@ def vary_leaves(
         if not leafy:
             varied.append(exemplar)
             continue
-        grown[exemplar.species] += 1
-        deviation = _deviation(seed, exemplar.species, grown[exemplar.species])
         classes = iter(light_classes(leafy))
         organs: list[OrganMesh] = []
         for organ in exemplar.organs:
             if not any(organ is one for one in leafy):
                 organs.append(organ)
                 continue
-            of_face, base = next(classes), materials[exemplar.species, organ.material]
+            of_face = next(classes)
             for index in np.unique(of_face).tolist():
                 name = f"{organ.material} ({CLASSES[index]}, {number})"
-                found[exemplar.species, name] = varied_material(base, CLASSES[index], deviation)
+                key = exemplar.species, name
+                if key not in found:
+                    base = materials[exemplar.species, organ.material]
+                    found[key] = varied_material(base, CLASSES[index], deviation)
                 organs.append(_some_faces(organ, of_face == index, name))
         varied.append(replace(exemplar, organs=tuple(organs)))
     return tuple(varied), found
 
 
-def _deviation(seed: int, species: str, number: int) -> float:
-    """Standard deviations of a plant's chlorophyll below the mean: normal, evenly spread over a species' exemplars."""
-    first = float(child_rng(seed, "leaf chlorophyll", species).random())
-    even = (first + number * (5.0**0.5 - 1.0) / 2.0) % 1.0
-    return NormalDist().inv_cdf(_RAREST + (1.0 - 2.0 * _RAREST) * even)
+def _deviations(species: Sequence[str], plant: Ints, seed: int) -> Floats:
+    """(E,) standard deviations of each exemplar's chlorophyll below the mean; see `vary_leaves`."""
+    deviation = np.zeros(len(plant))
+    for name in {one for one, number in zip(species, plant.tolist(), strict=True) if number}:
+        mine = np.array([one == name for one in species]) & (plant > 0)
+        ids, which = np.unique(plant[mine], return_inverse=True)
+        order = np.argsort([child_rng(seed, "leaf chlorophyll", name, one).random() for one in ids.tolist()])
+        even = _RAREST + (1.0 - 2.0 * _RAREST) * (np.argsort(order) + 0.5) / len(ids)
+        normal = np.array([NormalDist().inv_cdf(one) for one in even.tolist()])
+        deviation[mine] = (normal / (float(normal.std()) or 1.0))[which.reshape(-1)]
+    return deviation
 
 
 def light_classes(leafy: Sequence[OrganMesh]) -> list[NDArray[np.intp]]:

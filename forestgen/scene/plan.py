@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,13 +18,12 @@ from forestgen.community.simulation import CommunityPlan
 from forestgen.core.errors import ErrorList, RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.processes import free_bytes
-from forestgen.plants.parameters import PlantParameters
+from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.plan import PlantPlan, foliage_of, generator_parameters
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import most_triangles
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
-from forestgen.recipe.schema import Plants
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
 from forestgen.scene.phenology import leaf_states
@@ -77,11 +76,11 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     source = cloud_source_of(plan.drawn)
     pixels = max(camera.size_px[0] * camera.size_px[1] for camera in recipe.cameras)
-    exact = recipe.sky.clouds.has_clouds and _may_be_exact(plan.views, source.known_base_m(plan.drawn))
+    exact = _may_be_exact(plan.views)
     per_plant = _BYTES_PER_PLANT + exact * _BYTES_PER_PLANT_UNDER_CLOUDS
     clouds_per_triangle = exact * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
     per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
-    own = own_triangles(plan.plants.foliage, recipe.plants)
+    own = own_triangles(plan)
     across, along = (
         min(math.ceil((side + 40) / _GROUND_CELL_M), _MOST_GROUND_CELLS) + _GROUND_BEYOND for side in recipe.site.size_m
     )
@@ -96,20 +95,21 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     }
 
 
-def own_triangles(foliage: Mapping[str, PlantParameters], section: Plants) -> int:
+def own_triangles(plan: Plan) -> int:
     """Triangles of plants with branches of their own and of those that stand for the far ones, before any has grown.
 
-    The stand-ins of the standing dead, bare wood, are not counted.
-
-    How many plants there will be, and how large, nobody knows yet: see `check_own_triangles`.
+    The stand-ins of the standing dead, bare wood, are not counted. How many plants there will be, and how large, nobody
+    knows yet: see `check_own_triangles`.
     """
-    if not foliage or section.unique == "none":
+    section, states = plan.drawn.recipe.plants, leaf_states(plan.drawn)
+    if not plan.plants.foliage or section.unique == "none":
         unique = 0
     elif isinstance(section.unique, int):
         unique = min(section.unique * _TRIANGLES_OF_A_PLANT, MOST_TRIANGLES)
     else:
         unique = MOST_TRIANGLES
-    return unique + len(foliage) * section.exemplars_per_species * _TRIANGLES_OF_A_PLANT
+    classes = sum(len(states[name]) for name in plan.plants.foliage)
+    return unique + classes * section.exemplars_per_species * _TRIANGLES_OF_A_PLANT
 
 
 def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeError | ResourceError:
@@ -118,9 +118,12 @@ def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeEr
     return cause.at(drawn.where(*keys)) if keys[0] == "community" else cause
 
 
-def _may_be_exact(views: Views, base_m: float | None) -> bool:
-    """Whether the light of a recipe with clouds may be traced through them; see `render.cloud_shadow`."""
+def _may_be_exact(views: Views) -> bool:
+    """Whether the light of a recipe may be traced through clouds; see `render.cloud_shadow`."""
     drawn, recipe = views.drawn, views.drawn.recipe
+    base_m = cloud_source_of(drawn).known_base_m(drawn)
+    if not recipe.sky.clouds.has_clouds:
+        return False
     if recipe.render.clouds != "auto" or base_m is None:
         return recipe.render.clouds != "farfield"
     x_m, y_m = np.meshgrid(*(np.linspace(0.0, side_m, _GROUND_POINTS) for side_m in recipe.site.size_m))
@@ -132,7 +135,10 @@ def _may_be_exact(views: Views, base_m: float | None) -> bool:
 
 
 def _exemplar_triangles(plan: Plan) -> int:
-    """Triangles of all exemplars, as if each were a mature plant of its species; see `own_triangles` for the others."""
+    """Triangles of all exemplars, as if each were a mature plant of its species; see `own_triangles` for the others.
+
+    Stands of trees of all ages have a quarter to a tenth of them. Open-grown ones may have more: see `check_exemplars`.
+    """
     section = plan.drawn.recipe.plants
     each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
     total, states = 0.0, leaf_states(plan.drawn)
@@ -174,13 +180,26 @@ def check_memory(
 
 def check_own_triangles(plan: Plan, triangles: float) -> None:
     """Raise `ResourceError` if so many triangles of plants as themselves do not fit into the memory that is free."""
-    free, need = int(free_bytes() * _SHARE_OF_MEMORY), int(triangles * _BYTES_PER_OWN_TRIANGLE)
+    problem = "plants with branches of their own would need more memory than is free"
+    hint = "set plants.unique to auto, or to a smaller number"
+    _check_triangles(plan, "unique", triangles, triangles * _BYTES_PER_OWN_TRIANGLE, problem, hint)
+
+
+def check_exemplars(plan: Plan, exemplars: Sequence[Exemplar]) -> None:
+    """Raise `ResourceError` if too little memory is free to render exemplars that have grown: more than estimated."""
+    triangles, made = sum(one.triangles for one in exemplars), sum(one.nbytes for one in exemplars)
+    each = _BYTES_PER_TRIANGLE + _may_be_exact(plan.views) * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
+    problem = "rendering the plants that were modelled would need more memory than is free"
+    hint = "lower plants.exemplars_per_species or variants_per_size"
+    _check_triangles(plan, "exemplars_per_species", triangles, triangles * each - made, problem, hint)
+
+
+def _check_triangles(plan: Plan, key: str, triangles: float, need: float, problem: str, hint: str) -> None:
+    free = int(free_bytes() * _SHARE_OF_MEMORY)
     if need > free:
-        problem = "plants with branches of their own would need more memory than is free"
-        where = plan.drawn.where("plants", "unique")
-        got = f"about {show_bytes(need)} for {triangles / 1e6:,.0f} million triangles"
-        hint = "set plants.unique to auto, or to a smaller number"
-        raise ResourceError(problem, where=where, expected=f"at most {show_bytes(free)}", got=got, hint=hint)
+        got = f"about {show_bytes(int(need))} for {triangles / 1e6:,.0f} million triangles"
+        where, expected = plan.drawn.where("plants", key), f"at most {show_bytes(free)}"
+        raise ResourceError(problem, where=where, expected=expected, got=got, hint=hint)
 
 
 def make_plan(drawn: DrawnRecipe) -> Plan:

@@ -1,8 +1,14 @@
 """Exemplars of trees: by height, crown width, diameter, crown base and leaf area.
 
-Trees are told apart by the logarithms of height and crown width, of diameter and leaf area over what the width asks
-for, and of the crown's length over the stem's below it. Instances get each tree's own height and width, so that the
-rest of the error is in the other sizes.
+Living and dead trees, and those above and below breast height, have exemplars of their own: at least one each, even
+where that is more than a recipe asks for; the others go where trees differ most. Leaf-out and leaf fall split exemplars
+later (`ExemplarPlan.split`), so that a stand keeps its stems and branches through the year.
+
+An instance has its tree's height. Its width goes by the tree's crown width and diameter, half each: with one scale for
+both, what an exemplar is too thick for its width is divided between them. Stems count by their cone's diameter at the
+ground, which goes with the scales, not by that at breast height, which after scaling is elsewhere on the stem. Clusters
+are of what scales leave wrong, weighted by how much that matters, and of the scales themselves, since leaves and twigs
+change with them. The leaf area of a cluster's trees is that of their instances, in sum.
 """
 
 from __future__ import annotations
@@ -15,28 +21,26 @@ from numpy.typing import NDArray
 
 from forestgen.community.population import Population
 from forestgen.community.tree_columns import COLUMNS
+from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.randomness import child_rng
-from forestgen.scene.exemplar_plan import TREE_SIZES, ExemplarPlan, Floats, cluster, rungs_of
+from forestgen.scene.exemplar_plan import TREE_SIZES, ExemplarPlan, Floats, Ints, cluster_groups, rungs_of
 
 LibraryTree = Callable[[str, int, int], Floats]  # species, rung, variant -> (5,) sizes
 
-_WIDTH_WEIGHT, _BASE_WEIGHT, _LEAF_WEIGHT = 0.5, 0.4, 0.4  # against height and diameter
-_LEAST_DBH_M = 0.002
-_BARE = 1e-6  # leaf area over the square of the width: dead trees are told apart from all others
+# What k-means tells trees apart by: errors of diameter and width (each is half of what is left), of the crown's base
+# as a share of the height and of leaf area count by the first three, scales of height and of width over height by the
+# others. Chosen by the errors on the shipped recipes (docs/adr).
+_STOUT_WEIGHT, _BASE_WEIGHT, _LEAF_WEIGHT, _HEIGHT_WEIGHT, _WIDE_WEIGHT = 0.7, 1.2, 0.4, 0.5, 0.3
+_LEAST_CONE = 0.1  # height above breast height over height, of trees that have a diameter
 _MOST_STRETCH = 1.6  # of a tree's width over its height
 
 
 def tree_sizes_of(population: Population) -> Floats:
     """(N, 5) sizes of each plant in the order of `TreeSize`; NaN of plants that are no trees."""
-    columns = population.columns
-    sizes = np.full((len(population), TREE_SIZES), np.nan)
-    if not all(name in columns for name in COLUMNS):
-        return sizes
-    radius_m, base_m, leaf_m2 = (
-        np.asarray(columns[name]) for name in ("crown_radius_m", "crown_base_m", "leaf_area_m2")
-    )
-    dbh_m = np.asarray(columns["dbh_m"])
-    sizes[:] = np.stack([population.height_m, 2.0 * radius_m, dbh_m, base_m, leaf_m2], axis=1)
+    if not all(name in population.columns for name in COLUMNS):
+        return np.full((len(population), TREE_SIZES), np.nan)
+    dbh_m, radius_m, base_m, leaf_m2 = (np.asarray(population.columns[name], dtype=np.float64) for name in COLUMNS)
+    sizes = np.stack([population.height_m, 2.0 * radius_m, dbh_m, base_m, leaf_m2], axis=1)
     sizes[~np.isfinite(sizes[:, [0, 1, 3, 4]]).all(axis=1)] = np.nan
     return sizes
 
@@ -47,37 +51,50 @@ def plan_trees(index: int, sizes: Floats, radius_m: Floats, traits: Floats, clus
     `sizes`: (n, 5) of the trees. `radius_m`: (n,) of their neighbourhoods. `traits`: (n, K) what else tells them apart,
     weighted.
     """
-    low = np.isnan(sizes[:, 2])  # below breast height
-    features = np.concatenate([_tree_features(sizes), traits], axis=1)
-    middles, label = cluster(features, clusters, seed)
-    height = np.exp(middles[:, 0])
-    width = np.exp(middles[:, 1] / _WIDTH_WEIGHT)
-    odds = np.exp(middles[:, 3] / _BASE_WEIGHT)
-    tall = np.array([not low[label == k].any() for k in range(len(middles))], dtype=np.bool_)
-    tree = np.stack(
-        [
-            height,
-            width,
-            np.where(tall, np.exp(middles[:, 2]) * width, np.nan),
-            height * odds / (1.0 + odds),
-            np.exp(middles[:, 4] / _LEAF_WEIGHT) * width**2,
-        ],
-        axis=1,
-    )
-    radius = np.array([np.exp(np.log(radius_m[label == k]).mean()) for k in range(len(middles))])
-    return ExemplarPlan.of_species(index, radius, label, tree=tree)
+    features = np.concatenate([_tree_features(sizes), _HEIGHT_WEIGHT * traits], axis=1)
+    label = cluster_groups(features, _groups(sizes), clusters, seed)
+    height_m, width_m, _, base_m, leaf_m2 = sizes.T
+    count = np.bincount(label)
+
+    def middle(values: Floats) -> Floats:
+        return np.asarray(np.exp(np.bincount(label, np.log(values)) / count))
+
+    height, width, foot, radius = (middle(one) for one in (height_m, width_m, _foot_m(sizes), radius_m))
+    upright, across = height_m / height[label], np.sqrt(width_m * _foot_m(sizes) / (width * foot)[label])
+    grown = across * np.sqrt(0.5 * (upright**2 + across**2))  # of leaves of all attitudes
+    base = height * np.bincount(label, base_m / height_m) / count
+    dbh = np.where(np.bincount(label, np.isnan(sizes[:, 2])), np.nan, foot * _cone(height))
+    leaf = np.bincount(label, leaf_m2) / np.bincount(label, grown)
+    return ExemplarPlan.of_species(index, radius, label, tree=np.stack([height, width, dbh, base, leaf], axis=1))
+
+
+def _groups(sizes: Floats) -> Ints:
+    """(n,) which trees never share an exemplar: living above and below breast height, then the dead."""
+    return np.asarray(2 * (sizes[:, 4] == 0.0) + np.isnan(sizes[:, 2]), dtype=np.int64)
+
+
+def _cone(height_m: Floats) -> Floats:
+    """(n,) diameter of a cone at breast height over that at its foot."""
+    return np.maximum(1.0 - BREAST_HEIGHT_M / height_m, _LEAST_CONE)
+
+
+def _foot_m(sizes: Floats) -> Floats:
+    """(n,) diameter at the ground of a cone as thick as the stem at breast height; of lower trees the crown's width."""
+    return np.where(np.isnan(sizes[:, 2]), sizes[:, 1], sizes[:, 2] / _cone(sizes[:, 0]))
 
 
 def _tree_features(sizes: Floats) -> Floats:
-    """(n, 5) what trees are told apart by, of their (n, 5) sizes."""
-    height_m, width_m, dbh_m, base_m, leaf_m2 = sizes.T
-    ratio = np.clip(base_m / height_m, 0.02, 0.98)
+    """(n, 5) what trees are told apart by, of their (n, 5) sizes; the first is the height's."""
+    height_m, width_m, _, base_m, leaf_m2 = sizes.T
+    foot_m = _foot_m(sizes)
+    side = np.sqrt(width_m * foot_m)
+    density = np.where(leaf_m2 > 0.0, leaf_m2, 1.0) / np.where(leaf_m2 > 0.0, side**1.5 * height_m**0.5, 1.0)
     columns = [
-        np.log(height_m),
-        _WIDTH_WEIGHT * np.log(width_m),
-        np.log(np.where(np.isnan(dbh_m), _LEAST_DBH_M, dbh_m) / width_m),
-        _BASE_WEIGHT * np.log(ratio / (1.0 - ratio)),
-        _LEAF_WEIGHT * np.log(np.maximum(leaf_m2 / width_m**2, _BARE)),
+        _HEIGHT_WEIGHT * np.log(height_m),
+        _WIDE_WEIGHT * np.log(side / height_m),
+        _STOUT_WEIGHT * np.log(foot_m / width_m),
+        _BASE_WEIGHT * base_m / height_m,
+        _LEAF_WEIGHT * np.log(density),
     ]
     return np.stack(columns, axis=1)
 
@@ -122,13 +139,15 @@ def plan_library_trees(
 
 
 def instance_scales(
-    sizes: Floats, height_m: Floats, exemplar: NDArray[np.integer], exemplar_height_m: Floats, exemplar_width_m: Floats
+    sizes: Floats, height_m: Floats, exemplar: NDArray[np.integer], exemplar_height_m: Floats, tree: Floats
 ) -> tuple[Floats, Floats]:
     """(N,) vertical and (N,) horizontal scale of the instances of plants; one and the same but of trees.
 
-    `sizes`: (N, 5), see `tree_sizes_of`. `exemplar`: (N,) of the (E,) exemplars. A tree's scales differ by at most
-    `_MOST_STRETCH`.
+    `sizes`: (N, 5), see `tree_sizes_of`. `exemplar`: (N,) of the (E,) exemplars. `tree`: (E, 5) sizes of these. A
+    tree's scales differ by at most `_MOST_STRETCH`.
     """
-    upright = height_m / exemplar_height_m[exemplar]
-    across = sizes[:, 1] / exemplar_width_m[exemplar] / upright
-    return upright, upright * np.where(np.isnan(across), 1.0, np.clip(across, 1.0 / _MOST_STRETCH, _MOST_STRETCH))
+    upright, made = height_m / exemplar_height_m[exemplar], tree[exemplar]
+    wide, stout = sizes[:, 1] / made[:, 1], _foot_m(sizes) / _foot_m(made)
+    stout = np.where(np.isnan(sizes[:, 2] + made[:, 2]), wide, stout)
+    stretch = np.clip(np.sqrt(wide * stout) / upright, 1.0 / _MOST_STRETCH, _MOST_STRETCH)
+    return upright, upright * np.where(np.isnan(stretch), 1.0, stretch)

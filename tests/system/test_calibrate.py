@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,6 +65,20 @@ def calibrated(spec: SceneSpec, name: str | None, samples: int = 4) -> Calibrati
             seed=3,
             progress=Silent(),
         )
+
+
+def test_the_chart_stands_on_the_site_and_what_is_around_it_stays_outside() -> None:
+    spec = site(3.0)
+    old = spec.instances
+    around = Instances(
+        np.repeat(old.exemplar, 3), np.repeat(old.transform, 3, axis=0), np.array([9, 4, 0], np.uint32), outside=2
+    )
+    camera = stage.checker.camera(np.zeros(3), np.array([0.0, 0.0, 1.0]), 64)
+    charted = stage.with_chart(replace(spec, instances=around), np.zeros(3), np.array([0.0, 0.0, 1.0]), camera)
+    assert charted.instances.outside == 2
+    assert charted.instances.plant_id.tolist() == [9, 10, 4, 0]
+    assert charted.instances.on_site.exemplar.tolist() == [0, 1]
+    assert charted.instances.exemplar.dtype == charted.instances.plant_id.dtype == np.uint32
 
 
 def illuminant(name: str) -> Spectrum:

@@ -202,3 +202,5 @@ def test_levels_split_exemplars_by_what_their_plants_need():
     np.testing.assert_array_equal(plan.level, [0, 2, 1, 0])
     np.testing.assert_array_equal(plan.species, [0, 0, 0, 1])
     np.testing.assert_array_equal(plan.exemplar_of_plant, [0, 1, 2, 2, 3])
+    first = plants.plant_id[[0, 0, 2, 4]]  # levels of one plant have the same
+    np.testing.assert_array_equal(plan.first_plant(plants.plant_id), first)

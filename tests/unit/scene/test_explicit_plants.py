@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,7 +20,7 @@ from forestgen.scene import build as scene
 from forestgen.scene import growth
 from forestgen.scene.build import place_instances
 from forestgen.scene.growth import has_branches
-from forestgen.scene.plan import Plan, estimate_bytes, make_plan, own_triangles
+from forestgen.scene.plan import Plan, check_exemplars, estimate_bytes, make_plan, own_triangles
 from forestgen.scene.views import drawn_cameras
 from support.error_messages import raises_error
 
@@ -133,7 +135,18 @@ def test_memory_counts_the_plants_that_are_unique():
     none, some, auto = (planned(unique=wanted) for wanted in ("none", 40, "auto"))
     need = [estimate_bytes(plan)["exemplars"] for plan in (none, some, auto)]
     assert 2 * need[0] < need[2] == need[1]
-    assert own_triangles({}, auto.drawn.recipe.plants) == 0
+    assert own_triangles(replace(auto, plants=replace(auto.plants, foliage={}))) == 0
+
+
+def test_plants_that_came_out_larger_than_the_memory_are_not_rendered(monkeypatch: pytest.MonkeyPatch):
+    plan, population = planned(unique="none", exemplars_per_species=1), grown()
+    chosen = growth.choose_exemplars(plan, population, cameras(plan))
+    exemplars = growth.grow_planned(plan, chosen, Silent(), population)
+    left = 130 * sum(one.triangles for one in exemplars)  # a mesh has some 70 of 200 bytes a triangle
+    for free, refused in ((2 * left, False), (left // 2, True)):
+        monkeypatch.setattr("forestgen.scene.plan.free_bytes", lambda free=free: free)
+        with raises_error(ResourceError, place="plants.exemplars_per_species") if refused else nullcontext():
+            check_exemplars(plan, exemplars)
 
 
 def test_more_plants_as_themselves_than_memory_holds_are_refused(monkeypatch: pytest.MonkeyPatch):

@@ -95,6 +95,7 @@ def test_a_pixel_covers_what_the_nearest_camera_sees_of_the_nearest_part() -> No
 
 
 def test_trees_have_their_own_heights_and_widths() -> None:
+    """Of exemplars without a diameter: with one, it counts as much as the width (test_tree_exemplars)."""
     trees, plants, exemplar, _ = placed()
     rng = np.random.default_rng(4)
     of_exemplar = np.array([tree.crown_width_m / tree.height_m for tree in trees])[exemplar]
@@ -102,7 +103,8 @@ def test_trees_have_their_own_heights_and_widths() -> None:
     sizes = {"dbh_m": 0.2, "crown_base_m": 1.0, "leaf_area_m2": 5.0}
     columns = {name: np.full(len(plants), value) for name, value in sizes.items()}
     plants = replace(plants, columns={**plants.columns, **columns, "crown_radius_m": 0.5 * width_m})
-    instances = place_instances(plants, exemplar, trees, 3)
+    built = np.array([[tree.height_m, tree.crown_width_m, np.nan, 1.0, 5.0] for tree in trees])
+    instances = place_instances(plants, exemplar, trees, 3, tree=built)
     measures = PlantMeter(trees).measure(instances)
     np.testing.assert_allclose(measures.crown_width_m, width_m, rtol=1e-9)
     np.testing.assert_allclose(measures.tip_m[:, 2] - plants.position_m[:, 2], plants.height_m, rtol=1e-6)

@@ -13,6 +13,7 @@ from forestgen.scene.leaf_variation import CLASSES, light_classes, varied_materi
 from forestgen.scene.surfaces import materials_of
 from support.scenes import simple_tree
 
+ONE = np.ones(1, dtype=np.int64)
 VARIED = ("acacia", "beech", "birch", "eucalyptus", "larch", "pine", "rosemary", "spruce", "willow")
 
 
@@ -24,6 +25,12 @@ def materials(*names: str, season: str = "summer"):
 
 def tree():
     return simple_tree("birch", 12.0, 3000, np.random.default_rng(4))
+
+
+def greens(made, plants):
+    """By plant: reflectance at the red edge of exemplars' leaves in half shade."""
+    found = vary_leaves([tree()] * len(plants), made, plants, seed=5)[1]
+    return {int(one): found["birch", f"leaf (middle, {one})"].reflectance_spectrum.at(705) for one in plants}
 
 
 def areas(exemplar):
@@ -44,7 +51,7 @@ def test_a_crown_has_three_classes_of_equal_area_the_sun_above():
 def test_no_leaf_is_lost_and_each_class_has_a_material():
     made = materials("birch")
     made["birch", "bark"] = replace(made["birch", "bark"], texture=None)
-    ((varied,), found) = vary_leaves([tree()], made, seed=1)
+    ((varied,), found) = vary_leaves([tree()], made, ONE, seed=1)
     assert sum(areas(varied).values()) == pytest.approx(sum(areas(tree()).values()), rel=1e-5)
     assert len(areas(varied)) == len(CLASSES)
     assert all(("birch", name) in found for name in areas(varied))
@@ -56,7 +63,7 @@ def test_no_leaf_is_lost_and_each_class_has_a_material():
 def test_leaves_without_a_type_stay_as_they_are():
     exemplar, made = tree(), materials("birch")
     made["birch", "leaf"] = replace(made["birch", "leaf"], leaf_type=None)
-    assert vary_leaves([exemplar], made, seed=1) == ((exemplar,), made)
+    assert vary_leaves([exemplar], made, ONE, seed=1) == ((exemplar,), made)
 
 
 @pytest.mark.parametrize("name", VARIED)
@@ -77,13 +84,24 @@ def test_no_leaf_returns_more_light_than_arrives(name, season):
 def test_plants_differ_in_chlorophyll_by_the_measured_share():
     """Reflectance at the red edge of many exemplars: that of the mean leaf on average, spread as chlorophyll."""
     made = materials("birch")
-    varied, found = vary_leaves([tree()] * 60, made, seed=5)
-    assert len(varied) == 60
-    middle = [found["birch", f"leaf (middle, {number})"].reflectance_spectrum.at(705) for number in range(60)]
     base = made["birch", "leaf"]
     one = [varied_material(base, "middle", d).reflectance_spectrum.at(705) for d in (-1.0, 1.0)]
-    assert np.mean(middle) == pytest.approx(base.reflectance_spectrum.at(705), rel=0.01)
-    assert np.std(middle) == pytest.approx(0.5 * abs(one[1] - one[0]), rel=0.15)
+    for count in (2, 5, 60):
+        middle = list(greens(made, np.arange(1, 1 + count)).values())
+        assert np.mean(middle) == pytest.approx(base.reflectance_spectrum.at(705), rel=0.01)
+        assert np.std(middle) == pytest.approx(0.5 * abs(one[1] - one[0]), rel=0.1)
+    assert greens(made, ONE) == {1: base.reflectance_spectrum.at(705)}
+
+
+def test_a_plants_green_is_its_own_whatever_other_exemplars_there_are():
+    """The order of plants stays where some are left out, and an exemplar of other detail is as green."""
+    made = materials("birch")
+    every, some = greens(made, np.arange(1, 21)), greens(made, np.array([17, 3, 3, 8, 11]))
+    assert len(some) == 4
+    assert sorted(some, key=lambda one: some[one]) == [
+        one for one in sorted(every, key=lambda k: every[k]) if one in some
+    ]
+    assert greens(made, np.array([0, 0]))[0] == made["birch", "leaf"].reflectance_spectrum.at(705)
 
 
 def at(material, wavelength_nm):

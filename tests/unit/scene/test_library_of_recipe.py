@@ -164,3 +164,23 @@ def test_proportions_stay_near_the_plants_own(recipe: Path) -> None:
 def test_bad_input_is_refused(recipe: Path, override: str) -> None:
     with raises_error(RecipeError):
         load_recipe(recipe, [override])
+
+
+def test_the_fewer_trees_an_image_shows_the_nearer_they_are_to_the_median(recipe: Path) -> None:
+    """Alone a tree has all sizes of the median but its leaf area, which is the mean of trees of its height."""
+    recipe.write_text(RECIPE.replace("{library: 2", "{library: 60").replace("  grass:", "  grass: birch"))
+    logs = []
+    for shown in (1, 4, 60):
+        plan = planned(recipe, 0, f"plants.variants_per_size={shown}")
+        trees = np.array([growth._library_tree(plan, "grass", 10, variant) for variant in range(60)])
+        logs.append(np.log(trees[:, [1, 2, 4]]))
+    species = plan.drawn.species["grass"]
+    assert species.tree is not None
+    height_m = np.full(1000, 1.25**10)
+    every = species.tree.sizes(height_m, np.random.default_rng(1).standard_normal((1000, 4)))
+    alone, few, many = logs
+    np.testing.assert_allclose(np.std(alone, axis=0), 0.0, atol=1e-9)
+    np.testing.assert_allclose(alone[0, :2], np.median(np.log([every.crown_width_m, every.dbh_m]), axis=1), atol=0.05)
+    leaf_area_m2 = every.leaf_kg.mean() / species.tissue.leaf_mass_per_area_kg_per_m2
+    assert alone[0, 2] == pytest.approx(np.log(leaf_area_m2), abs=0.1)
+    np.testing.assert_allclose(np.std(few, axis=0), np.sqrt(0.75 / (1 - 1 / 60)) * np.std(many, axis=0), rtol=0.03)
