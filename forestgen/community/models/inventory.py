@@ -48,6 +48,9 @@ Decisions
 - The file is known by its content: the recipe's hash has its SHA-256, and a stored recipe has a copy beside it.
 - Cells are separated by commas, semicolons or tabs; with the latter two, decimals may have a comma. Text is UTF-8,
   UTF-16 or Windows-1252. An empty cell, or NA, is a value that is not known; NaN is refused.
+- Heights that are not known lie on the curve of the species' allometry through those that are, where at least five
+  living trees of the species have both: all heights above 1.3 m are multiplied by one factor (Mehtätalo et al. 2015,
+  Canadian Journal of Forest Research 45, 826).
 - Sizes that no tree has are refused: they are slips of the pen, or of units, and the generators do not build them. A
   diameter is at most a tenth of the height (of a dead tree, which may be broken, half; a fifth where it gives the
   height) and at least 1/300 of the height above 1.3 m; a crown is 0.04 to 2.5 heights wide and begins below 0.95 of the
@@ -85,6 +88,7 @@ from forestgen.community.static_model import Placement, StaticModel, StaticParam
 from forestgen.community.tree_columns import COLUMNS, HIGHEST_BASE, competition_shifts
 from forestgen.core.cache import BoundedCache
 from forestgen.core.errors import AssetError, RecipeError
+from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Flag, Name, Number, Positive, Section, Text, violation
 from forestgen.recipe.map_files import Sha256, known_file
@@ -96,6 +100,7 @@ if TYPE_CHECKING:
 
 _BYTES_PER_TREE = 400
 _CELLS = 1024
+_FEWEST_MEASURED = 5  # heights of a species that make its curve the list's own
 _TALLER = 1.5  # a tree whose crown begins above the height that its diameter gives, over that height
 _lists: BoundedCache[TreeList] = BoundedCache(300_000_000, lambda one: one.nbytes)
 
@@ -323,9 +328,10 @@ def _numbers_here(trees: TreeList, parameters: InventoryParameters, site: Site) 
         plot_m2 = parameters.plot_area_m2 or site.area_m2
         number = (trees.number("count") if "count" in trees.numbers else np.ones(len(trees))) * (site.area_m2 / plot_m2)
         if parameters.plot_area_m2 is None and "count" not in trees.numbers:
-            problem, hint = "neither places nor numbers of trees", "plot_area_m2 is the area of the plots together"
+            problem, got = "neither places nor numbers of trees", ", ".join([*trees.numbers, *trees.ignored])
             expected = "columns x_m and y_m, stems_per_ha or count; or community.plot_area_m2"
-            raise RecipeError(problem, where=trees.head, expected=expected, got="none of them", hint=hint)
+            hint = "`columns: {X: x_m, Y: y_m}` says what columns are; plot_area_m2 is that of all plots together"
+            raise RecipeError(problem, where=trees.head, expected=expected, got=got, hint=hint)
     what = "a number of trees"
     name = "stems_per_ha" if "stems_per_ha" in trees.numbers else "count"
     refuse(trees, np.isnan(number), "a line without a number of trees", what, (name,))
@@ -366,11 +372,29 @@ def _placed(
     ground = (density / max(float(density.max()), 1e-300), np.zeros(density.shape))
     placed = spacing.place_storey(grid, 0, dbh[order], np.ones(len(rows)), parameters.clark_evans, ground, rng)
     if placed < len(rows):
+        problem, got = "so many trees have no room", f"{len(rows):,} on the site"
         expected = f"at most about {placed:,} trees of these diameters, where trees may stand"
-        raise RecipeError("so many trees have no room", where=trees.name, expected=expected, got=f"{len(rows):,}")
+        hint = "a larger plot_area_m2, or a map and keep_out that leave more ground"
+        raise RecipeError(problem, where=trees.name, expected=expected, got=got, hint=hint)
     position_m = np.empty((len(rows), 2))
     position_m[order] = np.stack([grid.x, grid.y], axis=1)
     return position_m
+
+
+def _by_diameters(
+    species: Ecologies, sp: Indices, dbh_m: Floats, normals: Floats, shift: Floats, measured_m: Floats
+) -> Floats:
+    """(M,) heights, on the curve of each species' allometry that goes through the trees that are measured."""
+    height_m = heights_of(species, sp, dbh_m, normals, shift)
+    above = measured_m - BREAST_HEIGHT_M
+    for index in np.unique(sp).tolist():
+        mine = sp == index
+        known = mine & (above > 0.0)
+        if np.count_nonzero(known) >= _FEWEST_MEASURED:
+            usual = heights_of(species, sp[known], dbh_m[known], np.zeros((int(known.sum()), NUMBERS)), shift[known])
+            factor = np.exp(np.mean(np.log(above[known] / (usual - BREAST_HEIGHT_M))))
+            height_m[mine] = BREAST_HEIGHT_M + factor * (height_m[mine] - BREAST_HEIGHT_M)
+    return height_m
 
 
 def _heights(
@@ -388,14 +412,16 @@ def _heights(
     missing = np.flatnonzero(np.isnan(height_m))
     if not len(missing):
         return height_m
-    height_m[missing] = heights_of(species, sp[missing], dbh_m[missing], normals[missing], np.zeros(len(missing)))
     laws = [one.tree for one in species]
-    living = np.flatnonzero(np.array([law is not None for law in laws])[sp] & ~trees.dead[rows])
-    shift = np.zeros(len(rows))
-    shift[living] = competition_shifts(
-        position_m[living], sp[living], height_m[living], laws, site, periodic=parameters.periodic
-    )
-    height_m[missing] = heights_of(species, sp[missing], dbh_m[missing], normals[missing], shift[missing])
+    sized, shift = np.flatnonzero(are_trees(species, sp) & ~np.isnan(dbh_m)), np.zeros(len(rows))
+    living = np.flatnonzero(are_trees(species, sp) & ~trees.dead[rows])
+    measured_m = np.where(trees.dead[rows], np.nan, height_m)[sized]
+    for _ in range(2):  # the second time with neighbours
+        own = species, sp[sized], dbh_m[sized], normals[sized], shift[sized]
+        height_m[missing] = _by_diameters(*own, measured_m)[np.searchsorted(sized, missing)]
+        shift[living] = competition_shifts(
+            position_m[living], sp[living], height_m[living], laws, site, periodic=parameters.periodic
+        )
     least_m = np.nan_to_num(trees.number("crown_base_m")[rows[missing]]) / HIGHEST_BASE
     given_m = height_m[missing]  # a crown may begin high on a tall tree of its diameter
     height_m[missing] = np.where(least_m <= _TALLER * given_m, np.maximum(given_m, least_m), given_m)

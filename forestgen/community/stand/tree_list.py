@@ -133,10 +133,12 @@ def _records(text: str, mark: str, name: str) -> Iterator[tuple[int, list[str]]]
                 yield line, cells
             line = reader.line_num + 1
     except csv.Error as cause:
-        problem = "a quotation mark is not closed, or has text beside it"
+        is_long = "limit" in str(cause)
+        problem = "a cell is too long" if is_long else "a quotation mark is not closed, or has text beside it"
+        hint = "values are separated by commas, semicolons or tabs; a quotation mark that is alone begins a long cell"
         expected = 'a cell in two marks, "so, for instance", and a mark inside it twice'
         got = io.StringIO(text, newline="").readlines()[line - 1].rstrip()[:80]
-        raise RecipeError(problem, where=f"{name}, line {line}", expected=expected, got=got) from cause
+        raise RecipeError(problem, where=f"{name}, line {line}", expected=expected, got=got, hint=hint) from cause
 
 
 def _first_line(text: str, mark: str) -> list[str]:
@@ -161,10 +163,10 @@ def _known_names(names: list[str], columns: Mapping[str, str], where: str) -> di
         if column in COLUMNS:
             found[column] = index
     for one in names:
-        near = difflib.get_close_matches(one.lower(), [c for c in COLUMNS if c not in found], 1, _NEAR)
+        near = difflib.get_close_matches(one.lower(), [c for c in COLUMNS if c not in found], 2, _NEAR)
         if one not in columns and one.lower() not in found and near:
-            hint = f"if it is another one: `columns: {{{one}: ...}}` names columns; those of other names are left out"
-            raise RecipeError("unknown column", where=where, expected=f"{near[0]}", got=one, hint=hint)
+            hint = f"`columns: {{{one}: {near[0]}}}` says what it is"
+            raise RecipeError("unknown column", where=where, expected=" or ".join(near), got=one, hint=hint)
     missing = [one for one in ("species",) if one not in found]
     if ("x_m" in found) != ("y_m" in found):
         missing.append("y_m" if "x_m" in found else "x_m")

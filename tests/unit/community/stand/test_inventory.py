@@ -70,6 +70,21 @@ def test_heights_follow_from_diameters_and_neighbours(species):
     assert dense == pytest.approx(law.height_of(np.full(1, 0.25), np.zeros((1, 4)))[0], rel=0.15)
 
 
+@pytest.mark.parametrize("measured", [4, 40])
+def test_heights_that_are_not_known_follow_those_that_are(measured, species):
+    """Where five trees of a species or more are measured: here all are 0.7 times as tall above 1.3 m as usual."""
+    rng, law = np.random.default_rng(2), species[0].tree
+    dbh_cm = rng.uniform(15, 40, 80)
+    usual_m = law.height_of(dbh_cm / 100, np.zeros((80, 4)))
+    short = [f"{1.3 + 0.7 * (h - 1.3):.3f}" if k < measured else "" for k, h in enumerate(usual_m)]
+    x, y = 2.0 + rng.random((2, 80)) * 36
+    lines = [f"spruce,{a:.3f},{b:.3f},{d:.3f},{h}" for a, b, d, h in zip(x, y, dbh_cm, short, strict=True)]
+    found = placed(species, "species,x_m,y_m,dbh_cm,height_m\n" + "\n".join(lines), SITE)
+    free = placed(species, "species,x_m,y_m,dbh_cm\n" + "\n".join(one.rpartition(",")[0] for one in lines), SITE)
+    ratio, usual = (np.mean((one.height_m[40:] - 1.3) / (usual_m[40:] - 1.3)) for one in (found, free))
+    assert ratio == pytest.approx(0.7 if measured == 40 else usual, rel=0.05)
+
+
 @pytest.mark.parametrize(
     ("text", "encoding"),
     [
@@ -212,6 +227,9 @@ BAD = {
     "no text": "PK\x03\x04\0\0",
     "an unclosed quotation mark": HEAD + 'spruce,1,2,30\n"spruce,2,2,30\nspruce,3,2,30',
     "text beside a quotation mark": HEAD + 'spruce,1,2,30\n"spruce" tall,2,2,30',
+    "a long cell": HEAD + f"spruce,1,2,{'9' * 140_000}",
+    "no ground": ("species,dbh_cm,stems_per_ha\nspruce,30,500", {"keep_out": [[1]]}),
+    "names of their own for places": "species,X,Y,dbh_cm\nspruce,1,2,30",
     "a line break in a name": HEAD + 'spruce,1,2,30\n"spr\nuce",2,2,30',
     "separated by blanks": "species x_m y_m dbh_cm\nspruce 1 2 30",
     "another case": HEAD + "Spruce,1,2,30\nSpruce,1,3,30\nBEECH,1,4,30",
@@ -228,8 +246,9 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_bad_list_has_one_message_with_its_line(name, species):
+    table, given = BAD[name] if isinstance(BAD[name], tuple) else (BAD[name], {})
     with raises_error(RecipeError) as caught:
-        placed(species, BAD[name])
+        placed(species, table, **given)
     assert "community.table" in caught.value.where
 
 
