@@ -4,6 +4,10 @@ A `StaticModel` says where plants stand (`place`) and how many there are at most
 of `CommunityModel`: steps, snapshots, resuming, disturbances, memory. A step of Δt years makes every plant older, and
 nothing else: plants neither grow, compete, arrive nor die. Only disturbances (`community.disturbances`) add or remove
 plants. A `GrowingModel` also says what a step does to plants (`change`).
+
+A model that knows sizes of its trees, or which of them stand dead, sets `knows_trees` and returns them as `tree_sizes`
+and `dead`. What it does not say follows from a tree's height and neighbours (`tree_columns`), and from its new height
+where a step changed that.
 """
 
 from __future__ import annotations
@@ -37,6 +41,9 @@ class StaticParameters(CommunityParameters):
 
 
 P = TypeVar("P", bound=StaticParameters)
+TreeColumns = Mapping[str, Floats]  # name of `tree_columns.COLUMNS` -> (N,), NaN where it is not known
+_RANGES = dict(zip(COLUMNS, ("above 0", "above 0", "from 0 to the height", "of at least 0"), strict=True))
+_OF_TREES = ("dead", "age_yr", "azimuth_deg")
 
 
 @dataclass(frozen=True)
@@ -49,21 +56,23 @@ class Placement:
     height_m: Floats | None = None  # (N,) None: by the species' allometry
     notes: tuple[str, ...] = ()  # for users, such as that not all plants found a place
     found: Mapping[str, Any] = field(default_factory=dict)  # what the model worked out, as in JSON; keys: `state_keys`
-    tree_sizes: Floats | None = None  # (N, 4) `tree_columns.COLUMNS`, NaN where the model does not say
+    tree_sizes: TreeColumns = field(default_factory=dict)  # (N,) each of `tree_columns.COLUMNS` that the model knows
     dead: NDArray[np.bool_] | None = None  # (N,) standing dead trees; None: all live
     age_yr: Floats | None = None  # (N,) None: 0
     azimuth_deg: Floats | None = None  # (N,) turn about the vertical; NaN: random
 
     def __post_init__(self) -> None:
-        for name in ("species", "position_m", "radius_m", "height_m", "tree_sizes", "dead", "age_yr", "azimuth_deg"):
+        object.__setattr__(self, "tree_sizes", {key: np.asarray(one) for key, one in self.tree_sizes.items()})
+        for name in ("species", "position_m", "radius_m", "height_m", "dead", "age_yr", "azimuth_deg"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.asarray(getattr(self, name)))
-        n = self.species.size
-        heights = (n,) if self.height_m is None else self.height_m.shape
-        found = (self.species.shape, self.position_m.shape, self.radius_m.shape, heights)
-        if found != ((n,), (n, 2), (n,), (n,)):
-            expected = f"species, radius_m and height_m of shape ({n},), position_m of ({n}, 2)"
-            raise RecipeError("the arrays of a Placement do not fit", expected=expected, got=str(found))
+        n, found = self.species.size, {"position_m": self.position_m, **self.tree_sizes}
+        found |= {name: getattr(self, name) for name in ("species", "radius_m", "height_m", *_OF_TREES)}
+        for name, one in found.items():
+            shape = (n, 2) if name == "position_m" else (n,)
+            if one is not None and one.shape != shape:
+                problem, expected = "the arrays of a Placement do not fit", f"{name} of shape {shape}, a row a plant"
+                raise RecipeError(problem, expected=expected, got=str(one.shape))
 
 
 @dataclass(frozen=True)
@@ -74,6 +83,7 @@ class Change:
     radius_m: Floats | None = None  # (N,) after the step; None: as before
     height_m: Floats | None = None  # (N,) None: as before, or by the species' allometry where radius_m is given
     arrivals: Placement | None = None  # new plants; only `Placement.notes` and `found` of step 0 are kept
+    tree_sizes: TreeColumns = field(default_factory=dict)  # (N,) each; others as before where the height is as before
 
 
 @dataclass(frozen=True)
@@ -112,26 +122,40 @@ def azimuth_of(seed: int, plant_id: int) -> float:
     return float(child_rng(seed, "placed azimuth", plant_id).uniform(0.0, 360.0))
 
 
-def first_state(parameters: CommunityParameters, site: Site, species: Ecologies, seed: int, placed: Placement) -> State:
-    """The state of step 0 of plants that have just been placed, numbered from 1 in the order given."""
-    n, height_m = len(placed.species), placed.height_m
-    azimuth_deg = child_rng(seed, "placement azimuths").uniform(0.0, 360.0, n)
+def _plants_of(
+    placed: Placement, species: Ecologies, ids: NDArray[np.uint32], azimuth_deg: Floats, step: int
+) -> Plants:
+    """Plants that arrive in a step; `azimuth_deg`: (N,) of those whose turn the placement does not say."""
+    n, height_m = len(ids), placed.height_m
+    if height_m is None:
+        height_m = heights_m(species, placed.species, placed.radius_m)
     if placed.azimuth_deg is not None:
         azimuth_deg = np.where(np.isnan(placed.azimuth_deg), azimuth_deg, placed.azimuth_deg)
-    plants = Plants(
+    return Plants(
         x_m=np.ascontiguousarray(placed.position_m, dtype=np.float64),
         r_m=np.ascontiguousarray(placed.radius_m, dtype=np.float64),
-        height_m=np.ascontiguousarray(
-            heights_m(species, placed.species, placed.radius_m) if height_m is None else height_m, dtype=np.float64
-        ),
+        height_m=np.ascontiguousarray(height_m, dtype=np.float64),
         sp=np.ascontiguousarray(placed.species, dtype=np.uint16),
         azimuth_deg=azimuth_deg,
-        first_age_yr=np.zeros(n) if placed.age_yr is None else placed.age_yr,
-        tree_sizes=unknown_sizes(n) if placed.tree_sizes is None else placed.tree_sizes,
+        first_age_yr=np.zeros(n) if placed.age_yr is None else placed.age_yr.astype(np.float64),
+        tree_sizes=_sizes_of(placed.tree_sizes, unknown_sizes(n)),
         dead=np.zeros(n, dtype=np.bool_) if placed.dead is None else placed.dead,
-        plant_id=new_ids(1, n),
-        born=np.zeros(n, dtype=np.int32),
+        plant_id=ids,
+        born=np.full(n, step, dtype=np.int32),
     )
+
+
+def _sizes_of(given: TreeColumns, others: Floats) -> Floats:
+    """(N, 4) sizes as a model gives them, and `others` of the columns that it leaves out."""
+    columns = [given.get(name, others[:, index]) for index, name in enumerate(COLUMNS)]
+    return np.stack(columns, axis=1).astype(np.float64)
+
+
+def first_state(parameters: CommunityParameters, site: Site, species: Ecologies, seed: int, placed: Placement) -> State:
+    """The state of step 0 of plants that have just been placed, numbered from 1 in the order given."""
+    n = len(placed.species)
+    azimuth_deg = child_rng(seed, "placement azimuths").uniform(0.0, 360.0, n)
+    plants = _plants_of(placed, species, new_ids(1, n), azimuth_deg, 0)
     return State(parameters, site, tuple(species), seed, 0, 1 + n, plants, placed.notes, dict(placed.found))
 
 
@@ -202,21 +226,16 @@ class FixedPopulation(Generic[P]):
 
     def plant(self, state: State, planting: Planting) -> State:
         """The state with new plants beside the others."""
-        n = len(planting)
-        ids = new_ids(state.next_id, n)
-        new = Plants(
-            x_m=planting.position_m,
-            r_m=planting.radius_m,
-            height_m=heights_m(state.species, planting.species, planting.radius_m),
-            sp=planting.species,
-            azimuth_deg=np.array([azimuth_of(state.seed, int(one)) for one in ids], dtype=np.float64),
-            first_age_yr=np.zeros(n),
-            tree_sizes=unknown_sizes(n),
-            dead=np.zeros(n, dtype=np.bool_),
-            plant_id=ids,
-            born=np.full(n, state.step, dtype=np.int32),
-        )
-        return replace(state, next_id=state.next_id + n, plants=state.plants.and_then(new))
+        return with_arrivals(state, Placement(planting.species, planting.position_m, planting.radius_m))
+
+
+def with_arrivals(state: State, placed: Placement) -> State:
+    """The state with new plants beside the others, numbered on from theirs."""
+    n = len(placed.species)
+    ids = new_ids(state.next_id, n)
+    azimuth_deg = np.array([azimuth_of(state.seed, int(one)) for one in ids], dtype=np.float64)
+    new = _plants_of(placed, state.species, ids, azimuth_deg, state.step)
+    return replace(state, next_id=state.next_id + n, plants=state.plants.and_then(new))
 
 
 class StaticModel(FixedPopulation[P], ABC):
@@ -237,7 +256,7 @@ class StaticModel(FixedPopulation[P], ABC):
         """The plants at their places. Raises `RecipeError`: `place` returned what no later stage could use."""
         placed = self.place(parameters, site, species, child_rng(seed, "community", 0))
         name = f"{type(self).__name__}.place"
-        _check(placed, site, species, name)
+        _check(placed, site, species, name, knows_trees=self.knows_trees)
         undeclared = sorted({*placed.found} - {*self.state_keys})
         if undeclared:
             _refuse(name, f"keys of `found` among {type(self).__name__}.state_keys", ", ".join(undeclared))
@@ -282,28 +301,35 @@ class GrowingModel(StaticModel[P]):
         radius_m = before.r_m if change.radius_m is None else change.radius_m
         height_m = before.height_m if change.height_m is None else change.height_m
         dead = np.zeros(len(before), dtype=bool) if change.dead is None else change.dead
-        for array, what in ((radius_m, "radius_m"), (height_m, "height_m"), (dead, "dead")):
+        for what, array in {"radius_m": radius_m, "height_m": height_m, "dead": dead, **change.tree_sizes}.items():
             if np.shape(array) != (len(before),):
                 _refuse(name, f"{what} of {len(before)} plants", f"shape {np.shape(array)}")
         if change.radius_m is not None and change.height_m is None:
             height_m = heights_m(state.species, before.sp, radius_m)
-        grown = replace(before, r_m=np.asarray(radius_m, np.float64), height_m=np.asarray(height_m, np.float64))
-        alive = grown.where(~np.asarray(dead, dtype=bool))
-        _check(Placement(alive.sp, alive.x_m, alive.r_m, alive.height_m), state.site, state.species, name)
-        after, new = replace(older, plants=alive), change.arrivals
-        if new is None:
-            return after
-        _check(new, state.site, state.species, name)
-        after = self.plant(after, Planting(new.species.astype(np.uint16), new.position_m, new.radius_m))
-        if new.height_m is None:
-            return after
-        return replace(after, plants=replace(after.plants, height_m=np.concatenate([alive.height_m, new.height_m])))
+        same = np.asarray(height_m == before.height_m)[:, None]
+        sizes = _sizes_of(change.tree_sizes, np.where(same, before.tree_sizes, np.nan))
+        grown = replace(
+            before,
+            r_m=np.asarray(radius_m, np.float64),
+            height_m=np.asarray(height_m, np.float64),
+            tree_sizes=sizes,
+        )
+        keep = ~np.asarray(dead, dtype=bool)
+        alive, given = grown.where(keep), {key: np.asarray(one)[keep] for key, one in change.tree_sizes.items()}
+        after = Placement(alive.sp, alive.x_m, alive.r_m, alive.height_m, tree_sizes=given)
+        for placed in (after, *([] if change.arrivals is None else [change.arrivals])):
+            _check(placed, state.site, state.species, name, knows_trees=self.knows_trees)
+        left = replace(older, plants=alive)
+        return left if change.arrivals is None else with_arrivals(left, change.arrivals)
 
 
-def _check(placed: object, site: Site, species: Ecologies, name: str) -> None:
+def _check(placed: object, site: Site, species: Ecologies, name: str, *, knows_trees: bool) -> None:
     """Raise `RecipeError` for the first plant that no later stage could use; `name`: the method that returned it."""
     if not isinstance(placed, Placement):
         _refuse(name, "a Placement", type(placed).__name__)
+    if not knows_trees and (placed.tree_sizes or placed.dead is not None):
+        got = ", ".join([*placed.tree_sizes, *(["dead"] if placed.dead is not None else [])])
+        _refuse(name, "`knows_trees = True` in the class of a model that says this of its trees", got)
     if not len(placed.species):
         return
     if not np.all((placed.species >= 0) & (placed.species < len(species))):
@@ -318,6 +344,31 @@ def _check(placed: object, site: Site, species: Ecologies, name: str) -> None:
         _refuse(name, f"radius_m in (0, {largest[worst]:g}]", f"{placed.radius_m[worst]:g}")
     if placed.height_m is not None and not np.all(np.isfinite(placed.height_m) & (placed.height_m > 0)):
         _refuse(name, "positive height_m", f"{np.min(placed.height_m):g}")
+    _check_trees(placed, species, name)
+
+
+def _check_trees(placed: Placement, species: Ecologies, name: str) -> None:
+    """Refuse what no tree is, and sizes of plants that are none."""
+    height_m = heights_m(species, placed.species, placed.radius_m) if placed.height_m is None else placed.height_m
+    is_tree = np.array([one.tree is not None for one in species], dtype=np.bool_)[placed.species]
+    for key, values in placed.tree_sizes.items():
+        if key not in COLUMNS:
+            _refuse(name, f"tree_sizes among {', '.join(COLUMNS)}", key)
+        if values.dtype.kind not in "fiu":
+            _refuse(name, f"{key} as numbers", str(values.dtype))
+        least = values > 0.0 if _RANGES[key] == "above 0" else values >= 0.0
+        most = height_m if key == "crown_base_m" else np.inf
+        good = np.isnan(values) | (is_tree & least & (values <= most) & np.isfinite(values))
+        if not good.all():
+            row = int(np.flatnonzero(~good)[0])
+            expected = f"{key} {_RANGES[key]}, of trees, whose species have a section `tree`; NaN of others"
+            _refuse(name, expected, f"{values[row]:g} of {species[placed.species[row]].name}, {height_m[row]:g} m tall")
+    if placed.dead is not None and placed.dead.dtype != np.bool_:
+        _refuse(name, "dead as true or false", str(placed.dead.dtype))
+    if placed.age_yr is not None and not np.all(np.isfinite(placed.age_yr) & (placed.age_yr >= 0)):
+        _refuse(name, "age_yr of at least 0", f"{np.min(placed.age_yr):g}")
+    if placed.azimuth_deg is not None and np.isinf(placed.azimuth_deg).any():
+        _refuse(name, "azimuth_deg, or NaN", "infinity")
 
 
 def _refuse(name: str, expected: str, got: str) -> NoReturn:

@@ -28,6 +28,7 @@ from forestgen.core.randomness import child_root
 from forestgen.recipe.tree_sizes import NUMBERS, TreeSizes, own_normals
 
 COLUMNS = ("dbh_m", "crown_radius_m", "crown_base_m", "leaf_area_m2")
+HIGHEST_BASE = 0.95  # of a crown over the height
 _DISC_HEIGHTS, _DISC_M = 0.4, (2.0, 12.0)
 _NEIGHBOUR, _TALLER = 0.6, 1.25  # heights over the tree's
 _OPEN_COVER, _SHADE_COVER = 0.6, 0.7
@@ -74,7 +75,7 @@ def with_tree_sizes(
         for name, values in zip(COLUMNS, made, strict=True):
             own = known[name][rows]
             known[name][rows] = np.where(np.isnan(own), values, own)
-    known["crown_base_m"] = np.minimum(known["crown_base_m"], 0.95 * population.height_m)
+    known["crown_base_m"] = np.minimum(known["crown_base_m"], HIGHEST_BASE * population.height_m)
     return replace(population, columns={**population.columns, **known})
 
 

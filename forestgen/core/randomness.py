@@ -7,8 +7,11 @@ from the root seed and the thing's name, so the order of calls and the number of
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import numpy as np
+
+SPLIT_MIX_STEP = np.uint64(0x9E3779B97F4A7C15)  # between the states of a stream
 
 
 def _digest(root_seed: int, identity: tuple[str | int, ...]) -> bytes:
@@ -31,3 +34,15 @@ def child_root(root_seed: int, *identity: str | int) -> int:
 def child_seed(root_seed: int, *identity: str | int) -> int:
     """Seed in [0, 2^31) for a library that takes an integer (the renderer's samplers, k-means)."""
     return int.from_bytes(_digest(root_seed, identity)[:4], "little") >> 1
+
+
+def mixed(bits: Any) -> Any:
+    """NumPy's uint64, an array or a number, one to one well mixed: the finaliser of SplitMix64. Kernels compile it.
+
+    References
+    ----------
+    G. L. Steele, D. Lea and C. H. Flood, Fast splittable pseudorandom number generators, OOPSLA 2014.
+    """
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return bits ^ (bits >> np.uint64(31))

@@ -128,7 +128,7 @@ class StandTable(Reading):
         stem = f"DBH from {self.min_dbh_cm:g} cm on"
         yield f"living plants of a site of {three_digits(self.site_ha)} ha, as they are rendered; {stem}: stems"
         yield "stems/ha, BA (basal area), Dq (quadratic mean diameter), H (mean height), H/D (median), V (trunk): stems"
-        yield f"Hdom: mean height of the {_DOMINANT_PER_HA} thickest plants a hectare; storeys: from 2/3, 1/3 of it on"
+        yield f"Hdom: mean height of the {_DOMINANT_PER_HA} thickest stems a hectare; storeys: from 2/3, 1/3 of it on"
         yield "AGB (dry biomass above the ground), LAI (one side of the leaves): all plants, also those without a DBH"
         yield f"cover: vertical rays that meet a plant above {BREAST_HEIGHT_M} m; one ray may meet several rows"
         if self.standing_dead_per_ha:
@@ -329,6 +329,7 @@ def _row(plants: _Plants, species: str, storey: str, mine: Mask, met: Mask) -> S
     dbh_m, height_m, ha = plants.dbh_m[stem], plants.height_m[stem], plants.site_ha
     area_m2 = math.pi / 4.0 * float(np.sum(dbh_m**2))
     has = len(dbh_m) > 0
+    tall = stem if has else mine
     return StandRow(
         species=species,
         storey=storey,
@@ -336,7 +337,7 @@ def _row(plants: _Plants, species: str, storey: str, mine: Mask, met: Mask) -> S
         basal_area_m2_per_ha=area_m2 / ha,
         quadratic_mean_diameter_cm=100.0 * math.sqrt(float(np.mean(dbh_m**2))) if has else math.nan,
         mean_height_m=float(height_m.mean()) if has else math.nan,
-        dominant_height_m=_dominant_height_m(plants.dbh_m[mine], plants.height_m[mine], ha),
+        dominant_height_m=_dominant_height_m(plants.dbh_m[tall], plants.height_m[tall], ha),
         slenderness=float(np.median(height_m / dbh_m)) if has else math.nan,
         stem_volume_m3_per_ha=float(plants.stem_m3[stem].sum()) / ha,
         biomass_t_per_ha=float(plants.biomass_kg[mine].sum()) / 1000.0 / ha,

@@ -19,9 +19,10 @@ import math
 import numpy as np
 
 from forestgen.core.compiled import compiled, unowned_view
+from forestgen.core.randomness import SPLIT_MIX_STEP
 from forestgen.lsystem import vm_layout as layout
 from forestgen.lsystem.multiset import OPEN
-from forestgen.lsystem.vm_expressions import GOLDEN, mix, run, uniform
+from forestgen.lsystem.vm_expressions import mix, run, uniform
 from forestgen.lsystem.vm_words import finish_word, left_context, right_context, take
 
 
@@ -179,7 +180,7 @@ def rewrite(memory, key, how, text, words, made, pile, out, out_words):  # type:
         begin, end = np.int64(words.start[w]), np.int64(words.start[w + 1])  # one type of index: one compilation
         p = m[layout.NEXT_VALUE]
         written, values = m[layout.DONE], m[layout.DONE_VALUES]
-        word_key = mix(key + GOLDEN * np.uint64(words.id[w]))
+        word_key = mix(key + SPLIT_MIX_STEP * np.uint64(words.id[w]))
         i = begin
         while i < end:
             kind = codes[i]
@@ -200,7 +201,7 @@ def rewrite(memory, key, how, text, words, made, pile, out, out_words):  # type:
             module_key = word_key
             m[layout.DRAWS] = 0
             if has_rules or decomposes:
-                module_key = mix(word_key + GOLDEN * np.uint64(i - begin + 1))
+                module_key = mix(word_key + SPLIT_MIX_STEP * np.uint64(i - begin + 1))
             rule = -1
             if has_rules:
                 rule = _select(t, v, m, module_key, rules, how.group, i, p, begin, end, text)

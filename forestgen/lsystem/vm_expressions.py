@@ -6,28 +6,20 @@ import math
 
 import numpy as np
 
-from forestgen.core.compiled import compiled
+from forestgen.core.compiled import compiled, inlined_exactly
+from forestgen.core.randomness import SPLIT_MIX_STEP, mixed
 from forestgen.lsystem import vm_layout as layout
 
-GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-_MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-_S27, _S30, _S31, _S11 = np.uint64(27), np.uint64(30), np.uint64(31), np.uint64(11)
+_S11 = np.uint64(11)
 _UNIT = 1.0 / 9007199254740992.0  # 2^-53
-
-
-@compiled
-def mix(z):  # type: ignore[no-untyped-def]
-    """The finalizer of SplitMix64."""
-    z = (z ^ (z >> _S30)) * _MIX_1
-    z = (z ^ (z >> _S27)) * _MIX_2
-    return z ^ (z >> _S31)
+mix = inlined_exactly(mixed)
 
 
 @compiled
 def uniform(key, m):  # type: ignore[no-untyped-def]
     """The next number in [0, 1) of a stream; m[DRAWS] counts them."""
     m[layout.DRAWS] += 1
-    return np.float64(mix(key + GOLDEN * np.uint64(m[layout.DRAWS])) >> _S11) * _UNIT
+    return np.float64(mix(key + SPLIT_MIX_STEP * np.uint64(m[layout.DRAWS])) >> _S11) * _UNIT
 
 
 @compiled

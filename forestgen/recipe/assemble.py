@@ -33,7 +33,11 @@ T = TypeVar("T")
 
 _Files = dict[Path, tuple[dict[str, Any], SourceMap]]  # read once: many species may be made from one
 
-SHORTHANDS: dict[Keys, str] = {("site", "terrain"): "kind", ("sky", "clouds"): "type"}
+SHORTHANDS: dict[Keys, str] = {
+    ("site", "terrain"): "kind",
+    ("site", "surroundings"): "kind",
+    ("sky", "clouds"): "type",
+}
 OPTIONAL: tuple[Keys, ...] = (
     ("site",), ("plants",), ("sky",), ("cameras",), ("render",), ("labels",), ("wind",), ("dataset",), ("sampling",),
     ("sky", "sun"),

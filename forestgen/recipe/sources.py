@@ -33,6 +33,7 @@ _LONG = 100_000  # characters of text that is not kept
 _TAG = "tag:yaml.org,2002:"
 _NUMBERS_AND_FLAGS = {_TAG + kind for kind in ("int", "float", "bool", "null")}
 _TEXTS = {_TAG + "str", _TAG + "timestamp", "!"}
+_KEYS = _TEXTS | {_TAG + "int", _TAG + "float"}  # as they are written: a species' code may be 010
 _SCALARS, _CONTAINERS = _NUMBERS_AND_FLAGS | _TEXTS, {_TAG + "map", _TAG + "seq", "!"}
 
 
@@ -249,7 +250,7 @@ class _Reader:
         return merged
 
     def _key(self, node: Node) -> str:
-        if isinstance(node, ScalarNode) and node.tag in _TEXTS:
+        if isinstance(node, ScalarNode) and node.tag in _KEYS:
             return self._text(node, ())
         got, where = str(node.value) if isinstance(node, ScalarNode) else "a list or mapping", str(self._at(node))
         raise self._error("a key must be text", where=where, expected="a name", got=got[:60], hint="quote it")

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.core.frames import BREAST_HEIGHT_M
+from forestgen.core.randomness import SPLIT_MIX_STEP, mixed
 from forestgen.recipe.fields import NonNegative, Number, Positive, Section, Text
 
 Floats = NDArray[np.float64]
@@ -187,16 +188,6 @@ def own_normals(seed: int, plant_id: NDArray[np.unsignedinteger]) -> Floats:
     with np.errstate(over="ignore"):
         ids = np.asarray(plant_id, dtype=np.uint64)[:, None]
         state = np.asarray((ids << np.uint64(3)) + np.arange(NUMBERS, dtype=np.uint64), dtype=np.uint64)
-        bits: NDArray[np.uint64] = _mixed(
-            np.asarray(_mixed(state), dtype=np.uint64) ^ _mixed(np.full(1, key, dtype=np.uint64))
-        )
+        bits = mixed((mixed(state + SPLIT_MIX_STEP) ^ mixed(key + SPLIT_MIX_STEP)) + SPLIT_MIX_STEP)
     uniform = (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53 + 2.0**-54
     return np.asarray(ndtri(uniform))
-
-
-def _mixed(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """SplitMix64 (Steele, Lea & Flood 2014, Fast splittable pseudorandom number generators): one to one, well mixed."""
-    value = value + np.uint64(0x9E3779B97F4A7C15)
-    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return np.asarray(value ^ (value >> np.uint64(31)))

@@ -40,13 +40,15 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import advanced, clipped, entered, inside, largest_in_boxes
-from forestgen.core.compiled import compiled, inlined, unowned_view
+from forestgen.core.compiled import compiled, inlined, inlined_exactly, unowned_view
+from forestgen.core.randomness import SPLIT_MIX_STEP, mixed
 from forestgen.core.threads import parallel_for
 
 BRICK = 8  # cells along its side
 _FAINT = 0.1  # weight below which a path may end by chance
 _LONG, _STAYS = 1024, 0.999  # scatterings from which on it may too, and the chance that it does not
 _DIM = 0.25  # transmittance below which a ray to the sun may end by chance
+scrambled = inlined_exactly(mixed)
 _GOES_ON = 0.3  # least share of the paths that go on from the plain
 ORDERS = 3  # none, one and more reflections on the plain
 _CALL_PATHS = 400_000  # in one call of the kernel: Ctrl-C stops the work between calls
@@ -322,22 +324,14 @@ def _add_sky(sky, dx, dy, dz, weight, channels, out):  # type: ignore[no-untyped
 
 
 @inlined
-def scrambled(number):  # type: ignore[no-untyped-def]
-    """A 64-bit number scrambled (Steele et al. 2014, SplitMix64)."""
-    number = (number ^ (number >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    number = (number ^ (number >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return number ^ (number >> np.uint64(31))
-
-
-@inlined
 def _begun(seed, ray, sample):  # type: ignore[no-untyped-def]
     """The random stream of one path."""
-    step = np.uint64(0x9E3779B97F4A7C15)
+    step = SPLIT_MIX_STEP
     return scrambled(scrambled(scrambled(seed + step) ^ (ray + step)) ^ (sample + step))
 
 
 @inlined
 def _draw(state):  # type: ignore[no-untyped-def]
     """The stream's next state, and a number in (0, 1)."""
-    state = state + np.uint64(0x9E3779B97F4A7C15)
+    state = state + SPLIT_MIX_STEP
     return state, (np.float64(scrambled(state) >> np.uint64(11)) + 0.5) * (1.0 / 9007199254740992.0)

@@ -276,13 +276,14 @@ def _check_community(plan: CommunityPlan, errors: ErrorList, stand_ins: frozense
     if "species" not in stand_ins:
         errors.attempt(_check_disturbances, plan)
     errors.attempt(_check_buildings, plan)
+    had = len(errors.found)
+    errors.attempt(check_maps, parameters, drawn.recipe.site.size_m, lambda *keys: drawn.where("community", *keys))
     own_checks = capability(plan.model, PlanChecks)
-    if own_checks is not None and "species" not in stand_ins:
+    if own_checks is not None and "species" not in stand_ins and len(errors.found) == had:
         errors.attempt(own_checks.check_recipe, drawn, parameters)
     errors.attempt(check_wet_soil, plan)
     if "sky" not in stand_ins:
         errors.attempt(cloud_source_of(drawn).check_community, drawn, plan.model, parameters)
-    errors.attempt(check_maps, parameters, drawn.recipe.site.size_m, lambda *keys: drawn.where("community", *keys))
 
 
 def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:

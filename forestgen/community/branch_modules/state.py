@@ -28,6 +28,7 @@ from forestgen.community.branch_modules.parameters import BranchModulesParameter
 from forestgen.community.branch_modules.shade import Shade, ShadowGrid, shade
 from forestgen.community.population import Floats, Floats32, Mask, Site, SpeciesEcology, SpeciesIndex
 from forestgen.core.errors import RecipeError, ResourceError
+from forestgen.core.randomness import SPLIT_MIX_STEP, mixed
 from forestgen.recipe.species import PlantType
 from forestgen.recipe.suggestions import did_you_mean
 
@@ -82,18 +83,11 @@ class State:
         return {one.name: one.modules for one in self.species if one.modules is not None}
 
 
-def _mixed(bits: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """The finaliser of SplitMix64 (Steele et al. 2014)."""
-    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return np.asarray(bits ^ (bits >> np.uint64(31)))
-
-
 def uniform(seed: int, plant_id: NDArray[Any], number: NDArray[Any]) -> Floats:
     """(N,) in [0, 1): one random number of each module, by its plant's id and its own number."""
     bits = np.full(len(plant_id), seed % 2**64, dtype=np.uint64)
     for identity in (plant_id, number):
-        bits = _mixed(bits + np.uint64(0x9E3779B97F4A7C15) + identity.astype(np.uint64))
+        bits = mixed(bits + SPLIT_MIX_STEP + identity.astype(np.uint64))
     return (bits >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 

@@ -89,10 +89,10 @@ from forestgen.community.placement.densities import (
     Sizes,
     Stand,
     check_sizes,
-    draw_radii,
     grid_shape,
     one_size,
     plant_counts,
+    radii_at,
     relative_density,
 )
 from forestgen.community.placement.density_map import DensityMap
@@ -100,7 +100,7 @@ from forestgen.community.population import Ecologies, Floats, Site, SpeciesEcolo
 from forestgen.community.stand import spacing
 from forestgen.community.stand.build import StandBuilder, StandTrees, measured
 from forestgen.community.stand.targets import TOLERANCE, Storey, check_trees, stocking
-from forestgen.community.static_model import Placement, StaticModel, StaticParameters, unknown_sizes
+from forestgen.community.static_model import Placement, StaticModel, StaticParameters
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, violation
@@ -111,7 +111,9 @@ if TYPE_CHECKING:
 
 _CELLS = 1024  # of the density, along the longer side
 _CELL_M = 0.5
-_TRIED_M2 = 40_000  # a site of at most this area is built when a recipe is checked
+_TRIED_M2, _TRIED_PLANTS = 40_000, 50_000  # a site of at most so much is built when a recipe is checked
+_MOST_GAPS = 20_000
+_MOST_LEAVES = 15.0  # leaf area index
 _BYTES_PER_TREE = 300  # beside those of any static model; measured with 100,000 trees
 _GRID_BYTES = 40_000_000  # of cover and density
 
@@ -144,12 +146,18 @@ class GroundPlants(Section):
         """As placement models take it."""
         number = self.plants_per_ha
         if self.cover is not None:
-            radii = draw_radii(self.radius_m, species, 4096, np.random.default_rng(0))
+            radii = radii_at(self.radius_m, species, (np.arange(4096) + 0.5) / 4096)
             number = -math.log1p(-self.cover) / (math.pi * float(np.mean(radii**2))) * 1e4
         return Stand.model_construct(
             plants_per_ha=number, radius_m=self.radius_m, height_sigma=self.height_sigma, map=self.map,
             count=None, conditions=Conditions(),
         )  # fmt: skip
+
+
+class _Ground(uniform.UniformParameters):
+    """The ground's plants, as another model places them."""
+
+    plants_key: ClassVar[str] = "ground"
 
 
 class StandParameters(StaticParameters):
@@ -159,7 +167,9 @@ class StandParameters(StaticParameters):
 
     storeys: Annotated[tuple[Storey, ...], none_is(())] = Field((), max_length=6, description="from the top down")
     canopy_cover: Positive | None = Field(None, lt=1, description="share of the ground under crowns as discs")
-    leaf_area_index: Positive | None = Field(None, le=15, description="one side of all leaves over the ground")
+    leaf_area_index: Positive | None = Field(
+        None, le=_MOST_LEAVES, description="one side of all leaves over the ground"
+    )
     gaps: Gaps | None = Field(None, description="openings of the first storey")
     ground: Annotated[dict[Name, GroundPlants], none_is({})] = Field({}, description="herbs, shrubs and seedlings")
     map: DensityMap | None = Field(None, description="relative density of trees over the site")
@@ -179,7 +189,7 @@ class StandParameters(StaticParameters):
     def ground_parameters(self, species: Ecologies) -> uniform.UniformParameters:
         """The ground's plants as `uniform` places them."""
         plants = {one.name: self.ground[one.name].stand(one) for one in species if one.name in self.ground}
-        return uniform.UniformParameters.model_construct(
+        return _Ground.model_construct(
             plants=plants, keep_out=self.keep_out, periodic=self.periodic, cells=512, disturbances=()
         )
 
@@ -235,8 +245,7 @@ class StandModel(StaticModel[StandParameters]):
         species = [ecology_of(name, one) for name, one in drawn.species.items()]
         if {name for _, name in parameters.named_species()} - {*drawn.species}:
             return  # refused already
-        self._counts(parameters, site, species)
-        if site.area_m2 <= _TRIED_M2:
+        if site.area_m2 <= _TRIED_M2 and sum(self._counts(parameters, site, species)) <= _TRIED_PLANTS:
             self.place(parameters, site, species, child_rng(drawn.image_seed, "community", 0))
 
 
@@ -264,16 +273,20 @@ def _density(parameters: StandParameters, site: Site, rng: np.random.Generator) 
 
 def _gaps(gaps: Gaps, site: Site, periodic: bool, rng: np.random.Generator) -> tuple[Floats, float]:
     """(K, 2) middles of gaps that do not overlap, and their radius."""
-    count = max(1, round(gaps.share * site.area_m2 / (0.25 * math.pi * gaps.diameter_m**2)))
-    radius_m = math.sqrt(gaps.share * site.area_m2 / (math.pi * count))
+    count = round(gaps.share * site.area_m2 / (0.25 * math.pi * gaps.diameter_m**2))
+    radius_m = math.sqrt(gaps.share * site.area_m2 / (math.pi * max(count, 1)))
+    got = f"share {gaps.share:g} of gaps {gaps.diameter_m:g} m wide on {site.size_m[0]:g} x {site.size_m[1]:g} m"
+    if not 1 <= count <= _MOST_GAPS or min(site.size_m) < 2 * radius_m:
+        low, high = (math.sqrt(8 * gaps.share * site.area_m2 / (math.pi * k)) for k in (2 * _MOST_GAPS, 1))
+        problem = "so large gaps have no room on the site" if count <= _MOST_GAPS else "so many gaps"
+        expected = f"a diameter of {low:.2g} to {min(high, min(site.size_m)):.3g} m, for this share; or a larger site"
+        raise RecipeError(problem, where="community.gaps", expected=expected, got=got)
     grid = spacing.empty_grid(count, 2 * radius_m, site.size_m, periodic=periodic)
     ground = (np.ones((1, 1)), np.zeros((1, 1)))
-    fits = min(site.size_m) >= 2 * radius_m
-    placed = spacing.place_storey(grid, 0, np.full(count, radius_m), np.ones(count), 1.0, ground, rng) if fits else 0
+    placed = spacing.place_storey(grid, 0, np.full(count, radius_m), np.ones(count), 1.0, ground, rng)
     if placed < count:
         problem = "the gaps have no room on the site"
         expected = f"a share of at most about {placed * math.pi * radius_m**2 / site.area_m2:.2g}, or smaller gaps"
-        got = f"share {gaps.share:g} of gaps {2 * radius_m:.3g} m wide on {site.size_m[0]:g} x {site.size_m[1]:g} m"
         raise RecipeError(problem, where="community.gaps", expected=expected, got=got)
     return np.stack([grid.x, grid.y], axis=1), radius_m
 
@@ -296,7 +309,7 @@ def _joined(
         np.concatenate([trees.position_m, ground.position_m]),
         np.concatenate([radii_m(species, trees.species, trees.height_m), ground.radius_m]),
         np.concatenate([trees.height_m, ground.height_m]),
-        tree_sizes=np.concatenate([trees.columns, unknown_sizes(n)]),
+        tree_sizes={name: np.append(values, np.full(n, np.nan)) for name, values in trees.columns.items()},
         age_yr=np.concatenate([age, np.zeros(n)]),
         notes=(*_notes(found), *ground.notes),
         found=found,
@@ -326,6 +339,8 @@ def _notes(found: dict[str, Any]) -> Iterator[str]:
         for k, one in enumerate(reached["storeys"], start=1)
     ]
     yield f"{'; '.join(parts)}; cover {reached['canopy_cover']:.2f}, leaf area index {reached['leaf_area_index']:.1f}"
+    if reached["leaf_area_index"] > _MOST_LEAVES:
+        yield f"no forest has a leaf area index above {_MOST_LEAVES:g}: ask for a leaf_area_index, or for fewer stems"
     pairs = [
         (f"storey {k}: ", *both) for k, both in enumerate(zip(targets["storeys"], reached["storeys"], strict=True), 1)
     ]

@@ -73,6 +73,8 @@ class PlacementParameters(StaticParameters):
     )
     periodic: Flag = Field(True, description="the site is a torus, without edges; false: a bounded site")
 
+    plants_key: ClassVar[str] = "plants"  # for messages
+
     def for_trial(self) -> Self:
         """Without plants: their numbers are those of the whole site, and all have the same columns."""
         return self.model_copy(update={"plants": {}})
@@ -139,8 +141,8 @@ def plant_counts(parameters: PlacementParameters, site: Site, species: Ecologies
         elif stand.plants_per_ha:
             mean = float(species_density(parameters, site, one.name, shape).mean())
             asked = stand.plants_per_ha * site.area_ha * mean + 0.5
-            if asked > MOST_PLANTS:
-                where = f"community.plants.{one.name}.plants_per_ha"
+            if asked >= MOST_PLANTS + 1:
+                where = f"community.{parameters.plants_key}.{one.name}.plants_per_ha"
                 expected = f"at most {MOST_PLANTS:,} on the whole site"
                 got = f"{asked:,.0f}" if asked < 1e15 else f"{asked:.3g}"
                 hint = "plants_per_ha is multiplied by the map's values: a map of 0 to 1 leaves it as it is"
@@ -154,7 +156,7 @@ def check_sizes(parameters: PlacementParameters, species: Ecologies) -> None:
     for one in species:
         stand = parameters.plants.get(one.name)
         if stand is not None and stand.radius_m is not None and stand.radius_m.median > one.max_radius_m:
-            problem, where = f"no {one.name} is so large", f"community.plants.{one.name}.radius_m"
+            problem, where = f"no {one.name} is so large", f"community.{parameters.plants_key}.{one.name}.radius_m"
             expected = f"a radius of at most ecology.max_radius_m = {one.max_radius_m:g} m"
             raise RecipeError(problem, where=where, expected=expected, got=f"{stand.radius_m.median:g} m")
 
@@ -170,10 +172,14 @@ def draw_radii(sizes: Sizes | None, species: SpeciesEcology, n: int, rng: np.ran
     By inverse transformation: u, uniform in [0, 1), times the distribution's value at the largest radius R, is the
     value at the radius drawn. So a plant's radius depends on its own u alone, and the part below R keeps its shape.
     """
+    return radii_at(sizes, species, rng.random(n))
+
+
+def radii_at(sizes: Sizes | None, species: SpeciesEcology, uniform: Floats) -> Floats:
+    """(n,) radii of `draw_radii` for (n,) numbers in [0, 1)."""
     chosen = sizes_of(sizes, species)
-    uniform = rng.random(n)
     if chosen.sigma == 0:
-        return np.full(n, min(chosen.median, species.max_radius_m))
+        return np.full(len(uniform), min(chosen.median, species.max_radius_m))
     most = ndtr(math.log(species.max_radius_m / chosen.median) / chosen.sigma)
     radii = chosen.median * np.exp(chosen.sigma * ndtri(np.maximum(uniform, 1e-12) * most))
     return np.asarray(np.minimum(radii, species.max_radius_m))

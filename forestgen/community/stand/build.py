@@ -11,15 +11,22 @@ import numpy as np
 
 from forestgen.community.population import Ecologies, Floats, Indices, Site, SpeciesEcology
 from forestgen.community.stand import cover, spacing
-from forestgen.community.stand.targets import THICKEST_PER_HA, Storey, diameters_m, laws_of, species_of, stocking
-from forestgen.community.tree_columns import competition_shifts
+from forestgen.community.stand.targets import (
+    THICKEST_PER_HA,
+    Storey,
+    diameters_m,
+    laws_of,
+    species_of,
+    stocking,
+)
+from forestgen.community.stand.tree_list import TALLEST_M
+from forestgen.community.tree_columns import COLUMNS, HIGHEST_BASE, competition_shifts
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.recipe.tree_sizes import NUMBERS, Sizes
 
 MOST_DEVIATIONS = 3.0  # by which the trees of a stand may differ from their species' allometry in the mean
 _LEAST_HEIGHT_M = 1.4
-_HIGHEST_BASE = 0.95  # over the height
 _MOST_MEASURED = 10_000  # trees whose nearest one is looked for
 _TALLER = 1.05  # a lower storey over the one above it
 
@@ -39,9 +46,9 @@ class StandTrees:
     canopy_cover: float  # share of the site's ground under crowns as discs
 
     @property
-    def columns(self) -> Floats:
-        """(N, 4) as `tree_columns.COLUMNS`."""
-        return np.stack([self.dbh_m, self.crown_radius_m, self.crown_base_m, self.leaf_area_m2], axis=1)
+    def columns(self) -> dict[str, Floats]:
+        """(N,) each of `tree_columns.COLUMNS`."""
+        return {name: getattr(self, name) for name in COLUMNS}
 
 
 def by_species(
@@ -128,11 +135,11 @@ class StandBuilder:
         shift = competition_shifts(position_m, sp_all, first, laws, self._site, periodic=self._periodic)
         dbh_m = self._with_neighbours(dbh_m, shift, storey)
         height_m = self._scaled(heights_of(self._species, sp_all, dbh_m, own, shift), sp_all, dbh_m, storey, check=True)
-        self._check_order(height_m, storey)
+        self._check_heights(height_m, storey)
         made = by_species(self._species, sp_all, height_m, own, dbh_m)
         factor, covered = self._crowns(position_m, 0.5 * made.crown_width_m, sp_all, height_m, canopy_cover)
         leaf_m2 = self._leaves(leaf_areas_m2(self._species, sp_all, made.leaf_kg), sp_all, height_m, leaf_area_index)
-        base_m = np.minimum(made.crown_base_m, _HIGHEST_BASE * height_m)
+        base_m = np.minimum(made.crown_base_m, HIGHEST_BASE * height_m)
         radius_m = 0.5 * factor * made.crown_width_m
         return StandTrees(storey, sp_all, position_m, dbh_m, height_m, radius_m, base_m, leaf_m2, covered)
 
@@ -240,16 +247,20 @@ class StandBuilder:
                     dbh_m[mine] *= math.sqrt(before / float(np.sum(dbh_m[mine] ** 2)))
         return dbh_m
 
-    def _check_order(self, height_m: Floats, storey: Indices) -> None:
+    def _check_heights(self, height_m: Floats, storey: Indices) -> None:
         above = math.inf
         for index in range(len(self._storeys)):
-            rows = np.flatnonzero(storey == index)
+            rows, where = np.flatnonzero(storey == index), f"community.storeys.{index}"
             if not len(rows):
                 continue
+            tallest = float(height_m[rows].max())
+            if tallest > TALLEST_M:
+                problem, expected = "no tree is so tall", f"heights of at most {TALLEST_M:g} m"
+                got, hint = f"{tallest:.4g} m, by the allometry", "a lower dominant height, thinner trees, a smaller cv"
+                raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
             top = float(height_m[rows[thickest(len(rows), self._site)]].mean())
             if top > _TALLER * above:
                 problem, expected = "this storey is taller than the one above it", f"at most {above:.3g} m; or first"
-                where = f"community.storeys.{index}"
                 raise RecipeError(problem, where=where, expected=expected, got=f"a dominant height of {top:.3g} m")
             above = top
 
@@ -268,10 +279,9 @@ class StandBuilder:
         low, usual, high = (cover.cover_at(ratio, k) for k in (1.0 / most, 1.0, most))
         problem = "canopy_cover contradicts the trees"
         expected = f"{low:.3g} to {high:.3g}: the crowns of these trees cover {usual:.3g} by their allometry"
-        fits = len(sp) / self._site.area_ha * math.log1p(-target) / math.log1p(-min(usual, 0.999))
-        hint = (
-            f"about {fits:,.0f} stems/ha of these sizes instead of {len(sp) / self._site.area_ha:,.0f}; or other gaps"
-        )
+        stems, covered = len(sp) / self._site.area_ha, min(max(usual, 1e-9), 0.999)
+        fits = stems * math.log1p(-target) / math.log1p(-covered)  # where crowns lie at random
+        hint = f"about {max(fits, 1):,.0f} stems/ha of these sizes instead of {stems:,.0f}; or other gaps"
         raise RecipeError(problem, where="community.canopy_cover", expected=expected, got=f"{target:g}", hint=hint)
 
     def _leaves(self, leaf_m2: Floats, sp: Indices, height_m: Floats, target: float | None) -> Floats:
@@ -285,7 +295,7 @@ class StandBuilder:
         problem = "leaf_area_index contradicts the trees"
         expected = f"{usual / most:.3g} to {usual * most:.3g}: these trees have {usual:.3g} by their allometry"
         stems = len(sp) / self._site.area_ha
-        hint = f"about {stems * target / usual:,.0f} stems/ha of these sizes instead of {stems:,.0f}"
+        hint = f"about {max(stems * target / usual, 1):,.0f} stems/ha of these sizes instead of {stems:,.0f}"
         raise RecipeError(problem, where="community.leaf_area_index", expected=expected, got=f"{target:g}", hint=hint)
 
 

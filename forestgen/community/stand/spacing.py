@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from forestgen.community.competition.grid import span, wrapped
 from forestgen.community.population import Floats
-from forestgen.core.compiled import compiled
+from forestgen.core.compiled import compiled, inlined_exactly
+from forestgen.core.randomness import SPLIT_MIX_STEP, mixed
 
 LEAST_R, MOST_R = 0.55, 1.6
 _RANDOM_R = 0.99  # from here on no clumps
@@ -40,6 +41,7 @@ _TREES_PER_CLUMP = 8.0
 _TRIES = 300
 _DRAWS = 200_000  # of a tree, places without density included
 _TO_UNIT = 2.0**-53
+_mixed = inlined_exactly(mixed)
 
 
 class StemGrid(NamedTuple):
@@ -68,13 +70,9 @@ class Places(NamedTuple):
 
 @compiled
 def _random(state):  # type: ignore[no-untyped-def]
-    """A number in [0, 1): SplitMix64 (Steele, Lea and Flood 2014); `state` (1,) uint64 moves on."""
-    state[0] += np.uint64(0x9E3779B97F4A7C15)
-    z = state[0]
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return float(z >> np.uint64(11)) * _TO_UNIT
+    """A number in [0, 1) of SplitMix64; `state` (1,) uint64 moves on."""
+    state[0] += SPLIT_MIX_STEP
+    return float(_mixed(state[0]) >> np.uint64(11)) * _TO_UNIT
 
 
 @compiled

@@ -12,16 +12,19 @@ from scipy.special import gamma, ndtr, ndtri
 
 from forestgen.community.population import Ecologies, Floats, Indices, SpeciesEcology
 from forestgen.community.stand.spacing import LEAST_R, MOST_R
+from forestgen.community.stand.tree_list import TALLEST_M
 from forestgen.core.compiled import compiled
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation
 from forestgen.recipe.tree_sizes import NUMBERS, TreeSizes
 
+MOST_STEMS_PER_HA, _MOST_AREA = 1e6, 300.0  # the area in m² per hectare
 TOLERANCE = 0.05  # of a target that others determine
 THICKEST_PER_HA = 100  # whose mean height is the dominant height
 INDEX_AGE_YR = 100
 _QUANTILES = 1000
 _TOP = 0.95  # of the height of the tallest trees: the highest dominant height
+_LEAST_TOP_M = 1.5
 _SMALLEST = 0.2  # diameter of a normal distribution's thinnest tree over the mean
 _CURVES = {  # asymptote in metres, b, c: see `dominant_height_at`
     "spruce": (147.481, 4.64631, 0.29981),
@@ -64,13 +67,18 @@ class Storey(Section):
 
     species: dict[Name, Positive] = Field(min_length=1, description="Share of each species, of any sum.")
     share_of: Literal["basal_area", "stems"] = Field("basal_area", description="What the shares are of.")
-    stems_per_ha: Positive | None = Field(None, le=1e6, description="Number of stems per hectare.")
-    basal_area_m2_per_ha: Positive | None = Field(None, le=300, description="Area of all stems at 1.3 m, per hectare.")
+    stems_per_ha: Positive | None = Field(None, le=MOST_STEMS_PER_HA, description="Number of stems per hectare.")
+    basal_area_m2_per_ha: Positive | None = Field(
+        None, le=_MOST_AREA, description="Area of all stems at 1.3 m, per hectare."
+    )
     dbh: Annotated[Dbh, BeforeValidator(lambda value: {} if value is None else value)] = Field(
         Dbh.model_validate({}), description="Diameters at breast height: mean_cm, cv, law."
     )
     dominant_height_m: Positive | None = Field(
-        None, gt=1.5, le=130, description="Mean height of this storey's 100 thickest trees per hectare."
+        None,
+        gt=_LEAST_TOP_M,
+        le=TALLEST_M,
+        description="Mean height of this storey's 100 thickest trees per hectare.",
     )
     age_yr: Positive | None = Field(None, le=2000, description="Age of the trees; with site_index_m it gives a height.")
     site_index_m: Positive | None = Field(
@@ -89,6 +97,10 @@ class Storey(Section):
         if self.site_index_m is not None and (self.age_yr is None or self.dominant_height_m is not None):
             problem = "site_index_m gives the dominant height at an age"
             raise violation("age_yr with site_index_m, or dominant_height_m", problem=problem, at="site_index_m")
+        if self.site_index_m is not None and not _LEAST_TOP_M < (top := self.top_height_m or 0.0) <= TALLEST_M:
+            problem = f"at this age trees of site index {self.site_index_m:g} m are no stand that can be built"
+            expected = f"an age at which they are {_LEAST_TOP_M:g} to {TALLEST_M:g} m tall"
+            raise violation(expected, problem=problem, got=f"{self.age_yr:g} years: {top:.2g} m", at="age_yr")
         if self.by_height and self.top_height_m is None:
             expected = "dbh.mean_cm, a dominant height, or both stems_per_ha and basal_area_m2_per_ha"
             raise violation(expected, problem="how large are the trees?")
@@ -114,7 +126,7 @@ def dominant_height_at(age_yr: float, site_index_m: float, curve: str) -> float:
     Finland, Folia Forestalia 454.
     """
     most, b, c = _CURVES[curve]
-    return float(most * (site_index_m / most) ** math.exp(b * (age_yr**-c - INDEX_AGE_YR**-c)))
+    return float(most * (site_index_m / most) ** math.exp(min(b * (age_yr**-c - INDEX_AGE_YR**-c), 700.0)))
 
 
 @dataclass(frozen=True)
@@ -146,7 +158,24 @@ def stocking(storey: Storey, species: Ecologies, where: str) -> Stocking:
     if stems is None:
         assert area is not None
         stems = area / (per_stem * mean**2)
-    return Stocking(stems, mean, stems * per_stem * mean**2)
+    found = Stocking(stems, mean, stems * per_stem * mean**2)
+    _check_stocking(found, storey, where)
+    return found
+
+
+def _check_stocking(found: Stocking, storey: Storey, where: str) -> None:
+    """Raise `RecipeError` for numbers beyond those that a recipe may ask for, with the targets that lead to them."""
+    given = [name for name in ("stems_per_ha", "basal_area_m2_per_ha") if getattr(storey, name) is not None]
+    targets = " and ".join([*given, "a dominant height" if storey.by_height else "dbh.mean_cm"])
+    got = f"{found.stems_per_ha:,.0f} stems/ha of {100 * found.mean_dbh_m:.3g} cm in the mean, "
+    got += f"{found.basal_area_m2_per_ha:,.4g} m²/ha"
+    for name, most, hint in (
+        ("stems_per_ha", MOST_STEMS_PER_HA, "a smaller basal area, or thicker trees"),
+        ("basal_area_m2_per_ha", _MOST_AREA, "fewer stems, or thinner trees"),
+    ):
+        if getattr(found, name) > most * (1 + 1e-9):
+            problem, expected = f"{targets} lead to too high a {name}", f"{name} of at most {most:,.0f}"
+            raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
 
 
 def _mean_by_height(storey: Storey, species: Ecologies, per_stem: float, where: str) -> float:

@@ -67,6 +67,7 @@ TYPE = PlantType(
     seeds_per_yr=0.2,
 )
 SIZES = TreeSizes(
+    tallest_m=40.0,
     dbh_m={"at_10_m": 0.1, "height_exponent": 1.0, "spread": 0.2},
     crown_width_m={"at_10_m": 3.0, "height_exponent": 0.8},
     crown_ratio={"at_10_m": 1.0},

@@ -17,6 +17,7 @@ from forestgen.community.population import Site, Status
 from forestgen.community.snapshot_checks import check_snapshot
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
 from forestgen.core.errors import RecipeError
+from forestgen.recipe.tree_sizes import TreeSizes
 from support.error_messages import raises_error
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "plugin" / "forestgen_plantation" / "__init__.py"
@@ -31,6 +32,12 @@ def _plantation():
 
 
 PLANTATION = _plantation()
+SIZES = TreeSizes(
+    dbh_m={"at_10_m": 0.1, "height_exponent": 1.0},
+    crown_width_m={"at_10_m": 3.0},
+    crown_ratio={"at_10_m": 1.0},
+    leaf_kg={"at_10_m": 3.0},
+)
 
 
 @pytest.fixture
@@ -157,6 +164,67 @@ def test_a_placement_without_plants_is_one(species):
     assert len(model.population(model.init(StaticParameters(), SITE, species, 0))) == 0
 
 
+class Knowing(Given):
+    """As `Given`, with sizes of trees."""
+
+    knows_trees = True
+
+
+@pytest.fixture
+def trees(tree):
+    """Two species, of which the first has allometries."""
+    return [tree(max_radius_m=1.5, tree=SIZES), tree(name="b", max_radius_m=1.0)]
+
+
+def test_sizes_of_trees_and_dead_trees_are_in_the_snapshot(trees):
+    one = replace(
+        placed(height_m=9.0),
+        tree_sizes={"dbh_m": np.array([0.2]), "crown_base_m": np.array([3])},
+        dead=np.array([True]),
+        age_yr=np.array([40]),
+        azimuth_deg=np.array([15.0]),
+    )
+    model = Knowing(one)
+    found = model.population(model.init(StaticParameters(), SITE, trees, 0))
+    assert {name: values[0] for name, values in found.columns.items() if not np.isnan(values[0])} == {
+        "azimuth_deg": 15.0, "first_age_yr": 40.0, "first_step": 0, "dbh_m": 0.2, "crown_base_m": 3.0
+    }  # fmt: skip
+    assert (found.status[0], found.age_yr[0]) == (Status.DEAD, 40)
+
+
+WRONG_TREES = {
+    "a size of no tree": {"species": np.array([1]), "tree_sizes": {"dbh_m": np.array([0.2])}},
+    "no such size": {"tree_sizes": {"dbh_cm": np.array([20.0])}},
+    "a negative diameter": {"tree_sizes": {"dbh_m": np.array([-0.2])}},
+    "an infinite crown": {"tree_sizes": {"crown_radius_m": np.array([np.inf])}},
+    "a crown above the tree": {"height_m": np.array([9.0]), "tree_sizes": {"crown_base_m": np.array([9.5])}},
+    "negative leaves": {"tree_sizes": {"leaf_area_m2": np.array([-1.0])}},
+    "text": {"tree_sizes": {"leaf_area_m2": np.array(["much"])}},
+    "perhaps dead": {"dead": np.array([0.5])},
+    "a negative age": {"age_yr": np.array([-1.0])},
+    "an unknown age": {"age_yr": np.array([np.nan])},
+    "an infinite turn": {"azimuth_deg": np.array([np.inf])},
+}
+
+
+@pytest.mark.parametrize("name", WRONG_TREES)
+def test_trees_that_no_later_stage_can_use_are_refused(trees, name):
+    with raises_error(RecipeError):
+        Knowing(replace(placed(), **WRONG_TREES[name])).init(StaticParameters(), SITE, trees, 0)
+
+
+@pytest.mark.parametrize("given", [{"tree_sizes": {"dbh_m": np.array([0.2])}}, {"dead": np.array([True])}])
+def test_a_model_that_does_not_say_that_it_knows_trees_loses_no_sizes_of_them(trees, given):
+    with raises_error(RecipeError):
+        Given(replace(placed(), **given)).init(StaticParameters(), SITE, trees, 0)
+
+
+@pytest.mark.parametrize("given", [{"tree_sizes": {"dbh_m": np.ones(2)}}, {"dead": np.zeros((1, 1), bool)}])
+def test_sizes_of_other_lengths_are_refused(given):
+    with raises_error(RecipeError):
+        replace(placed(), **given)
+
+
 class Grove(GrowingModel[StaticParameters]):
     """Ten plants; each year they widen by 0.1 m, one in five dies, and three come up. A height is given to the new."""
 
@@ -223,3 +291,54 @@ def test_changes_that_no_later_stage_can_use_are_refused(species, change):
 
     with raises_error(RecipeError):
         list(simulate(Wrong(), StaticParameters(), SITE, species, 4, steps=1))
+
+
+class Measured(Grove):
+    """Trees 1 m taller each year, whose crowns it leaves to the allometry; each year a dead one arrives."""
+
+    knows_trees = True
+
+    def place(self, parameters, site, species, rng):
+        sizes = {"dbh_m": np.full(10, 0.1), "crown_radius_m": np.full(10, 2.0)}
+        return replace(super().place(parameters, site, species, rng), height_m=np.full(10, 8.0), tree_sizes=sizes)
+
+    def change(self, parameters, site, species, population, rng):
+        dead = population.status == Status.DEAD
+        height_m = np.where(dead, population.height_m, population.height_m + 1.0)
+        new = replace(
+            placed(height_m=4.0),
+            tree_sizes={"leaf_area_m2": np.zeros(1), "crown_radius_m": np.ones(1)},
+            dead=np.array([True]),
+            age_yr=np.array([30.0]),
+            azimuth_deg=np.array([90.0]),
+        )
+        return Change(height_m=height_m, arrivals=new, tree_sizes={"dbh_m": population.columns["dbh_m"] * 1.1})
+
+
+def test_sizes_follow_the_change_or_the_height_and_arrivals_keep_theirs(tree, tmp_path):
+    both = [tree(tree=SIZES), tree(name="b", tree=SIZES)]
+    history = list(simulate(Measured(), StaticParameters(steps=3), SITE, both, 4, steps=3))
+    last = history[-1].columns
+    assert last["dbh_m"][:10] == pytest.approx(np.full(10, 0.1331))
+    assert np.isnan(last["crown_radius_m"][:10]).all()  # of the new height now
+    assert last["crown_radius_m"][10:].tolist() == [1, 1, 1]  # these did not grow
+    assert last["leaf_area_m2"][10:].tolist() == [0, 0, 0]
+    assert last["azimuth_deg"][10:].tolist() == [90, 90, 90]
+    assert history[-1].age_yr[10:].tolist() == [32, 31, 30]
+    assert (history[-1].status == Status.DEAD).tolist() == [False] * 10 + [True] * 3
+    write_history(tmp_path / "a.parquet", history)
+    start = open_history(tmp_path / "a.parquet").snapshot(1)
+    Measured().check_snapshot(StaticParameters(steps=3), SITE, both, start)
+    again = list(simulate(Measured(), StaticParameters(steps=3), SITE, both, 4, steps=3, start=start))
+    for name, values in last.items():
+        assert np.array_equal(again[-1].columns[name], values, equal_nan=True)
+
+
+@pytest.mark.parametrize("sizes", [{"dbh_m": np.ones(9)}, {"dbh_m": np.zeros(10)}, {"girth_m": np.ones(10)}])
+def test_changes_of_sizes_that_no_later_stage_can_use_are_refused(tree, sizes):
+    class Wrong(Measured):
+        def change(self, parameters, site, species, population, rng):
+            return Change(tree_sizes=sizes)
+
+    with raises_error(RecipeError):
+        list(simulate(Wrong(), StaticParameters(), SITE, [tree(tree=SIZES), tree(name="b", tree=SIZES)], 4, steps=1))

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import forestgen as fg
-from forestgen.instruments.stand_table import StandTable
+from forestgen.instruments.stand_table import StandTable, _Plants, _row
 
 # Two species of trees of all heights above, and below, 7 cm at 1.3 m; herbs; a site that repeats.
 RECIPE: dict[str, Any] = {
@@ -159,3 +159,27 @@ def test_bare_ground_has_a_table() -> None:
     assert (row.stems_per_ha, row.leaf_area_index, row.canopy_cover) == (0.0, 0.0, 0.0)
     assert math.isnan(row.dominant_height_m)
     assert json.loads(json.dumps(table.as_dict(), allow_nan=False))["rows"][0]["mean_height_m"] is None
+
+
+def test_the_dominant_height_of_a_row_is_that_of_its_stems() -> None:
+    """Of one thick tree among nine thin ones, where a hectare's 100 thickest are ten: it is no lower than the mean."""
+    n, dbh_m = 10, np.array([0.1, *[0.05] * 9])
+    height_m, zero, every = np.array([9.0, *[4.0] * 9]), np.zeros(10), np.ones(10, dtype=np.bool_)
+    plants = _Plants(
+        ("beech",),
+        0.1,
+        0.07,
+        every,
+        ~every,
+        zero.astype(np.intp),
+        zero.astype(np.intp),
+        dbh_m,
+        height_m,
+        zero,
+        zero,
+        zero,
+    )
+    row = _row(plants, "beech", "lower", every, np.zeros((1, 1), dtype=np.bool_))
+    assert (row.stems_per_ha, row.mean_height_m, row.dominant_height_m) == (10, 9, 9)
+    thin = _row(plants, "beech", "lower", np.arange(n) > 0, np.zeros((1, 1), dtype=np.bool_))
+    assert (thin.stems_per_ha, thin.dominant_height_m) == (0, 4)

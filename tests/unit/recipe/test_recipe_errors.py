@@ -39,7 +39,7 @@ BOMB = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
         b"\xff\xfea\x00:\x00",
         b"seed: 1\nseed: 2\n",
         b"a: {b: 1, b: 2}\n",
-        b"1: 2\n",
+        b"true: 2\n",
         b"? [a]\n: 2\n",
         b"a: !!python/object:os.system x\n",
         b"a: !mine x\n",

@@ -70,6 +70,21 @@ def test_heights_follow_from_diameters_and_neighbours(species):
     assert dense == pytest.approx(law.height_of(np.full(1, 0.25), np.zeros((1, 4)))[0], rel=0.15)
 
 
+@pytest.mark.parametrize("measured", [4, 40])
+def test_heights_that_are_not_known_follow_those_that_are(measured, species):
+    """Where five trees of a species or more are measured: here all are 0.7 times as tall above 1.3 m as usual."""
+    rng, law = np.random.default_rng(2), species[0].tree
+    dbh_cm = rng.uniform(15, 40, 80)
+    usual_m = law.height_of(dbh_cm / 100, np.zeros((80, 4)))
+    short = [f"{1.3 + 0.7 * (h - 1.3):.3f}" if k < measured else "" for k, h in enumerate(usual_m)]
+    x, y = 2.0 + rng.random((2, 80)) * 36
+    lines = [f"spruce,{a:.3f},{b:.3f},{d:.3f},{h}" for a, b, d, h in zip(x, y, dbh_cm, short, strict=True)]
+    found = placed(species, "species,x_m,y_m,dbh_cm,height_m\n" + "\n".join(lines), SITE)
+    free = placed(species, "species,x_m,y_m,dbh_cm\n" + "\n".join(one.rpartition(",")[0] for one in lines), SITE)
+    ratio, usual = (np.mean((one.height_m[40:] - 1.3) / (usual_m[40:] - 1.3)) for one in (found, free))
+    assert ratio == pytest.approx(0.7 if measured == 40 else usual, rel=0.05)
+
+
 @pytest.mark.parametrize(
     ("text", "encoding"),
     [
@@ -94,6 +109,76 @@ def test_codes_of_species_and_a_map_s_coordinates(species):
     found = placed(species, table, species_map={10: "spruce", 42: "oak"}, origin_m=(412300, 5612800))
     assert found.species.tolist() == [0, 3]
     assert found.position_m.tolist() == [[1, 2, 0], [10, 3, 0]]
+
+
+def test_a_recipe_writes_codes_of_species_as_the_list_does(examples, tmp_path):
+    path = tmp_path / "recipe.yaml"
+    (tmp_path / "trees.csv").write_text("species,x_m,y_m,dbh_m\n010,1,2,0.3\n42,10,3,0.2\n1.5,4,3,0.2\n")
+    head = examples(inventory)[0].split("community:")[0]
+    path.write_text(
+        f"{head}community: {{model: inventory, file: trees.csv, species_map: {{010: oak, 42: pine, 1.5: oak}}}}\n"
+    )
+    found = final_population(check_plan(load_recipe(path), simulate_only=True).community, Silent())
+    assert [found.species_names[index] for index in found.species] == ["oak", "pine", "oak"]
+
+
+def test_cells_in_quotes_have_separators_and_line_breaks(species):
+    text = 'sep=;\n\n# plot 7, "north"\n"Art; deutsch";species;x_m;"Lage\n[m]";dbh_cm;note\n;;;;;\n'
+    text += ';spruce;1;2;30;"a tree;\nwith ""two"" tops"\n;spruce;3;4;-30;a\u2028b\x0cc\n'
+    with raises_error(RecipeError, place="line 9"):
+        placed(species, text, columns={"Lage\n[m]": "y_m"})
+    found = placed(species, text.replace("-30", "28"), columns={"Lage\n[m]": "y_m"})
+    assert found.position_m[:, :2].tolist() == [[1, 2], [3, 4]]
+
+
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"])
+def test_messages_name_the_line_whatever_ends_it(ending, species):
+    text = ending.join(["# plot 7", "", "species,x_m,y_m,dbh_cm", "spruce,1,2,30", "", "spruce,1,2,0", ""])
+    with pytest.raises(RecipeError) as caught:
+        placed(species, text)
+    assert caught.value.where == "community.table, line 6"
+    with pytest.raises(RecipeError) as caught:
+        placed(species, text.replace("y_m", "z_m"))
+    assert caught.value.where == "community.table, line 3"
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+def test_text_in_another_encoding_is_refused_as_such(encoding, species, tmp_path):
+    path = tmp_path / "trees.csv"
+    path.write_bytes(LIST.encode(encoding))
+    with raises_error(RecipeError, place="trees.csv"):
+        InventoryParameters(file=str(path)).trees()
+
+
+def test_a_tall_tree_s_crown_may_begin_above_the_height_of_its_diameter(species):
+    head = "species,x_m,y_m,dbh_cm,crown_base_m\n"
+    usual = placed(species, head + "spruce,1,2,30,").height_m[0]
+    found = placed(species, head + f"spruce,1,2,30,{1.2 * usual:.3f}")
+    assert found.height_m[0] == pytest.approx(1.2 * usual / 0.95, rel=1e-3)
+
+
+def test_stumps_are_short_and_crowns_of_herbs_mean_nothing(species):
+    text = "species,x_m,y_m,dbh_cm,height_m,crown_radius_m,status\nspruce,1,2,60,3,,dead\nbracken,3,3,,0.5,0.3,\n"
+    found = placed(species, text)
+    assert found.columns["dbh_m"][0] == 0.6
+    assert np.isnan([found.columns[name][1] for name in ("dbh_m", "crown_radius_m", "leaf_area_m2")]).all()
+    assert "1 lines are left out: no trees, but bracken" in found.notes[-1]
+
+
+UNUSED = {
+    "plot_area_m2": ({"plot_area_m2": 500}, "species,x_m,y_m,height_m\nspruce,1,2,20"),
+    "map": ({"map": [[1, 0]]}, "species,x_m,y_m,height_m\nspruce,1,2,20"),
+    "clark_evans": ({"clark_evans": 1.3}, "species,x_m,y_m,height_m\nspruce,1,2,20"),
+    "origin_m": ({"origin_m": (3, 4), "plot_area_m2": 500}, "species,height_m\nspruce,20"),
+    "plot_area_m2 beside stems_per_ha": ({"plot_area_m2": 5}, "species,height_m,stems_per_ha\nspruce,20,100"),
+}
+
+
+@pytest.mark.parametrize("name", UNUSED)
+def test_a_key_that_means_nothing_for_the_list_is_refused(name, species):
+    given, table = UNUSED[name]
+    with raises_error(RecipeError, place=f"community.{name.split()[0]}"):
+        placed(species, table, **given)
 
 
 def test_trees_of_plots_stand_for_those_of_the_site(species):
@@ -140,13 +225,30 @@ BAD = {
     "no species": HEAD + ",1,2,30",
     "neither alive nor dead": "species,x_m,y_m,height_m,status\nspruce,1,2,20,healthy",
     "no text": "PK\x03\x04\0\0",
+    "an unclosed quotation mark": HEAD + 'spruce,1,2,30\n"spruce,2,2,30\nspruce,3,2,30',
+    "text beside a quotation mark": HEAD + 'spruce,1,2,30\n"spruce" tall,2,2,30',
+    "a long cell": HEAD + f"spruce,1,2,{'9' * 140_000}",
+    "no ground": ("species,dbh_cm,stems_per_ha\nspruce,30,500", {"keep_out": [[1]]}),
+    "names of their own for places": "species,X,Y,dbh_cm\nspruce,1,2,30",
+    "a line break in a name": HEAD + 'spruce,1,2,30\n"spr\nuce",2,2,30',
+    "separated by blanks": "species x_m y_m dbh_cm\nspruce 1 2 30",
+    "another case": HEAD + "Spruce,1,2,30\nSpruce,1,3,30\nBEECH,1,4,30",
+    "thicker than tall": "species,x_m,y_m,dbh_cm,height_m\npine,5,5,300,5\noak,6,6,300,5",
+    "a thick tree": HEAD + "birch,5,5,1500",
+    "a thread": "species,x_m,y_m,dbh_cm,height_m\npine,5,5,2,30",
+    "a wide crown": "species,x_m,y_m,height_m,crown_radius_m\npine,5,5,5,9",
+    "a narrow crown": "species,x_m,y_m,height_m,crown_width_m\npine,5,5,30,1",
+    "a crown above the height of the diameter": "species,x_m,y_m,dbh_cm,crown_base_m\npine,5,5,10,40",
+    "a dash": HEAD + "spruce,1,2,-\nspruce,1,3,-",
+    "a decimal comma in quotes": HEAD + 'spruce,1,2,"30,5"',
 }
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_bad_list_has_one_message_with_its_line(name, species):
+    table, given = BAD[name] if isinstance(BAD[name], tuple) else (BAD[name], {})
     with raises_error(RecipeError) as caught:
-        placed(species, BAD[name])
+        placed(species, table, **given)
     assert "community.table" in caught.value.where
 
 

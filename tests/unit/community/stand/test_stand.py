@@ -241,13 +241,40 @@ CONTRADICTIONS = {
     "little cover of many trees": ({"storeys": [STOREY], "canopy_cover": 0.1}, "community.canopy_cover"),
     "leaves": ({"storeys": [STOREY], "leaf_area_index": 0.2}, "community.leaf_area_index"),
     "no room": (
-        {"storeys": [{"species": {"oak": 1}, "stems_per_ha": 9000, "dbh": {"mean_cm": 60}}]},
+        {
+            "storeys": [{"species": {"oak": 1}, "stems_per_ha": 900, "dbh": {"mean_cm": 60}}],
+            "keep_out": {"rows": [[0, 1, 1, 1, 1, 1, 1, 1]], "smooth": False},
+        },
         "community.storeys.0",
     ),
     "gaps without room": ({"storeys": [STOREY], "gaps": {"share": 0.5, "diameter_m": 6}}, "community.gaps"),
     "taller than the species": (
         {"storeys": [{"species": {"birch": 1}, "stems_per_ha": 600, "dominant_height_m": 60}]},
         "community.storeys.0",
+    ),
+    "gaps wider than the site": ({"storeys": [STOREY], "gaps": {"share": 0.3, "diameter_m": 200}}, "community.gaps"),
+    "gaps wider than their share": ({"storeys": [STOREY], "gaps": {"share": 0.01, "diameter_m": 30}}, "community.gaps"),
+    "gaps too many to count": ({"storeys": [STOREY], "gaps": {"share": 0.3, "diameter_m": 0.01}}, "community.gaps"),
+    "more stems than grass": (
+        {"storeys": [{"species": {"pine": 1}, "basal_area_m2_per_ha": 300, "dbh": {"mean_cm": 0.5}}]},
+        "community.storeys.0",
+    ),
+    "more stems, by the height": (
+        {"storeys": [{"species": {"pine": 1}, "basal_area_m2_per_ha": 290, "dominant_height_m": 1.5}]},
+        "community.storeys.0",
+    ),
+    "a wall of wood": (
+        {"storeys": [{"species": {"pine": 1}, "stems_per_ha": 3000, "dbh": {"mean_cm": 200}}]},
+        "community.storeys.0",
+    ),
+    "trees of 200 m": (
+        {"storeys": [{"species": {"pine": 1}, "stems_per_ha": 300, "dominant_height_m": 130}]},
+        "community.storeys.0",
+    ),
+    "herbs without number": ({"ground": {"bracken": {"plants_per_ha": 1e8}}}, "community.ground.bracken.plants_per_ha"),
+    "large herbs": (
+        {"ground": {"bracken": {"plants_per_ha": 9, "radius_m": 30}}},
+        "community.ground.bracken.radius_m",
     ),
     "storeys upside down": (
         {"storeys": [{**STOREY, "dominant_height_m": 25}, {**STOREY, "dominant_height_m": 30}]},
@@ -282,6 +309,8 @@ INCOMPLETE = {
     "no number": {"species": {"spruce": 1}, "dominant_height_m": 20},
     "no size": {"species": {"spruce": 1}, "stems_per_ha": 500},
     "an index without age": {"species": {"spruce": 1}, "stems_per_ha": 500, "site_index_m": 24},
+    "too young": {"species": {"spruce": 1}, "stems_per_ha": 500, "site_index_m": 24, "age_yr": 3},
+    "just born": {"species": {"spruce": 1}, "stems_per_ha": 500, "site_index_m": 24, "age_yr": 1e-30},
     "two heights": {"species": {"oak": 1}, "stems_per_ha": 9, "site_index_m": 24, "age_yr": 9, "dominant_height_m": 9},
     "an unknown species": {"species": {"spurce": 1}, "stems_per_ha": 500, "dominant_height_m": 9},
 }
@@ -294,6 +323,28 @@ def test_an_incomplete_storey_is_refused_when_the_recipe_is_checked(name, exampl
     path.write_text(f"{whole}community: {{model: stand, storeys: [{INCOMPLETE[name]}]}}\n")
     with raises_error(RecipeError):
         check_plan(load_recipe(path), simulate_only=True)
+
+
+def test_a_map_of_zeros_is_one_error_and_surroundings_may_be_left_empty(examples, tmp_path):
+    path = tmp_path / "recipe.yaml"
+    text = examples(stand)[1].replace("terrain: rolling", "surroundings: ")
+    path.write_text(text)
+    assert check_plan(load_recipe(path), simulate_only=True).drawn.recipe.site.surroundings.kind == "open"
+    path.write_text(f"{text}  map: [[0]]\n")
+    with raises_error(RecipeError, place="community.map"):
+        check_plan(load_recipe(path), simulate_only=True)
+
+
+def test_a_cover_of_crowns_that_cover_nothing_is_refused(species):
+    storey = {"species": {"pine": 1}, "stems_per_ha": 0.001, "dbh": {"mean_cm": 0.1}}
+    with raises_error(RecipeError, place="community.canopy_cover"):
+        grown(species, {"storeys": [storey], "canopy_cover": 0.5}, size_m=(5000.0, 5000.0))
+
+
+def test_a_stand_with_more_leaves_than_any_forest_says_so(species):
+    found = grown(species, {"storeys": [{**STOREY, "stems_per_ha": 90000}]}, size_m=(20.0, 20.0))
+    assert found.state["reached"]["leaf_area_index"] > 15
+    assert any("ask for a leaf_area_index" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
