@@ -15,7 +15,7 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.phenology import SUMMER
+from forestgen.recipe.phenology import SUMMER, fallen_lately
 from forestgen.scene.building import building_materials
 from forestgen.scene.exemplars import SizeError
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
@@ -24,7 +24,7 @@ from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
-from forestgen.scene.surfaces import infrared_notes, materials_of, surface_of
+from forestgen.scene.surfaces import FreshLitter, fresh_litter, infrared_notes, materials_of, surface_of
 from forestgen.scene.surroundings import Layer, SurroundedStand, layers_around, surrounded
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.tree_exemplars import instance_scales, tree_sizes_of
@@ -99,7 +99,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         views = drawn_cameras(drawn, trunks)
         rng = child_rng(drawn.image_seed, "terrain", "colour")
         wetness = wetness_of(stand, population)
-        terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness, around.reach_m)
+        fresh = _fresh_litter(plan, population)
+        terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness, around.reach_m, fresh)
         varied, materials = vary_leaves(around.exemplars, around.materials, drawn.image_seed)
         spec = SceneSpec(
             exemplars=varied,
@@ -139,6 +140,21 @@ def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
     rows = np.setdiff1d(np.arange(len(population)), list(plan.community.obstacles.rows_of(population)))
     rng = child_rng(seed, "surroundings") if kind == "forest" else None
     return layers_around(population, rows, plan.views.height, rng)
+
+
+def _fresh_litter(plan: Plan, population: Population) -> FreshLitter | None:
+    """Of trees whose leaf area is known."""
+    columns, known, time = population.columns, plan.drawn.species, plan.drawn.recipe.time_of_year
+    area_m2 = np.nan_to_num(columns["leaf_area_m2"]) if "leaf_area_m2" in columns else np.zeros(len(population))
+    site_m2 = plan.community.site.area_ha * 1e4
+    return fresh_litter(
+        known,
+        {
+            name: fallen_lately(known[name].phenology, time) * float(area_m2[population.species == k].sum()) / site_m2
+            for k, name in enumerate(population.species_names)
+            if name in known
+        },
+    )
 
 
 def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:
