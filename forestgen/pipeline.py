@@ -32,6 +32,7 @@ from forestgen.render.frame import Frame
 from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import haze_notes, noise_notes, render_frame
 from forestgen.scene.build import BuiltScene, build_scene
+from forestgen.scene.far_mesh import SPECIES as FAR_SPECIES
 from forestgen.scene.plan import Plan, check_memory, check_plan
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import Camera
@@ -76,7 +77,7 @@ def assemble_image(
     with timings("community"):
         population = plan.community.with_tree_sizes(final_population(plan.community, progress))
     site, plants = plan.drawn.recipe.site, len(population)
-    if site.surroundings.kind == "repeat":
+    if site.surroundings.kind != "open":
         plants += most_copies(population, site.size_m, flat=plan.community.site.height is None)
     check_memory(plan, plants=plants, memory_budget_bytes=memory_budget_bytes)
     scene = build_scene(plan, population, progress, timings)
@@ -156,7 +157,7 @@ class _ImageRenderer:
         classes = class_map(scene.drawn)
         plants = scene.labelled or scene.population
         with timings("measures"):
-            meter = PlantMeter(scene.spec.exemplars)
+            meter = PlantMeter([one for one in scene.spec.exemplars if one.species != FAR_SPECIES])
         tracer: SceneTracer | None = None
         stand: StandTable | None = None
         for camera in scene.spec.cameras:

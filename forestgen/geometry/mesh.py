@@ -41,8 +41,10 @@ class Mesh:
 
 def triangle_areas(vertices: NDArray[np.floating], faces: NDArray[np.integer]) -> Floats:
     """(F,) areas of the triangles of (V, 3) vertices, one side."""
-    a, b, c = (vertices[faces[:, k]].astype(np.float64) for k in range(3))
-    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0, dtype=np.float64)
+    first, second, third = np.ascontiguousarray(faces.T)
+    axes = vertices.T.astype(np.float64)
+    (ux, uy, uz), (vx, vy, vz) = ([axis[to] - axis[first] for axis in axes] for to in (second, third))
+    return np.asarray(np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2) / 2.0)
 
 
 def surface_area_m2(mesh: Mesh) -> float:

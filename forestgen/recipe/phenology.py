@@ -25,6 +25,8 @@ season would be shorter than a month, or longer than the year, both shifts are r
 Individuals. Each plant comes earlier or later than its species, in spring and in autumn apart, by days of its own with
 the standard deviations `spring_sd_days` and `autumn_sd_days`; scene/phenology.py.
 
+Litter. Leaves that fell in the last `FRESH_DAYS` days lie on the ground in the colours of autumn; older ones are brown.
+
 A season's name instead of a date means the same stage for all species: ``spring`` two thirds of the way from leaf-out
 to full leaf, ``autumn`` half way from colouring to leaf fall, ``winter`` the middle of the bare season. ``dry`` is the
 dry season: drought-deciduous species are bare, and all others but evergreens are brown.
@@ -56,6 +58,7 @@ ALTITUDE = 2.6, 1.9  # days later in spring and earlier in autumn per 100 m
 LATITUDE = 2.2, 2.7  # per degree towards the pole
 TROPIC_DEG = 23.44
 YEAR = 365
+FRESH_DAYS = 30.0  # that fallen leaves keep their colour before they are brown as the litter: our estimate
 _MONTHS = 60, 152, 244, 335  # days on which March, June, September and December begin
 _STEPS = 20  # of every share, so that plants share exemplars and materials
 _SPRING, _AUTUMN = 2 / 3, 1 / 2  # of the way from leaf-out to full leaf, and from colouring to leaf fall
@@ -183,12 +186,33 @@ def leaf_state(
     return _at(phenology, time, spring_days, autumn_days)
 
 
-def _at(phenology: Phenology, time: TimeOfYear, spring_days: float, autumn_days: float) -> LeafState:
-    leaf_out, full_leaf, colouring, leaf_fall = phenology.dates(time.latitude_deg, time.altitude_m)
-    half, grown, kept = leaf_fall - colouring, full_leaf - leaf_out, phenology.kept
+def fallen_lately(phenology: Phenology | None, time: TimeOfYear) -> float:
+    """Share of a plant's leaves that fell in the last `FRESH_DAYS` days, and lie on the ground in autumn's colours."""
+    if phenology is None or phenology.habit == "evergreen" or time.season in ("summer", "dry"):
+        return 0.0
+    is_dry = phenology.habit == "drought_deciduous"
+    if is_dry if time.season is not None else time.is_tropical and not is_dry:
+        return 0.0
+    dates, day = _dates_and_day(phenology, time)
+    half = dates[3] - dates[2]
+    now, before = (_step(0.5 * (one - dates[3]) / half + 0.5) for one in (day, day - FRESH_DAYS))
+    return (1.0 - phenology.kept) * (now - before)
+
+
+def _dates_and_day(phenology: Phenology, time: TimeOfYear) -> tuple[tuple[float, float, float, float], float]:
+    """The species' dates at the place, and the day in the year that begins in the middle of its bare season."""
+    dates = leaf_out, full_leaf, colouring, leaf_fall = phenology.dates(time.latitude_deg, time.altitude_m)
+    half = leaf_fall - colouring
     middle = 0.5 * (leaf_fall + half + leaf_out - YEAR)  # of the bare season before leaf-out
-    named = {"spring": leaf_out + _SPRING * grown, "autumn": colouring + _AUTUMN * half, "winter": middle}
-    day = (time.northern_day - middle) % YEAR + middle if time.season is None else named[time.season]
+    named = {"spring": leaf_out + _SPRING * (full_leaf - leaf_out), "autumn": colouring + _AUTUMN * half}
+    if time.season is None:
+        return dates, (time.northern_day - middle) % YEAR + middle
+    return dates, named.get(time.season, middle)
+
+
+def _at(phenology: Phenology, time: TimeOfYear, spring_days: float, autumn_days: float) -> LeafState:
+    (leaf_out, full_leaf, colouring, leaf_fall), day = _dates_and_day(phenology, time)
+    half, grown, kept = leaf_fall - colouring, full_leaf - leaf_out, phenology.kept
     spring, autumn = day - spring_days - leaf_out, day - autumn_days
     size, young = _rounded(_step(spring / grown)), 1.0 - _step(0.5 * spring / grown)
     coloured, fallen = (_step(0.5 * (autumn - date) / half + 0.5) for date in (colouring, leaf_fall))

@@ -70,10 +70,12 @@ class WetSoil(fields.Section):
 class Surroundings(fields.Section):
     """What stands beyond the site's edge."""
 
-    kind: Literal["open", "repeat"] = Field(
+    kind: Literal["open", "repeat", "forest"] = Field(
         "open",
-        description="open: nothing, on bare ground. repeat: copies of the site's plants, side by side, for light, "
-        "views and measurements; far ones are simplified. Statistics are the site's alone.",
+        description="open: nothing, on bare ground: a plot in a clearing. repeat: copies of the site's plants, side by "
+        "side: the endless stand of which the site is a period, for measurements and light. forest: the site's blocks "
+        "in random order and turned, stems kept apart: no visible repetition, for pictures with a horizon. Far ones "
+        "are simplified; statistics are the site's alone.",
     )
     labelled: fields.Flag = Field(
         True,

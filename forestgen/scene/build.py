@@ -15,7 +15,7 @@ from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.phenology import SUMMER
+from forestgen.recipe.phenology import SUMMER, fallen_lately
 from forestgen.scene.building import building_materials
 from forestgen.scene.exemplar_plan import TREE_SIZES
 from forestgen.scene.exemplars import SizeError
@@ -25,8 +25,8 @@ from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
-from forestgen.scene.surfaces import infrared_notes, materials_of, surface_of
-from forestgen.scene.surroundings import SurroundedStand, repeated, seen_from
+from forestgen.scene.surfaces import FreshLitter, fresh_litter, infrared_notes, materials_of, surface_of
+from forestgen.scene.surroundings import Layer, SurroundedStand, layers_around, surrounded
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.tree_exemplars import instance_scales, tree_sizes_of
 from forestgen.scene.trunks import Trunks
@@ -75,8 +75,9 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
     drawn, recipe, stand = plan.drawn, plan.drawn.recipe, plan.community
     with timer("scene"):
         population = stand_on(simulated, plan.views.height)
+        layers = _layers(plan, population)
     with timer("plants"):
-        chosen = choose_exemplars(plan, population, _close_cameras(plan))
+        chosen = choose_exemplars(plan, population, plan.views.all_cameras, layers)
         exemplars = grow_planned(plan, chosen, progress, population)
     with timer("clouds"):
         clouds = cloud_source_of(drawn).grid(CloudRequest(drawn, plan.views.lowest_m, progress, stand, simulated))
@@ -91,12 +92,15 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             is_unique=chosen.is_unique,
         )
         base_materials = _materials(plan, population)
-        around = _surrounded(plan, SurroundedStand.of(population, instances, exemplars, base_materials))
+        site = SurroundedStand.of(population, instances, exemplars, base_materials)
+        labelled = recipe.site.surroundings.labelled
+        around = surrounded(site, layers, plan.views.height, drawn.image_seed, labelled)
         trunks = Trunks(exemplars, around.plants)
         views = drawn_cameras(drawn, trunks)
         rng = child_rng(drawn.image_seed, "terrain", "colour")
         wetness = wetness_of(stand, population)
-        terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness, around.reach_m)
+        fresh = _fresh_litter(plan, population)
+        terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness, around.reach_m, fresh)
         plant = np.pad(chosen.first_plant(population.plant_id), (0, len(around.exemplars) - len(exemplars)))
         varied, materials = vary_leaves(around.exemplars, around.materials, plant, drawn.image_seed)
         spec = SceneSpec(
@@ -129,20 +133,29 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
     return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population)
 
 
-def _close_cameras(plan: Plan) -> list[Camera]:
-    """Cameras that decide on the detail of plants: those of copies around the site, too, which may be near one."""
-    cameras, recipe = plan.views.all_cameras, plan.drawn.recipe
-    if recipe.plants.levels and recipe.site.surroundings.kind == "repeat":
-        return seen_from(cameras, recipe.site.size_m)
-    return cameras
+def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
+    """What the recipe says to be around the site: no buildings."""
+    kind, seed = plan.drawn.recipe.site.surroundings.kind, plan.drawn.image_seed
+    if kind == "open":
+        return ()
+    rows = np.setdiff1d(np.arange(len(population)), list(plan.community.obstacles.rows_of(population)))
+    rng = child_rng(seed, "surroundings") if kind == "forest" else None
+    return layers_around(population, rows, plan.views.height, rng)
 
 
-def _surrounded(plan: Plan, stand: SurroundedStand) -> SurroundedStand:
-    """The stand with what the recipe says to be around it."""
-    section = plan.drawn.recipe.site.surroundings
-    if section.kind == "open":
-        return stand
-    return repeated(stand, plan.views.height, plan.drawn.image_seed, section.labelled)
+def _fresh_litter(plan: Plan, population: Population) -> FreshLitter | None:
+    """Of trees whose leaf area is known."""
+    columns, known, time = population.columns, plan.drawn.species, plan.drawn.recipe.time_of_year
+    area_m2 = np.nan_to_num(columns["leaf_area_m2"]) if "leaf_area_m2" in columns else np.zeros(len(population))
+    site_m2 = plan.community.site.area_ha * 1e4
+    return fresh_litter(
+        known,
+        {
+            name: fallen_lately(known[name].phenology, time) * float(area_m2[population.species == k].sum()) / site_m2
+            for k, name in enumerate(population.species_names)
+            if name in known
+        },
+    )
 
 
 def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Material]:

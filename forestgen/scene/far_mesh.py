@@ -19,7 +19,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Floats, Mesh, surface_area_m2, triangle_areas
+from forestgen.geometry.mesh import Floats, Mesh, triangle_areas
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 
 SPECIES = "(surroundings)"  # of the meshes: no species' name has brackets
@@ -28,32 +28,37 @@ _STEM_TAPER = 0.3  # radius of a stem's top by that of its foot
 _FEWEST = 3  # triangles of a stem: a smaller one becomes sheets, too
 
 
-def sheet_areas_m2(exemplar: Exemplar) -> list[float]:
-    """Of each organ mesh: the area of the sheets that hide as much."""
-    areas = [surface_area_m2(organ.mesh) for organ in exemplar.organs]
-    blades = sum(area for area, organ in zip(areas, exemplar.organs, strict=True) if organ.part == Part.LEAF)
+def areas_m2(exemplar: Exemplar) -> list[Floats]:
+    """Of each organ mesh, the areas of its triangles."""
+    return [triangle_areas(organ.mesh.vertices_m, organ.mesh.faces) for organ in exemplar.organs]
+
+
+def sheet_areas_m2(exemplar: Exemplar, areas: Sequence[Floats]) -> list[float]:
+    """Of each organ mesh, with its triangles' `areas_m2`: the area of the sheets that hide as much."""
+    whole = [float(one.sum()) for one in areas]
+    blades = sum(area for area, organ in zip(whole, exemplar.organs, strict=True) if organ.part == Part.LEAF)
     share = {Part.LEAF: min(exemplar.leaf_area_m2 / max(blades, 1e-12), 1.0), Part.FLOWER: 1.0}
-    return [share.get(organ.part, 0.5) * area for area, organ in zip(areas, exemplar.organs, strict=True)]
+    return [share.get(organ.part, 0.5) * area for area, organ in zip(whole, exemplar.organs, strict=True)]
 
 
 def thinned(
-    exemplar: Exemplar, areas_m2: Sequence[float], grain_m2: float, rng: np.random.Generator
+    exemplar: Exemplar, areas: Sequence[Floats], grain_m2: float, rng: np.random.Generator
 ) -> tuple[OrganMesh, ...]:
-    """The organs of a plant as triangles of about an area; `areas_m2` are those of `sheet_areas_m2`."""
+    """The organs of a plant as triangles of about an area; `areas` are its triangles' `areas_m2`."""
     organs = []
-    for organ, area in zip(exemplar.organs, areas_m2, strict=True):
+    for organ, faces, area in zip(exemplar.organs, areas, sheet_areas_m2(exemplar, areas), strict=True):
         is_stem = organ.part == Part.TRUNK and area > _FEWEST * grain_m2
-        corners = _frustum(organ.mesh, 2.0 * area) if is_stem else _sheets(organ.mesh, area, grain_m2, rng)
+        corners = _frustum(organ.mesh, 2.0 * area) if is_stem else _sheets(organ.mesh, faces, area, grain_m2, rng)
         organs.append(OrganMesh(organ.part, f"{exemplar.species}/{organ.material}", _soup(corners)))
     return tuple(organs)
 
 
-def _sheets(mesh: Mesh, area_m2: float, grain_m2: float, rng: np.random.Generator) -> Floats:
+def _sheets(mesh: Mesh, faces_m2: Floats, area_m2: float, grain_m2: float, rng: np.random.Generator) -> Floats:
     """Equilateral triangles of one size, `area_m2` together; none for a mesh without area."""
     if area_m2 <= 0.0:
         return np.zeros((0, 3, 3))
     count = max(1, round(area_m2 / grain_m2))
-    areas = np.cumsum(triangle_areas(mesh.vertices_m, mesh.faces))
+    areas = np.cumsum(faces_m2)
     chosen = np.searchsorted(areas, (np.arange(count) + rng.random(count)) / count * areas[-1])
     a, b, c = mesh.vertices_m[mesh.faces[np.minimum(chosen, len(areas) - 1)]].astype(np.float64).transpose(1, 0, 2)
     root, along = np.sqrt(rng.random((count, 1))), rng.random((count, 1))

@@ -50,6 +50,7 @@ from forestgen.scene.plan import Plan, check_exemplars, check_own_triangles
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 from forestgen.scene.surfaces import material_of_class
+from forestgen.scene.surroundings import Layer
 from forestgen.scene.tree_exemplars import tree_sizes_of
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
@@ -65,8 +66,10 @@ _WEATHERED = Material.model_validate(
 )
 
 
-def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camera]) -> ExemplarPlan:
-    """Sizes, variants and levels of detail that the plants need.
+def choose_exemplars(
+    plan: Plan, population: Population, cameras: Sequence[Camera], around: Sequence[Layer] = ()
+) -> ExemplarPlan:
+    """Sizes, variants and levels of detail that the plants, and their copies around the site, need.
 
     Raises `RecipeError`: a trait that the plants do not have.
     """
@@ -74,7 +77,11 @@ def choose_exemplars(plan: Plan, population: Population, cameras: Sequence[Camer
     check_traits(section.traits, population, plan.drawn.where("plants", "traits"))
     pixel_m, given, own = None, {}, has_branches(plan, population)
     if len(population) and (section.levels or plan.community.obstacles.entries or own.any()):
-        pixel_m = pixel_size_m(cameras, population.position_m, population.height_m, _widths_m(plan, population))
+        width_m = _widths_m(plan, population)
+        pixel_m = pixel_size_m(cameras, population.position_m, population.height_m, width_m)
+        for one in around if section.levels else ():
+            seen = pixel_size_m(cameras, one.position_m, population.height_m[one.source], width_m[one.source])
+            np.minimum.at(pixel_m, one.source, seen)
         given = plan_buildings(plan.community.obstacles.rows_of(population), population)
         given |= _plan_own_plants(plan, population, own, pixel_m)
     chosen = plan_exemplars(

@@ -126,6 +126,38 @@ def film_factor(terrain: Terrain, channels: Channels) -> Floats:
     return np.clip(wet / np.maximum(dry, 1e-9), 0.0, 1.0)
 
 
+@dataclass(frozen=True, eq=False)
+class FreshLitter:
+    """Leaves that fell lately and still have the colours of autumn."""
+
+    cover: float  # share of the ground that they hide
+    spectrum: Spectrum  # their mean reflectance
+
+    def on(self, ground: Spectrum) -> Spectrum:
+        """Mean reflectance of a ground that they lie on."""
+        grid = np.union1d(ground.wavelength_nm, self.spectrum.wavelength_nm)
+        return Spectrum(grid, ground.at(grid) + self.cover * (self.spectrum.at(grid) - ground.at(grid)))
+
+
+def fresh_litter(species: Mapping[str, Species], leaf_area_index: Mapping[str, float]) -> FreshLitter | None:
+    """Of leaves in random places, which hide 1 - exp(-their area) of the ground; None: none fell.
+
+    `leaf_area_index`: by species, of the leaves that fell lately.
+    """
+    found = []
+    for name, area in leaf_area_index.items():
+        leaf = next((one for one in species[name].materials.values() if one.leaf_type is not None), None)
+        if leaf is not None and area > 0.0:
+            spectrum = surface_of(leaf, LeafState.of_season("autumn"), f"{name}/litter").reflectance_spectrum
+            found += [] if spectrum is None else [(area, spectrum)]
+    if not found:
+        return None
+    whole = sum(area for area, _ in found)
+    grid = np.unique(np.concatenate([one.wavelength_nm for _, one in found]))
+    value = np.sum([area / whole * one.at(grid) for area, one in found], axis=0)
+    return FreshLitter(1.0 - float(np.exp(-whole)), Spectrum(grid, value))
+
+
 def materials_of(
     species: Mapping[str, Species], leaves: Mapping[str, Sequence[LeafState]] | None = None
 ) -> dict[tuple[str, str], Material]:

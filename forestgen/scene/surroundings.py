@@ -1,7 +1,10 @@
 """The stand beyond the site's edge: `site.surroundings`.
 
-open: bare ground. repeat: copies of the site's plants, side by side with it to all sides, for light, views, fisheyes
-and whatever else traces rays. Buildings are not repeated. The ground keeps its own height, and the copies stand on it.
+open: bare ground; for a plot in a clearing, and for pictures that look down on the site alone. repeat: copies of the
+site's plants, side by side with it to all sides, for light, views, fisheyes and whatever else traces rays: the endless
+stand of which the site is a period, for measurements. forest: other trees of the same stand, without visible
+repetition, for pictures in which much of the surroundings is in view. Buildings stand on the site alone. The ground
+keeps its own height, and the copies stand on it.
 
 Plants are copied in two layers, low ones (under `LOW` times the tallest plant's height) and the others: low plants are
 many and hide little. Each layer has a reach, `REACH_HEIGHTS` times its tallest plant, and a grid of blocks about as
@@ -13,12 +16,17 @@ long, `MOST_BLOCKS` along a side of the site at most:
 - Far, up to `FAR_BLOCKS` blocks or `FAR_M`, a block is one mesh of large triangles (`forestgen.scene.far_mesh`),
   sheared to the ground. It has no plant_id: its pixels are of the part `surroundings`.
 
+A place outside has, in repeat, the block that lies there when the site is laid side by side; in forest a block of the
+site drawn at random, turned about its middle by a random number of right angles (of half turns, if it is no square).
+Of near trees of two blocks whose stems are closer than `APART` times the sum of their crowns' radii, one stays: the
+site's, or the first. So the stand is the site's in its composition and structure, tree by tree within a block.
+
 A site's far meshes have about `FAR_SHARE` as many triangles as its exemplars.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,24 +34,25 @@ from numpy.typing import NDArray
 
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
-from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Floats
 from forestgen.plants.exemplar import Exemplar
-from forestgen.scene.far_mesh import SPECIES, far_mesh, sheet_areas_m2, thinned
-from forestgen.scene.spec import Camera, Instances, Material
+from forestgen.scene.far_mesh import SPECIES, areas_m2, far_mesh, sheet_areas_m2, thinned
+from forestgen.scene.spec import Instances, Material
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.wind import Sway
 
 LOW = 0.15
-REACH_HEIGHTS, LEAST_REACH_M, MOST_REACH_M = 2.0, 10.0, 60.0
+REACH_HEIGHTS, LEAST_REACH_M, MOST_REACH_M = 1.25, 10.0, 60.0
 MOST_BLOCKS = 8
-UNEVEN, UNEVEN_REACHES = 0.05, 4.0  # of the tallest plant: by how much feet in a far block may miss the ground
-FAR_BLOCKS, FAR_M = 16, 1000.0
+UNEVEN, UNEVEN_M, UNEVEN_REACHES = 0.05, 0.15, 4.0  # of the tallest plant, or m: how far far feet may miss the ground
+FAR_BLOCKS, LOW_FAR_BLOCKS, FAR_M = 16, 8, 1000.0
+APART = 0.35
 FAR_SHARE, _LEAST_TRIANGLES = 0.15, 20_000
 _PROBES = np.linspace(-0.5, 0.5, 5)  # along a block, where the ground is looked up
 
 Rows = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 Materials = Mapping[tuple[str, str], Material]
 
 
@@ -82,33 +91,23 @@ class SurroundedStand:
         )
 
 
-def seen_from(cameras: Sequence[Camera], size_m: tuple[float, float]) -> list[Camera]:
-    """The cameras, and each moved so that it stands to the site as it stands to one of the eight copies beside it."""
-    moved = []
-    for i, j in ((i, j) for i in (0, 1, -1) for j in (0, 1, -1)):
-        shift = (i * size_m[0], j * size_m[1], 0.0)
-        moved += [replace(one, position_m=tuple(np.add(one.position_m, shift).tolist())) for one in cameras]
-    return moved
-
-
-def repeated(site: SurroundedStand, height: HeightField, seed: int, labelled: bool) -> SurroundedStand:
-    """The plants of a site with copies of them all around, on the ground of a height.
+def surrounded(
+    site: SurroundedStand, layers: Sequence[Layer], height: HeightField, seed: int, labelled: bool
+) -> SurroundedStand:
+    """The plants of a site with those of layers all around, on the ground of a height.
 
     `site`: with nothing around it. `labelled`: whether copies have a plant_id, and a row in the population.
     """
-    population, plants, exemplars = site.population, site.instances, site.exemplars
-    living = np.array([all(organ.part != Part.STRUCTURE for organ in one.organs) for one in exemplars], dtype=np.bool_)
-    rows = np.flatnonzero(living[plants.exemplar])
-    if not len(rows):
+    if not layers:
         return site
-    layers = list(_layers(population, rows, height))
+    population, plants, exemplars = site.population, site.instances, site.exemplars
     source = np.concatenate([layer.source for layer in layers])
     copied = plants.transform[source]
-    copied[:, :2, 3] = np.concatenate([layer.place_m for layer in layers])
-    copied[:, 2, 3] = height(copied[:, 0, 3], copied[:, 1, 3])
+    copied[:, :2, :3] = _turns(np.concatenate([layer.turn for layer in layers])) @ copied[:, :2, :3]
+    copied[:, :, 3] = np.concatenate([layer.position_m for layer in layers])
     plant_id = int(population.plant_id[-1]) + 1 + np.arange(len(source) if labelled else 0, dtype=np.int64)
     blocks = [block for layer in layers for block in layer.far]
-    thin = _thinned(site, rows, seed)
+    thin = _thinned(site, np.unique(np.concatenate([source, *(block.rows for block in blocks)])), seed)
     mesh = np.repeat(len(exemplars) + np.arange(len(blocks)), [len(block.transform) for block in blocks])
     instances = Instances(
         exemplar=np.concatenate([plants.exemplar, plants.exemplar[source], mesh]).astype(np.uint32),
@@ -130,7 +129,7 @@ def repeated(site: SurroundedStand, height: HeightField, seed: int, labelled: bo
 
 
 def most_copies(population: Population, size_m: tuple[float, float], *, flat: bool) -> int:
-    """About how many plants near the site `repeated` will add, at most; on uneven ground they reach farther."""
+    """About how many plants near the site will be added, at most; on uneven ground they reach farther."""
     farther = 1.0 if flat else UNEVEN_REACHES
     rows, total = np.arange(len(population)), 0.0
     for members in _by_height(population, rows):
@@ -156,11 +155,28 @@ class _FarBlock:
 
 
 @dataclass(frozen=True)
-class _Layer:
-    source: Rows  # (K,) of near copies: rows of the site's instances
-    place_m: Floats  # (K, 2)
+class Layer:
+    """Plants of similar height around a site."""
+
+    source: Rows  # (K,) of near copies: rows of the population
+    position_m: Floats  # (K, 3) of their feet
+    turn: Rows  # (K,) right angles by which they are turned, counter-clockwise
     far: list[_FarBlock]
     reach_m: float
+
+
+def layers_around(
+    population: Population, rows: Rows, height: HeightField, rng: np.random.Generator | None
+) -> tuple[Layer, ...]:
+    """What stands around a site, of some rows of its plants.
+
+    `rng`: draws the blocks of `forest`; None: those of `repeat`.
+    """
+    blocks = FAR_BLOCKS, LOW_FAR_BLOCKS
+    return tuple(
+        _layer(population, members, height, rng, many)
+        for many, members in zip(blocks, _by_height(population, rows), strict=False)
+    )
 
 
 def _by_height(population: Population, rows: Rows) -> list[Rows]:
@@ -178,43 +194,62 @@ def _block_counts(size_m: tuple[float, float], reach_m: float) -> Rows:
     return np.clip(np.floor(np.asarray(size_m) / reach_m), 1, MOST_BLOCKS).astype(np.intp)
 
 
-def _layers(population: Population, rows: Rows, height: HeightField) -> Iterator[_Layer]:
-    size = np.asarray(height.size_m)
-    for members in _by_height(population, rows):
-        reach_m, count = _reach_m(population, members), _block_counts(height.size_m, _reach_m(population, members))
-        side = size / count
-        at, apart = _copied_blocks(size, count)
-        plane, miss_m = _planes(height, (at + 0.5) * side, side)
-        uneven = miss_m > UNEVEN * population.height_m[members].max()
-        near = apart < np.where(uneven, UNEVEN_REACHES, 1.0) * reach_m - 1e-6
-        own, shift = at % count, at // count * size
-        position = population.position_m[members, :2]
-        cell = np.clip((position / side).astype(np.intp), 0, count - 1)
-        inside = {(i, j): members[(cell == (i, j)).all(axis=1)] for i, j in np.ndindex(*count)}
-        source = [inside[i, j] for i, j in own[near].tolist()]
-        place = [population.position_m[one, :2] + by for one, by in zip(source, shift[near], strict=True)]
-        far = []
-        for (i, j), plants in inside.items():
-            mine = np.flatnonzero(~near & (own == (i, j)).all(axis=1))
-            if len(plants) and len(mine):
-                middle = (np.array([i, j]) + 0.5) * side
-                far.append(_FarBlock(plants, middle, _sheared((at[mine] + 0.5) * side, plane[mine])))
-        yield _Layer(np.concatenate(source), np.concatenate(place), far, _far_m(size, count))
-
-
-def _far_m(size: Floats, count: Rows) -> float:
-    return min(FAR_BLOCKS * float((size / count).max()), FAR_M)
-
-
-def _copied_blocks(size: Floats, count: Rows) -> tuple[Rows, Floats]:
-    """(B, 2) columns and rows of the blocks outside, those of the site counted from 0; (B,) metres from the site."""
+def _layer(
+    population: Population, members: Rows, height: HeightField, rng: np.random.Generator | None, far_blocks: int
+) -> Layer:
+    reach_m, size = _reach_m(population, members), np.asarray(height.size_m)
+    count = _block_counts(height.size_m, reach_m)
     side = size / count
-    more = np.ceil(_far_m(size, count) / side).astype(np.intp)
+    far_m = min(far_blocks * float(side.max()), FAR_M)
+    at, apart = _copied_blocks(side, count, far_m)
+    middle = (at + 0.5) * side
+    plane, miss_m = _planes(height, middle, side)
+    uneven = miss_m > max(UNEVEN * population.height_m[members].max(), UNEVEN_M)
+    near = apart < np.where(uneven, UNEVEN_REACHES, 1.0) * reach_m - 1e-6
+    own, turn = at % count, np.zeros(len(at), dtype=np.intp)
+    if rng is not None:
+        own, turn = rng.integers(count, size=at.shape), rng.integers(4, size=len(at))
+        turn = turn if np.isclose(*side) else turn // 2 * 2
+    cell = np.clip((population.position_m[members, :2] / side).astype(np.intp), 0, count - 1)
+    far, source, place = [], [], []
+    for index in np.ndindex(*count):
+        plants, here = members[(cell == index).all(axis=1)], (own == index).all(axis=1)
+        own_middle = (np.array(index) + 0.5) * side
+        from_middle = population.position_m[plants, :2] - own_middle
+        copies, mine = np.flatnonzero(near & here), np.flatnonzero(~near & here)
+        source.append(np.stack([np.tile(plants, len(copies)), np.repeat(copies, len(plants))]))
+        place.append((middle[copies, None] + from_middle @ _turns(turn[copies]).transpose(0, 2, 1)).reshape(-1, 2))
+        if len(plants) and len(mine):
+            far.append(_FarBlock(plants, own_middle, _sheared(middle[mine], plane[mine], turn[mine])))
+    (row, block), xy = np.concatenate(source, axis=1), np.concatenate(place)
+    kept = np.full(len(row), True) if rng is None else _free_of_stems(population, members, row, block, xy)
+    row, block, xy = row[kept], block[kept], xy[kept]
+    return Layer(row, np.column_stack([xy, height(*xy.T)]), turn[block], far, far_m)
+
+
+def _free_of_stems(population: Population, members: Rows, row: Rows, block: Rows, xy: Floats) -> Bools:
+    """(K,) copies of which no stem of the site, or of a block before theirs, is too near."""
+    from scipy.spatial import cKDTree  # late: half a second
+
+    at = np.concatenate([population.position_m[members, :2], xy])
+    radius_m = population.radius_m[np.concatenate([members, row])]
+    of = np.concatenate([np.full(len(members), -1), block])
+    first, second = cKDTree(at).query_pairs(2.0 * APART * radius_m.max(), output_type="ndarray").T
+    close = np.linalg.norm(at[first] - at[second], axis=1) < APART * (radius_m[first] + radius_m[second])
+    first, second = (one[close & (of[first] != of[second])] for one in (first, second))
+    kept = np.full(len(at), True)
+    kept[np.where(of[first] > of[second], first, second)] = False
+    return kept[len(members) :]
+
+
+def _copied_blocks(side: Floats, count: Rows, far_m: float) -> tuple[Rows, Floats]:
+    """(B, 2) columns and rows of the blocks outside, those of the site counted from 0; (B,) metres from the site."""
+    more = np.ceil(far_m / side).astype(np.intp)
     columns, rows = (np.arange(-n, c + n) for n, c in zip(more, count, strict=True))
     at = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     at = at[((at < 0) | (at >= count)).any(axis=1)]
     apart = np.hypot(*(np.maximum(np.maximum(-at - 1, at - count), 0) * side).T)
-    near = apart < _far_m(size, count)
+    near = apart < far_m
     return at[near], apart[near]
 
 
@@ -227,10 +262,17 @@ def _planes(height: HeightField, middle_m: Floats, side: Floats) -> tuple[Floats
     return plane, miss.max(axis=1)
 
 
-def _sheared(middle_m: Floats, plane: Floats) -> Floats:
-    """(M, 3, 4) from the frames of far meshes to the world: stems stay upright, feet follow the plane."""
+def _turns(turn: Rows) -> Floats:
+    """(M, 2, 2) rotations by right angles, counter-clockwise."""
+    cos, sin = np.array([1.0, 0.0, -1.0, 0.0])[turn], np.array([0.0, 1.0, 0.0, -1.0])[turn]
+    return np.stack([cos, -sin, sin, cos], axis=-1).reshape(-1, 2, 2)
+
+
+def _sheared(middle_m: Floats, plane: Floats, turn: Rows) -> Floats:
+    """(M, 3, 4) from the frames of far meshes to the world: turned, stems stay upright, feet follow the plane."""
     transform = np.tile(np.eye(3, 4), (len(plane), 1, 1))
-    transform[:, 2, :2], transform[:, 2, 3] = plane[:, :2], plane[:, 2]
+    transform[:, :2, :2] = _turns(turn)
+    transform[:, 2, :2], transform[:, 2, 3] = (plane[:, None, :2] @ transform[:, :2, :2])[:, 0], plane[:, 2]
     transform[:, :2, 3] = middle_m
     return transform
 
@@ -238,12 +280,13 @@ def _sheared(middle_m: Floats, plane: Floats) -> Floats:
 def _thinned(site: SurroundedStand, rows: Rows, seed: int) -> dict[int, Exemplar]:
     """The exemplars of some rows with few triangles, of one size in the world, by their index."""
     which = site.instances.exemplar[rows]
-    area_of = {one: sheet_areas_m2(site.exemplars[one]) for one in np.unique(which).tolist()}
+    faces_of = {one: areas_m2(site.exemplars[one]) for one in np.unique(which).tolist()}
+    sheet_of = {one: sum(sheet_areas_m2(site.exemplars[one], areas)) for one, areas in faces_of.items()}
     growth = np.cbrt(np.linalg.det(site.instances.transform[rows, :, :3])) ** 2  # of areas
-    shown_m2 = sum(sum(areas) * float(growth[which == one].sum()) for one, areas in area_of.items())
+    shown_m2 = sum(area * float(growth[which == one].sum()) for one, area in sheet_of.items())
     grain_m2 = shown_m2 / max(FAR_SHARE * sum(one.triangles for one in site.exemplars), _LEAST_TRIANGLES)
     found = {}
-    for one, areas in area_of.items():
+    for one, areas in faces_of.items():
         rng, local_m2 = child_rng(seed, "far mesh", one), grain_m2 / float(growth[which == one].mean())
         found[one] = replace(site.exemplars[one], organs=thinned(site.exemplars[one], areas, local_m2, rng))
     return found

@@ -24,7 +24,7 @@ from forestgen.recipe.sources import Keys
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Terrain
-from forestgen.scene.surfaces import Wetness, wet_ground
+from forestgen.scene.surfaces import FreshLitter, Wetness, wet_ground
 
 HORIZON_M = 200_000.0  # from 300 m up, a flat earth ends 0.1 degrees below the horizon
 MARGIN_M = 20.0
@@ -103,6 +103,10 @@ class GroundCover:
         """Mean reflectance on the site and around it."""
         return load_spectra(f"ground/{self.table}")["reflectance"]
 
+    def under(self, fresh: FreshLitter) -> GroundCover:
+        """The same with leaves on it that fell lately; grounds that are not of litter do not show them."""
+        return self
+
     def far_reflectance(self) -> Spectrum:
         """Mean reflectance of the land up to the horizon: woods and meadows."""
         return load_spectra("ground/far")["reflectance"]
@@ -168,17 +172,19 @@ def build_terrain(
     ground: str = "litter",
     wetness: Wetness | None = None,
     reach_m: float = 0.0,
+    fresh: FreshLitter | None = None,
 ) -> Terrain:
     """Ground of a site: `ground` on it and around it, woods and meadows beyond; colours are those of the spectra.
 
     `ground`: name of a ground cover. `wetness`: of the site's soil, which darkens it; None: as the spectrum is.
-    `reach_m`: how far from the site's edge the stand goes on.
+    `reach_m`: how far from the site's edge the stand goes on. `fresh`: leaves that fell lately.
     """
     mesh = terrain_mesh(height)
     x, y = mesh.vertices_m[:, 0].astype(np.float64), mesh.vertices_m[:, 1].astype(np.float64)
     away = height.distance_m(x, y)
     far = smooth_step((away - reach_m - 30.0) / 120.0)
     cover: GroundCover = GROUND_COVERS.load(ground)
+    cover = cover if fresh is None else cover.under(fresh)
     spectrum, far_spectrum = cover.reflectance(), cover.far_reflectance()
     colour, _ = colours_of_surface(spectrum, None)
     wet = None

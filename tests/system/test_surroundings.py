@@ -19,7 +19,7 @@ from forestgen.recipe.load import load_recipe_data
 from forestgen.render.identity import SceneTracer
 from forestgen.scene.plan import check_plan
 from forestgen.scene.spec import Instances
-from forestgen.scene.surroundings import SurroundedStand, repeated
+from forestgen.scene.surroundings import SurroundedStand, layers_around, surrounded
 from forestgen.scene.terrain import HeightField
 from support.cameras import camera_of
 from support.error_messages import raises_error
@@ -40,7 +40,8 @@ def stand_at(shift_m, rings: int | None):
     instances = replace(spec.instances, transform=transform)
     site = SurroundedStand.of(plants, instances, spec.exemplars, spec.materials)
     if rings is None:
-        found = repeated(site, HeightField((SIDE_M, SIDE_M)), 1, True)
+        height = HeightField((SIDE_M, SIDE_M))
+        found = surrounded(site, layers_around(plants, np.arange(TREES), height, None), height, 1, True)
         return replace(spec, exemplars=found.exemplars, materials=found.materials, instances=found.instances)
     turns = [(i, j) for i in range(-rings, rings + 1) for j in range(-rings, rings + 1)]
     copies = np.concatenate([transform + _moved(i, j) for i, j in turns])

@@ -43,7 +43,7 @@ Decided where the thesis is silent or contradicts itself:
 - Production 4 of 4.5 reads random(1) < oldage, production 3 of 4.6 random(1) > oldage. The text decides: a mature plant
   survives a step with probability oldage.
 - shaded and oldage are probabilities a step, as printed. Change step_yr and they stay: a calibration holds for its
-  step_yr (the species that come with forestgen: 0.5 yr).
+  step_yr (the species that come with forestgen: 0.5 yr). crown_light takes them over half a year whatever its step is.
 - A plant that is both dominated and mature is subject to the productions for dominated ones, which stand first.
 - grow() is linear in time, with a random share of r where the program has a relative_growth_per_step, and ends exactly
   at R. A seedling is never larger than its R.

@@ -1,5 +1,7 @@
 """A forest floor: fallen leaves on dark humus, moss in patches.
 
+In autumn, leaves that fell lately lie among the brown ones in their own colours: `site.date`, or `plants.season`.
+
 Example
 -------
     site: {ground: litter}
@@ -11,6 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.compiled import compiled
+from forestgen.core.spectrum import Spectrum
+from forestgen.scene.colour import colours_of_surface
+from forestgen.scene.surfaces import FreshLitter
 from forestgen.scene.terrain import TEXTURE_PX, TEXTURE_TILE_M, GroundCover, tile_noise
 
 _LEAVES_PER_M2 = 260
@@ -86,8 +91,23 @@ def _grow_moss(upper, leaf_colour, shade, patches, grain, cover, texture):  # ty
 class Litter(GroundCover):
     """Fallen leaves and moss."""
 
+    def __init__(self, table: str, *, darkens_when_wet: bool, fresh: FreshLitter | None = None) -> None:
+        super().__init__(table, darkens_when_wet=darkens_when_wet)
+        self._fresh = fresh
+
+    def under(self, fresh: FreshLitter) -> Litter:
+        return Litter(self.table, darkens_when_wet=self.darkens_when_wet, fresh=fresh)
+
+    def reflectance(self) -> Spectrum:
+        old = super().reflectance()
+        return old if self._fresh is None else self._fresh.on(old)
+
     def pattern(self, rng: np.random.Generator) -> NDArray[np.float32]:
         upper, leaf_colour, shade = _scattered_leaves(rng)
+        if self._fresh is not None:
+            new = rng.random(len(leaf_colour)) < self._fresh.cover
+            bright = 0.6 + 0.8 * rng.random((int(new.sum()), 1))
+            leaf_colour[new] = bright * colours_of_surface(self._fresh.spectrum, None)[0]
         patches = tile_noise(9.0, 0.25, 2.6, rng)
         grain = tile_noise(0.25, 0.032, 0.5, rng)
         cover = 1 / (1 + np.exp(-(patches - 0.55) / 0.22))

@@ -422,3 +422,16 @@ def test_words_beside_the_plants_that_double_are_refused_soon(tree, site, double
     text = f"axiom: {{ A, T(1, 1, 0.5, 0)?E(1) }}\n{doubled}\nT(x, y, r, sp) --> T(x, y, r, sp)\n"
     with raises_error(ResourceError, place="own.lsys"):
         run(program(text), site, [tree()], 1, 300)
+
+
+@pytest.mark.parametrize("step_yr", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize(("need", "radius_m"), [(100.0, 0.5), (0.0, 2.0)], ids=["shade", "old age"])
+def test_under_light_as_many_survive_two_years_whatever_the_step_is(step_yr, need, radius_m, tree):
+    """Species give survival over half a year: 0.8 in the shade, 0.9 of the old."""
+    of = tree(max_radius_m=2.0, shade_tolerance=0.8, old_age_survival=0.9)
+    light = MODEL.Parameters(program="crown_light", step_yr=step_yr, parameters={"need_of_light": need})
+    state = state_of((of,), np.full(4000, radius_m), np.ones(4000), light)
+    for _ in range(round(2.0 / step_yr)):
+        state = MODEL.step(state)
+    expected = (0.8 if need else 0.9) ** 4
+    assert abs(len(MODEL.population(state)) - 4000 * expected) < 4.0 * np.sqrt(4000 * expected * (1.0 - expected))

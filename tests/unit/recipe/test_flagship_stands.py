@@ -13,6 +13,11 @@ import numpy as np
 import pytest
 
 import forestgen as fg
+from forestgen.core.progress import Silent, Timings
+from forestgen.pipeline import assemble_image
+from forestgen.recipe.load import load_recipe
+from forestgen.scene.plan import check_plan
+from forestgen.scene.plant_measures import PlantMeter
 
 #: Recipe -> stems/ha, basal area m2/ha, leaf area index, dominant height m, median of height over diameter.
 BOUNDS = {
@@ -47,3 +52,17 @@ def test_a_flagship_recipe_shows_a_closed_forest(name: str) -> None:
         assert low <= value <= high, (name, figures)
     crowns_m2 = np.nansum(np.pi * stand["crown_radius_m"] ** 2)
     assert crowns_m2 > 0.7 * ha * 1e4  # as discs that overlap, over the ground
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in BOUNDS if name != "vista"])  # vista has the brambles of mixed_stand
+def test_a_flagship_recipe_has_an_understorey(name: str) -> None:
+    """Leaf area index of herbs and brambles, as the scene has them: wanted are 0.3 to 1, a closed stand may have less.
+
+    Herbs give way as the canopy closes: Majasalmi & Rautiainen (2020), Forest Ecology and Management 465, 118100.
+    """
+    small = ["site.size_m=[30,30]", "plants.exemplars_per_species=4"]
+    scene = assemble_image(check_plan(load_recipe(f"recipes/{name}.yaml", small)), Silent(), Timings())
+    herbs = [k for k, one in enumerate(scene.population.species_names) if one in ("bracken", "bramble", "fireweed")]
+    leaf_m2 = PlantMeter(scene.spec.exemplars).measure(scene.spec.instances.on_site).leaf_area_m2
+    assert 0.2 < leaf_m2[np.isin(scene.population.species, herbs)].sum() / 900.0 < 1.0

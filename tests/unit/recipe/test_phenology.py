@@ -9,7 +9,16 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.load import load_recipe_data
-from forestgen.recipe.phenology import BARE, SUMMER, LeafState, Phenology, TimeOfYear, leaf_state
+from forestgen.recipe.phenology import (
+    BARE,
+    FRESH_DAYS,
+    SUMMER,
+    LeafState,
+    Phenology,
+    TimeOfYear,
+    fallen_lately,
+    leaf_state,
+)
 from support.error_messages import raises_error
 
 NAMES = list_assets("species")
@@ -67,6 +76,18 @@ def test_a_year_passes_through_the_dates_of_the_species(name):
         assert states[14] == BARE
         assert (np.diff(out[int(one.leaf_out) : 220]) >= 0).all()
     assert (np.diff(out[220:360]) <= 0).all()
+
+
+@pytest.mark.parametrize("name", SUMMERGREEN)
+def test_all_that_falls_lies_on_the_ground_for_a_month(name):
+    """Over the year, the fresh litter of each day adds up to all leaves times the days that it lasts."""
+    one = PHENOLOGY[name]
+    fresh = [fallen_lately(one, TimeOfYear(None, day, one.latitude_deg, one.altitude_m)) for day in DAYS]
+    assert sum(fresh) == pytest.approx(FRESH_DAYS * (1.0 - one.kept), rel=0.02)
+    assert np.average(DAYS, weights=fresh) == pytest.approx(one.leaf_fall + FRESH_DAYS / 2, abs=2)
+    assert max(fresh[90 : int(one.colouring) - 30]) < 0.01
+    assert fallen_lately(one, TimeOfYear("autumn")) > 0.0
+    assert {fallen_lately(one, TimeOfYear(season)) for season in ("summer", "dry")} == {0.0}
 
 
 def test_summer_is_as_it_was():

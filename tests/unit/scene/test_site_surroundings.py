@@ -12,22 +12,23 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.scene.build import place_instances, stand_on
-from forestgen.scene.far_mesh import SPECIES, far_mesh, sheet_areas_m2, thinned
+from forestgen.scene.far_mesh import SPECIES, areas_m2, far_mesh, thinned
 from forestgen.scene.spec import Material
 from forestgen.scene.surroundings import (
+    APART,
     FAR_BLOCKS,
     REACH_HEIGHTS,
     UNEVEN,
     SurroundedStand,
+    layers_around,
     most_copies,
-    repeated,
-    seen_from,
+    surrounded,
 )
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.terrains.rolling import rolling
 from forestgen.scene.wind import sway_in
 from support.error_messages import raises_error
-from support.scenes import camera_at, simple_tree
+from support.scenes import simple_tree
 
 SIZE_M = (50.0, 40.0)
 FLAT = HeightField(SIZE_M)
@@ -47,9 +48,13 @@ def stand(height=FLAT, count=60):
     return SurroundedStand.of(plants, instances, trees, materials)
 
 
-def around(height=FLAT, labelled=True, count=60):
+def around(height=FLAT, labelled=True, count=60, rng=None):
     site = stand(height, count)
-    return site, repeated(site, height, 1, labelled)
+    return site, surrounded(site, layers(site.population, height, rng), height, 1, labelled)
+
+
+def layers(plants, height=FLAT, rng=None):
+    return layers_around(plants, np.arange(len(plants)), height, rng)
 
 
 def test_the_site_stays_as_it_is_and_copies_have_ids_of_their_own():
@@ -97,7 +102,7 @@ def test_each_plant_has_one_copy_in_each_copy_of_the_site():
         turns = (at - at[0]) / SIZE_M
         np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
         assert len(np.unique(np.round(turns), axis=0)) == len(at)
-    assert found.reach_m == FAR_BLOCKS * 50.0
+    assert found.reach_m == FAR_BLOCKS * 40.0  # of the blocks of trees, half a site wide
 
 
 def test_feet_are_on_the_ground():
@@ -129,7 +134,7 @@ def test_unlabelled_copies_are_the_same_plants_without_ids():
 def test_a_far_mesh_keeps_the_area_of_leaves_and_the_box():
     rng = np.random.default_rng(0)
     tree = simple_tree("a", 16.0, 3000, rng)
-    few = replace(tree, organs=thinned(tree, sheet_areas_m2(tree), 0.05, rng))
+    few = replace(tree, organs=thinned(tree, areas_m2(tree), 0.05, rng))
     assert few.triangles < tree.triangles / 2
     area = {organ.part: surface_area_m2(organ.mesh) for organ in few.organs}
     assert area[Part.LEAF] == pytest.approx(tree.leaf_area_m2, rel=1e-5)
@@ -153,14 +158,52 @@ def test_far_meshes_have_the_materials_of_their_plants():
 
 def test_what_people_built_is_not_repeated():
     site = stand()
-    house = replace(site.exemplars[0], organs=(replace(site.exemplars[0].organs[0], part=Part.STRUCTURE),))
-    site = replace(site, exemplars=(house, *site.exemplars[1:]))
-    found = repeated(site, FLAT, 1, True)
-    assert not np.isin(
-        found.source[len(site.instances) :][: found.copies], np.flatnonzero(site.instances.exemplar == 0)
-    ).any()
-    alone = replace(site, exemplars=(house,) * 3)
-    assert repeated(alone, FLAT, 1, True) is alone
+    some = np.flatnonzero(site.instances.exemplar != 0)
+    found = layers_around(site.population, some, FLAT, None)
+    assert np.isin(np.concatenate([one.source for one in found]), some).all()
+    assert np.isin(np.concatenate([far.rows for one in found for far in one.far]), some).all()
+    assert surrounded(site, layers_around(site.population, some[:0], FLAT, None), FLAT, 1, True) is site
+
+
+def forest(seed=1, size_m=(60.0, 60.0), count=400):
+    """A site in whose near surroundings there are many trees."""
+    height = HeightField(size_m)
+    rng = np.random.default_rng(4)
+    plants = population(count, rng)
+    place = np.column_stack([rng.random((count, 2)) * size_m, np.zeros(count)])
+    plants = replace(plants, position_m=place, height_m=8.0 + 7.0 * rng.random(count))
+    return plants, layers(plants, height, np.random.default_rng(seed)), layers(plants, height)
+
+
+def test_a_forest_is_as_dense_as_the_site_and_does_not_repeat_it():
+    plants, (found,), (lattice,) = forest()
+    assert len(found.source) == pytest.approx(len(lattice.source), rel=0.2)
+    moved = (found.position_m[:, :2] - plants.position_m[found.source, :2]) / 60.0
+    assert np.mean(np.abs(moved - np.round(moved)).max(axis=1) < 1e-6) < 0.1  # where it would be in `repeat`
+    assert set(found.turn.tolist()) == {0, 1, 2, 3}
+    turned = [far.transform[:, 0, 0].round().astype(int).tolist() for far in found.far]
+    assert {-1, 0, 1} == {one for far in turned for one in far}
+    again = forest()[1][0]
+    np.testing.assert_array_equal(found.position_m, again.position_m)
+    assert not np.array_equal(found.source[:50], forest(2)[1][0].source[:50])
+    assert set(forest(size_m=(60.0, 45.0))[1][0].turn.tolist()) == {0, 2}  # a block must fit in another's place
+
+
+def test_a_forest_keeps_stems_apart_at_the_seams_and_closes_them():
+    plants, (found,), _ = forest()
+    at = np.concatenate([plants.position_m[:, :2], found.position_m[:, :2]])
+    radius = plants.radius_m[np.concatenate([np.arange(len(plants)), found.source])]
+    away = np.linalg.norm(at[:, None] - at, axis=2)
+    np.fill_diagonal(away, np.inf)
+    close = away < APART * (radius[:, None] + radius) - 1e-9
+    own = np.arange(len(at)) < len(plants)
+    assert not close[own][:, ~own].any()
+    low, high = at.min(axis=0), at.max(axis=0)
+    assert (low < -10).all()
+    assert (high > 70).all()
+    outward = np.abs(at - 30.0).max(axis=1) - 30.0
+    ring = [np.sum((outward >= a) & (outward < a + 3.0)) / ((66.0 + 2 * a) ** 2 - (60.0 + 2 * a) ** 2) for a in (-3, 0)]
+    assert ring[1] == pytest.approx(400 / 3600, rel=0.25)
 
 
 def test_copies_move_as_their_plants_and_nothing_else_moves():
@@ -181,24 +224,12 @@ def test_the_number_of_copies_is_known_before_there_are_exemplars():
 
 def test_a_bare_site_has_bare_surroundings():
     site = stand()
-    bare = SurroundedStand.of(
-        site.population.at(np.zeros(0, dtype=np.int64)),
-        site.instances.at(np.zeros(0, dtype=np.intp)),
-        site.exemplars,
-        site.materials,
-    )
-    assert repeated(bare, FLAT, 1, True) is bare
+    bare = site.population.at(np.zeros(0, dtype=np.int64))
+    assert layers(bare) == ()
 
 
 def test_ids_beyond_32_bits_are_refused():
     site = stand()
     plants = replace(site.population, plant_id=np.arange(2**32 - 61, 2**32 - 1).astype(np.uint32))
     with raises_error(RecipeError, place="site.surroundings"):
-        repeated(replace(site, population=plants), FLAT, 1, True)
-
-
-def test_a_camera_sees_a_plant_as_near_as_its_nearest_copy_is():
-    moved = seen_from([camera_at((1.0, 20.0, 2.0), (25.0, 20.0, 5.0), (64, 48))], SIZE_M)
-    assert len(moved) == 9
-    assert moved[0].position_m == (1.0, 20.0, 2.0)
-    assert (51.0, 20.0, 2.0) in [one.position_m for one in moved]
+        surrounded(replace(site, population=plants), layers(plants), FLAT, 1, True)

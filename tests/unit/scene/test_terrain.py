@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import terrain
+from forestgen.scene.surfaces import fresh_litter
 from forestgen.scene.terrain import HORIZON_M, HeightField, build_terrain, terrain_mesh
 from forestgen.scene.terrains.rolling import rolling
 
@@ -96,3 +98,25 @@ def test_the_texture_of_an_image_made_again_is_kept(monkeypatch):
     assert not any(np.array_equal(first, other) for other in others)
     assert len(terrain._kept) == 1
     assert build("sand", 1)[0].tobytes() == first.tobytes()
+
+
+def test_leaves_that_fell_lately_lie_on_litter_in_the_colours_of_autumn():
+    """Each layer of random leaves hides 1 - exp(-leaf area index); the ground's spectrum is that of both parts."""
+    species = (
+        load_recipe_data({"forestgen": 1, "species": {"beech": "beech"}, "community": {"model": "placed"}}, "test")
+        .draw(0)
+        .species
+    )
+    assert fresh_litter(species, {"beech": 0.0}) is None
+    fresh = fresh_litter(species, {"beech": 1.0})
+    assert fresh.cover == pytest.approx(1 - np.exp(-1.0))
+
+    def floor(ground, leaves):
+        return build_terrain(HeightField((8.0, 8.0)), np.random.default_rng(1), ground, fresh=leaves)
+
+    bare, covered = floor("litter", None), floor("litter", fresh)
+    at = np.array([550.0, 670.0, 860.0])
+    mixed = bare.spectrum.at(at) + fresh.cover * (fresh.spectrum.at(at) - bare.spectrum.at(at))
+    np.testing.assert_allclose(covered.spectrum.at(at), mixed, rtol=1e-6)
+    assert covered.mean_colour[0] > 1.2 * bare.mean_colour[0]  # red: autumn leaves are bright beside old litter
+    assert floor("sand", fresh).texture.tobytes() == floor("sand", None).texture.tobytes()
