@@ -16,6 +16,7 @@ from forestgen.geometry.mesh import Bools, Floats, Ints, any_perpendicular, unit
 from forestgen.plants.skeleton import Skeleton
 
 MOST_ORDER = 7  # what is of a higher order counts as this
+_LEADS = 0.5  # diameter of what goes on along an axis, at least, over that of the thickest beside it
 _NO_LENGTH_M = 1e-3  # shorter segments have not begun to grow
 _LEAST_STEM_M = 0.01  # of a plant whose first segment has not begun to grow
 _LEAST_DIAMETER_M = 4e-4
@@ -137,10 +138,15 @@ def _sprout(wood: ModuleWood) -> ModuleWood:
 
 
 def _one_main(wood: ModuleWood) -> Bools:
-    """(N,) of each node's children, one goes on along the axis: the marked one, otherwise the thickest."""
-    main = np.zeros(len(wood), dtype=bool)
-    child = np.arange(1, len(wood))
-    order = np.lexsort((child, -wood.diameter_m[child], ~wood.main[child], wood.parent[child]))
+    """(N,) of each node's children, one goes on along the axis: the marked one, otherwise the thickest.
+
+    A marked one that is much thinner than another is a module's last twig, beside the module that leads on.
+    """
+    main, thickest = np.zeros(len(wood), dtype=bool), np.zeros(len(wood))
+    child, bearer = np.arange(1, len(wood)), wood.parent[1:]
+    np.maximum.at(thickest, bearer, wood.diameter_m[1:])
+    marked = wood.main[1:] & (wood.diameter_m[1:] >= _LEADS * thickest[bearer])
+    order = np.lexsort((child, -wood.diameter_m[1:], ~marked, bearer))
     sorted_child = child[order]
     first = np.diff(wood.parent[sorted_child], prepend=-1) != 0
     main[sorted_child[first]] = True

@@ -246,6 +246,10 @@ def fit_wood(skeleton: Skeleton, flare: float, dbh_m: float) -> Skeleton:
     if not np.isfinite(dbh_m) or len(heights) < 2 or float(heights.max()) < _MEASURED_M:
         return skeleton
     twig = min(_TWIG_RADIUS_M, 0.1 * dbh_m)
+    at = int(np.clip(np.searchsorted(heights, BREAST_HEIGHT_M), 1, len(heights) - 1))
+    up = skeleton.position_m[stem][at].astype(np.float64) - skeleton.position_m[stem][at - 1]
+    length = max(float(np.linalg.norm(up)), 1e-9)
+    slant = np.sqrt(length / max(float(up[2]), 0.5 * length))  # a stem that leans is cut aslant
 
     def powered(power: float) -> Floats:
         return np.where(radius > twig, twig * (radius / twig) ** power, radius)
@@ -253,7 +257,7 @@ def fit_wood(skeleton: Skeleton, flare: float, dbh_m: float) -> Skeleton:
     def diameter(power: float) -> float:
         now = powered(power)[stem]
         widened = 1.0 + flare * np.exp(-BREAST_HEIGHT_M / (3.5 * max(float(now[0]), 1e-9)))
-        return float(2.0 * np.interp(BREAST_HEIGHT_M, heights, now) * widened)
+        return float(2.0 * np.interp(BREAST_HEIGHT_M, heights, now) * widened * slant)
 
     low, high = _POWER
     for _ in range(40):  # the diameter rises with the power

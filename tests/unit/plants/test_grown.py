@@ -56,6 +56,13 @@ def test_axes_are_chains_that_follow_the_main_branches():
     assert [int(made.order[made.axis == axis][0]) for axis in range(4)] == [0, 1, 1, 2]
 
 
+def test_a_stem_goes_on_in_the_thick_branch_where_its_own_end_is_a_twig():
+    graph = wood()
+    thin = np.where(np.isin(np.arange(9), [2, 4, 8]), 0.04, graph.diameter_m)  # the fork's other branch has 0.1
+    made = bare(replace(graph, diameter_m=thin)).skeleton
+    assert set(made.mark[made.axis == 0].tolist()) - {64} == {65, 67, 70}
+
+
 def test_a_curve_leaves_no_corner_and_stays_near_the_graph():
     graph, made = wood(), bare(wood(), crook=0.0).skeleton
     way = made.position_m[1:] - made.position_m[:-1]
