@@ -28,19 +28,8 @@ EARTHLIB = "PyPI package earthlib 1.1.0 (MIT)"
 
 # name: colour (linear Rec. 709), what it is made of
 BARKS = {
-    "bark/beech": ((0.255, 0.255, 0.232), "bark"),
-    "bark/beech_twig": ((0.180, 0.168, 0.148), "bark"),
-    "bark/birch_twig": ((0.100, 0.065, 0.045), "bark"),
-    "bark/maple": ((0.175, 0.160, 0.138), "bark"),
-    "bark/maple_twig": ((0.165, 0.145, 0.115), "bark"),
-    "bark/oak_bough": ((0.120, 0.105, 0.084), "bark"),
     "bark/palm": ((0.200, 0.180, 0.150), "bark"),
-    "bark/pine": ((0.190, 0.118, 0.078), "bark"),
     "bark/poplar": ((0.330, 0.340, 0.260), "green bark"),
-    "bark/poplar_twig": ((0.200, 0.180, 0.130), "green bark"),
-    "bark/shrub": ((0.190, 0.150, 0.105), "bark"),
-    "bark/spruce": ((0.125, 0.105, 0.085), "bark"),
-    "bark/spruce_twig": ((0.130, 0.100, 0.075), "bark"),
     "bark/log": ((0.115, 0.098, 0.076), "bark"),
     "wood/snag": ((0.215, 0.200, 0.178), "wood"),
     "wood/bare": ((0.235, 0.215, 0.190), "wood"),
@@ -57,6 +46,85 @@ BARKS = {
     "stems/palm_rachis": ((0.190, 0.200, 0.055), "stem"),
     "stems/stalk": ((0.085, 0.200, 0.040), "stem"),
     "fruits/palm_nut": ((0.200, 0.230, 0.045), "stem"),
+}
+# Branches by integrating sphere, southern Finland: Juola, Rautiainen and Hovi 2025 (Data in Brief 63, 112255), means of
+# a species, as github.com/mottus/f_art_python has them.
+BRANCH_NM = (740, 800, 850, 900, 970, 1070, 1150, 1200, 1270, 1350, 1450, 1600, 1700, 1800, 1940, 2100, 2200, 2400)
+BRANCHES = {
+    "birch": (
+        0.54,
+        0.574,
+        0.594,
+        0.607,
+        0.612,
+        0.646,
+        0.633,
+        0.607,
+        0.656,
+        0.637,
+        0.544,
+        0.589,
+        0.509,
+        0.535,
+        0.429,
+        0.454,
+        0.461,
+        0.31,
+    ),
+    "pine": (
+        0.493,
+        0.572,
+        0.611,
+        0.635,
+        0.624,
+        0.675,
+        0.628,
+        0.593,
+        0.629,
+        0.549,
+        0.292,
+        0.393,
+        0.404,
+        0.378,
+        0.171,
+        0.228,
+        0.262,
+        0.179,
+    ),
+    "spruce": (
+        0.221,
+        0.282,
+        0.331,
+        0.378,
+        0.43,
+        0.495,
+        0.52,
+        0.526,
+        0.556,
+        0.552,
+        0.455,
+        0.508,
+        0.507,
+        0.501,
+        0.33,
+        0.391,
+        0.409,
+        0.334,
+    ),
+}
+# name: colour (linear Rec. 709), the branches that give its infrared; several: species of which no branch was measured
+LIVING_BARKS = {
+    "bark/birch_twig": ((0.100, 0.065, 0.045), ("birch",)),
+    "bark/spruce": ((0.125, 0.105, 0.085), ("spruce",)),
+    "bark/spruce_twig": ((0.130, 0.100, 0.075), ("spruce",)),
+    "bark/pine": ((0.190, 0.118, 0.078), ("pine",)),
+    "bark/beech": ((0.255, 0.255, 0.232), tuple(BRANCHES)),
+    "bark/beech_twig": ((0.180, 0.168, 0.148), tuple(BRANCHES)),
+    "bark/maple": ((0.175, 0.160, 0.138), tuple(BRANCHES)),
+    "bark/maple_twig": ((0.165, 0.145, 0.115), tuple(BRANCHES)),
+    "bark/oak_bough": ((0.120, 0.105, 0.084), tuple(BRANCHES)),
+    "bark/poplar_twig": ((0.200, 0.180, 0.130), tuple(BRANCHES)),
+    "bark/shrub": ((0.190, 0.150, 0.105), tuple(BRANCHES)),
 }
 LITTER = (0.083, 0.069, 0.034)  # mean of the texture of leaves, humus and moss
 WHITE_LAYER = 0.68  # of the bark's blackness that is left under a birch's white layer
@@ -223,6 +291,23 @@ def write_measured(library: Library) -> None:
     write("bark/birch", told, library.wavelength_nm, {"reflectance": birch})
 
 
+def write_living_barks(library: Library) -> None:
+    """Bark of living trees: its colour, and the infrared of measured branches."""
+    for name, (colour, species) in LIVING_BARKS.items():
+        branch = np.interp(library.wavelength_nm, BRANCH_NM, np.mean([BRANCHES[one] for one in species], axis=0))
+        told = {
+            "what": name.split("/")[1].replace("_", " "),
+            "constructed": f"to 690 nm the smooth spectrum of its colour, {', '.join(f'{x:g}' for x in colour)} in "
+            f"linear Rec. 709 (Mallett and Yuksel 2019), from 740 nm on measured branches of {', '.join(species)}",
+            "source": "Juola, Rautiainen and Hovi 2025, Data in Brief 63, 112255, at 18 wavelengths",
+            "licence": "facts of a publication; the rest CC0",
+            "date": "2026-11-28",
+            "made by": "docs/spectra/make_ground.py",
+            "unit": UNIT,
+        }
+        write(name, told, library.wavelength_nm, {"reflectance": coloured(colour, branch, library.wavelength_nm)})
+
+
 def write_pine_upper(library: Library) -> None:
     """The orange bark of a Scots pine's upper stem."""
     colour = (0.300, 0.135, 0.055)
@@ -352,6 +437,7 @@ def main() -> None:
     library = Library()
     write_measured(library)
     write_mixtures(library)
+    write_living_barks(library)
     write_pine_upper(library)
     write_ground(library)
     write_snow()

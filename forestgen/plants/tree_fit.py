@@ -2,11 +2,12 @@
 
 A generator grows a plant of about the right height and width. Here it gets the other sizes too:
 
-- Leaves: their number and their size share the change. What is too many is left out at random, so that the crown keeps
-  its form; of what is too few, some leaves get others beside them.
+- Leaves: their number and their size share the change. Of what is too many, some are left out; of what is too few, some
+  get others beside them. Leaves are fewer where others above shade them, of the tree itself and of neighbours like it.
 - Stems below the crown lose most of their way aside: those of forests are straight.
 - Heights are stretched apart above and below the crown's base, which is the height that 2% of the leaf area lie below,
-  widths throughout, until the geometry's extents fit. Organs keep their attitude.
+  widths throughout, until the geometry's extents fit. Organs keep their attitude. Where a few long branches make the
+  extents, the others are stretched further: leaves are as far from the axis as in an ellipsoid of even density.
 - Wood is made thinner or thicker by a power of its radius, so that the stem has its diameter 1.3 m above the ground,
   flare included, and the finest twigs stay as they are.
 """
@@ -29,7 +30,10 @@ _ROUNDS = 12
 _LEAF_SIZE = (0.5, 1.25)  # factor on the length of leaves; their number makes up for the rest
 _SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the length
 _MOST_LEAVES = 8.0  # times as many leaves as the generator placed
+_EXTINCTION = 0.25  # of light by leaf area: half of it is seen, of which half acts as if at random
 _STRAIGHTENED = 0.7  # of a stem's way aside, as it grew
+_EVEN = 0.4  # mean of (r / R)² of points in an ellipsoid, r from the axis and R its greatest
+_MOST_FILLED = 1.5  # the stretch of what is next to the axis, over that of the mean, less 1
 _TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
 _MEASURED_M = 2.0  # lower trees keep their thickness: breast height is among their tips
 _POWER = (0.3, 3.0)  # of the radius
@@ -75,36 +79,49 @@ def fit_tree(
     rng: np.random.Generator,
 ) -> Skeleton:
     """The tree at its sizes. `flare`: of the stem's foot, see `plants.parameters.Wood`."""
-    leafy = fit_leaves(skeleton, shapes, size.leaf_area_m2, rng)
+    leafy = fit_leaves(skeleton, shapes, size, rng)
     stretched = stretch_to(leafy, templates, blade_areas_m2(shapes), size).skeleton(leafy)
     return fit_wood(stretched, flare, size.dbh_m)
 
 
 def fit_leaves(
-    skeleton: Skeleton, shapes: Mapping[str, OrganForm], leaf_area_m2: float, rng: np.random.Generator
+    skeleton: Skeleton, shapes: Mapping[str, OrganForm], size: TreeSize, rng: np.random.Generator
 ) -> Skeleton:
-    """The skeleton with leaves of this area; organs without blades stay."""
+    """The skeleton with leaves of the tree's area; organs without blades stay."""
     blade = blade_areas_m2(shapes)
-    made = sum(float(np.sum(_areas(one, blade))) for one in skeleton.organs)
+    leafy = [blade[one.shape] > 0.0 and len(one.node) > 0 for one in skeleton.organs]
+    bearing = [one for one, has in zip(skeleton.organs, leafy, strict=True) if has]
+    area = np.concatenate([np.zeros(1), *(_areas(one, blade) for one in bearing)])
+    made = float(area.sum())
     if made <= 0.0:
         return skeleton
-    ratio = leaf_area_m2 / made
-    size = float(np.clip(ratio**_SIZE_SHARE, *_LEAF_SIZE))
-    number = min(ratio / size**2, _MOST_LEAVES)
+    ratio = size.leaf_area_m2 / made
+    larger = float(np.clip(ratio**_SIZE_SHARE, *_LEAF_SIZE))
+    height = np.concatenate([np.zeros(1), *(one.frame[:, 2, 3] for one in bearing)])
+    light = _light(height, ratio * area / (0.25 * np.pi * size.crown_width_m**2))
+    number = min(ratio / larger**2, _MOST_LEAVES) * light * made / float(area @ light)
+    shares = iter(np.split(number[1:], np.cumsum([len(one.node) for one in bearing])[:-1]))
     organs = []
-    for one in skeleton.organs:
-        if blade[one.shape] <= 0.0 or not len(one.node):
-            organs.append(one)
-            continue
-        frame = one.frame.copy()
-        frame[:, :, :3] *= np.float32(size)
-        organs.append(_numbered(replace(one, frame=frame), number, skeleton, rng))
+    for one, has in zip(skeleton.organs, leafy, strict=True):
+        if has:
+            frame = one.frame.copy()
+            frame[:, :, :3] *= np.float32(larger)
+            one = _numbered(replace(one, frame=frame), next(shares), skeleton, rng)
+        organs.append(one)
     left = sum(float(np.sum(_areas(one, blade))) for one in organs)
-    last = np.float32(np.clip(np.sqrt(leaf_area_m2 / left), 0.9, 1.1)) if left > 0.0 else np.float32(1.0)
-    for one in organs:
-        if blade[one.shape] > 0.0:
+    last = np.float32(np.clip(np.sqrt(size.leaf_area_m2 / left), 0.9, 1.1)) if left > 0.0 else np.float32(1.0)
+    for one, has in zip(organs, leafy, strict=True):
+        if has:
             one.frame[:, :, :3] *= last  # whole numbers of leaves are not all
     return replace(skeleton, organs=tuple(organs))
+
+
+def _light(height: Floats, leaf_area_index: Floats) -> Floats:
+    """(M,) share of the light that reaches each leaf through the leaf area index of all above it, by Beer's law."""
+    order = np.argsort(-height, kind="stable")
+    above = np.empty(len(height))
+    above[order] = np.cumsum(leaf_area_index[order])
+    return np.asarray(np.exp(-_EXTINCTION * above))
 
 
 def _areas(organs: OrganPlacements, blade: Mapping[str, float]) -> Floats:
@@ -113,12 +130,11 @@ def _areas(organs: OrganPlacements, blade: Mapping[str, float]) -> Floats:
     return np.asarray(blade[organs.shape] * size**2)
 
 
-def _numbered(organs: OrganPlacements, number: float, skeleton: Skeleton, rng: np.random.Generator) -> OrganPlacements:
-    """So many times the organs: some of them, or all and some once more, turned and moved along their twig."""
+def _numbered(organs: OrganPlacements, number: Floats, skeleton: Skeleton, rng: np.random.Generator) -> OrganPlacements:
+    """So many times each organ, (M,): some of them, or some once more, turned and moved along their twig."""
     count = len(organs.node)
-    rank = rng.permutation(count)  # an organ's own: more organs include those of fewer
-    copies = (round(number * count) - rank + count - 1) // count
-    chosen = np.repeat(np.arange(count), np.maximum(copies, 0))
+    share = (rng.permutation(count) + 0.5) / count  # an organ's own: more organs include those of fewer
+    chosen = np.repeat(np.arange(count), np.floor(number + share).astype(np.int64))
     turn, along = rng.uniform(0.6, 2.0 * np.pi - 0.6, len(chosen)), rng.uniform(0.15, 0.85, len(chosen))
     first = np.ones(len(chosen), dtype=bool)
     first[1:] = chosen[1:] != chosen[:-1]
@@ -136,9 +152,14 @@ def _numbered(organs: OrganPlacements, number: float, skeleton: Skeleton, rng: n
 
 @dataclass(frozen=True)
 class Stretch:
-    """Straighter below the crown; widths times `wide`; heights below and above `knee`, which comes to `base`, apart."""
+    """Straighter below the crown; widths times `wide`; heights below and above `knee`, which comes to `base`, apart.
+
+    Distances r from the axis become reach (1 + fill) r / (reach + fill r), before widths change.
+    """
 
     wide: float
+    fill: float
+    reach_m: float
     knee: float
     base: float
     raw_top: float
@@ -152,7 +173,9 @@ class Stretch:
     def points(self, points: Floats) -> Floats:
         """(M, 3) points stretched."""
         aside = np.stack([np.interp(points[:, 2], self.stem_m[:, 2], self.stem_m[:, k]) for k in (0, 1)], axis=1)
-        across = (points[:, :2] - _STRAIGHTENED * aside) * self.wide
+        across = points[:, :2] - _STRAIGHTENED * aside
+        away = np.hypot(across[:, :1], across[:, 1:])
+        across *= self.wide * (1.0 + self.fill) / (1.0 + self.fill * away / self.reach_m)
         return np.concatenate([across, self.heights(points[:, 2:])], axis=1)
 
     def organs(self, organs: Sequence[OrganPlacements]) -> tuple[OrganPlacements, ...]:
@@ -183,8 +206,10 @@ def stretch_to(
     wanted = float(np.clip(size.crown_base_m, _LOWEST_BASE * size.height_m, _HIGHEST_BASE * size.height_m))
     base = knee * size.height_m / raw_top if found is None else wanted
     wide = size.crown_width_m / max(_mean_width(nodes, feet + low, feet + high), 1e-6)
-    span = max(_mean_width(nodes, feet, feet), 1e-6)
-    stretch = Stretch(wide, knee, base, raw_top, size.height_m, _stem_below(skeleton, knee))
+    reach = max(float(np.hypot(*np.concatenate([nodes, feet])[:, :2].T).max()), 1e-6)
+    stretch = Stretch(wide, 0.0, reach, knee, base, raw_top, size.height_m, _stem_below(skeleton, knee))
+    stretch = _filled(stretch, nodes, feet, area)
+    span = max(_mean_width(stretch.points(nodes), stretch.points(feet), stretch.points(feet)) / wide, 1e-6)
     for _ in range(_ROUNDS):
         at = stretch.heights(feet[:, 2])
         top = max(float((at + high[:, 2]).max()), float(stretch.heights(nodes[:, 2]).max()))
@@ -201,6 +226,19 @@ def stretch_to(
             top=max(stretch.top + size.height_m - top, 0.2 * size.height_m, 1.02 * base),
         )
     return stretch
+
+
+def _filled(stretch: Stretch, nodes: Floats, feet: Floats, area: Floats) -> Stretch:
+    """The stretch with the least `fill` at which leaves are as far from the axis as in an ellipsoid."""
+    low, high = 0.0, _MOST_FILLED
+    for _ in range(8):
+        middle = 0.5 * (low + high)
+        tried = replace(stretch, fill=middle)
+        wood, organs = tried.points(nodes), tried.points(feet)
+        radius = 0.5 * max(_mean_width(wood, organs, organs), 1e-6)
+        found = float(np.average(np.sum(organs[:, :2] ** 2, axis=1), weights=area)) / radius**2 if area.any() else _EVEN
+        low, high = (middle, high) if found < _EVEN else (low, middle)
+    return replace(stretch, fill=low)
 
 
 def _stem_below(skeleton: Skeleton, height_m: float) -> Floats:

@@ -349,7 +349,7 @@ class StrandGenerator:
     ) -> Iterator[Skeleton]:
         """Poses of a tree of given sizes."""
         shapes = parameters.shapes
-        leafy = fit_leaves(at_rest, shapes, tree.leaf_area_m2, leaf_rng)
+        leafy = fit_leaves(at_rest, shapes, tree, leaf_rng)
         stretch = stretch_to(leafy, parameters.templates(), blade_areas_m2(shapes), tree)
         still = fit_wood(stretch.skeleton(leafy), parameters.wood.flare, tree.dbh_m)
         for time_s in times_s:
