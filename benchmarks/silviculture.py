@@ -1,7 +1,8 @@
 """What forests of branch modules measure: `uv run python benchmarks/silviculture.py FIGURE [--quick] [--out FOLDER]`.
 
 FIGURE is one of these, or `all`; numbers of figures and tables are those of Makowski 2023. Each grows its stands, draws
-a picture `FIGURE.png`, prints what it measured and exits with 1 where a bound is missed. `--quick`: smaller stands.
+a picture `FIGURE.png`, prints what it measured and exits with 1 where a bound is missed. `--quick`: smaller
+or younger stands.
 
     logistic     18b  wood of a thousand pines against the logistic curve
     thinning     17   mean mass against density of plants over 5 cm: -3/2
@@ -47,7 +48,7 @@ FIGURES: Figures = {
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("figure", choices=[*FIGURES, "all"])
-    parser.add_argument("--quick", action="store_true", help="smaller stands")
+    parser.add_argument("--quick", action="store_true", help="smaller or younger stands")
     parser.add_argument("--out", type=Path, default=Path("outputs/silviculture"), help="folder of the pictures")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -245,8 +245,8 @@ def mountain(quick: bool) -> Course:
 
 
 def ramp() -> dict[str, Any]:
-    """Ground that rises evenly from 0 to the top along x."""
-    return {"kind": "map", "map": [[0.0, TOP_M], [0.0, TOP_M]]}
+    """Ground that rises evenly from 0 to the top along x; a map's numbers are those of the middles of its pixels."""
+    return {"kind": "map", "map": [[0.25 * TOP_M, 0.75 * TOP_M]] * 2}
 
 
 def elevation(report: Report, course: Course) -> Figure:

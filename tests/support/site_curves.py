@@ -59,20 +59,26 @@ CURVES = {
         "mean", {40: 15.7, 80: 25.4, 120: 30.0}, "Wiedemann 1943, Pinus sylvestris, class I, moderate thinning", 33.7
     ),
     "poplar": SiteCurve("top", {20: 10.9, 40: 18.7, 80: 27.3}, "Nigh et al. 2002, Populus tremuloides, SI50 22 m"),
+    "sequoia": SiteCurve(
+        "top",
+        {40: 28.8, 80: 39.3, 150: 48.8},
+        "Dunning 1942, mixed conifers of the Sierra Nevada, class I: the Forest Vegetation Simulator (Western Sierra "
+        "Nevada variant) has giant sequoias by it",
+    ),
     "spruce": SiteCurve("top", {40: 12.0, 80: 26.0, 150: 36.3}, "Goudie 1984, Picea glauca, SI50 22 m, from seed"),
+    "sweetgum": SiteCurve(
+        "top",
+        {20: 15.3, 40: 24.6, 80: 31.8},
+        "Broadfoot and Krinard 1959, as in Carmean et al. 1989, Liquidambar styraciflua, SI50 27.4 m",
+    ),
 }
-#: Heights without a published curve: the range at 80 years that trees of the species' forests have.
+_PASOH = "canopy trees of Pasoh some 45 years after logging: 30 to 40 m (NIES, Pasoh field site); to 60 m later"
+#: Top heights without a published curve: least, most, and age, years, at which trees of the species' forests have them.
 RANGES_M = {
-    "kapok": (
-        30.0,
-        45.0,
-        "canopy trees of Pasoh some 45 years after logging: 30 to 40 m (NIES, Pasoh field site); to 60 m later",
-    ),
-    "meranti": (
-        30.0,
-        45.0,
-        "canopy trees of Pasoh some 45 years after logging: 30 to 40 m (NIES, Pasoh field site); to 60 m later",
-    ),
+    "cecropia": (15.0, 21.0, 30, "Silander & Lugo 1990, Silvics of North America 2: to 20 m, 30 years"),
+    "kapok": (30.0, 45.0, 80, _PASOH),
+    "meranti": (30.0, 45.0, 80, _PASOH),
+    "willow": (10.0, 15.0, 50, "Enescu et al. 2016, European Atlas of Forest Tree Species: 10 to 15 m, to 60 years"),
 }
 
 

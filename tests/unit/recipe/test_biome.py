@@ -56,7 +56,7 @@ FASTER = {
     "oak": 0.243,
     "larch": 0.49,
     "hemlock": 0.43,
-    "sequoia": 0.33,
+    "sequoia": 0.52,
     "spruce": 0.275,
 }  # growth rates after site curves: support.site_curves
 
