@@ -256,7 +256,8 @@ def _density(parameters: StandParameters, site: Site, rng: np.random.Generator) 
     density = relative_density(Conditions(), parameters.map, parameters.keep_out, site, shape)
     if not density.any():
         problem, expected = "no tree may stand anywhere", "a map and keep_out that leave some ground"
-        raise RecipeError(problem, where="community.map", expected=expected, got="0 on the whole site")
+        where = "community.map" if parameters.keep_out is None else "community.keep_out"
+        raise RecipeError(problem, where=where, expected=expected, got="0 on the whole site")
     gap = np.zeros(shape)
     if parameters.gaps is not None:
         centre_m, radius_m = _gaps(parameters.gaps, site, parameters.periodic, rng)
@@ -338,7 +339,8 @@ def _notes(found: dict[str, Any]) -> Iterator[str]:
         f"dominant height {one.get('dominant_height_m', 0):.1f} m"
         for k, one in enumerate(reached["storeys"], start=1)
     ]
-    yield f"{'; '.join(parts)}; cover {reached['canopy_cover']:.2f}, leaf area index {reached['leaf_area_index']:.1f}"
+    parts.append(f"cover {reached['canopy_cover']:.2f}, leaf area index {reached['leaf_area_index']:.1f}")
+    yield f"placed: {'; '.join(parts)}"
     if reached["leaf_area_index"] > _MOST_LEAVES:
         yield f"no forest has a leaf area index above {_MOST_LEAVES:g}: ask for a leaf_area_index, or for fewer stems"
     pairs = [

@@ -247,6 +247,7 @@ CONTRADICTIONS = {
         },
         "community.storeys.0",
     ),
+    "no ground": ({"storeys": [STOREY], "keep_out": [[1]]}, "community.keep_out"),
     "gaps without room": ({"storeys": [STOREY], "gaps": {"share": 0.5, "diameter_m": 6}}, "community.gaps"),
     "taller than the species": (
         {"storeys": [{"species": {"birch": 1}, "stems_per_ha": 600, "dominant_height_m": 60}]},
