@@ -19,7 +19,6 @@ from forestgen.community.stand.targets import (
     species_of,
     stocking,
 )
-from forestgen.community.stand.tree_list import TALLEST_M
 from forestgen.community.tree_columns import COLUMNS, HIGHEST_BASE, competition_shifts
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import BREAST_HEIGHT_M
@@ -135,7 +134,7 @@ class StandBuilder:
         shift = competition_shifts(position_m, sp_all, first, laws, self._site, periodic=self._periodic)
         dbh_m = self._with_neighbours(dbh_m, shift, storey)
         height_m = self._scaled(heights_of(self._species, sp_all, dbh_m, own, shift), sp_all, dbh_m, storey, check=True)
-        self._check_heights(height_m, storey)
+        self._check_order(height_m, storey)
         made = by_species(self._species, sp_all, height_m, own, dbh_m)
         factor, covered = self._crowns(position_m, 0.5 * made.crown_width_m, sp_all, height_m, canopy_cover)
         leaf_m2 = self._leaves(leaf_areas_m2(self._species, sp_all, made.leaf_kg), sp_all, height_m, leaf_area_index)
@@ -247,17 +246,12 @@ class StandBuilder:
                     dbh_m[mine] *= math.sqrt(before / float(np.sum(dbh_m[mine] ** 2)))
         return dbh_m
 
-    def _check_heights(self, height_m: Floats, storey: Indices) -> None:
+    def _check_order(self, height_m: Floats, storey: Indices) -> None:
         above = math.inf
         for index in range(len(self._storeys)):
             rows, where = np.flatnonzero(storey == index), f"community.storeys.{index}"
             if not len(rows):
                 continue
-            tallest = float(height_m[rows].max())
-            if tallest > TALLEST_M:
-                problem, expected = "no tree is so tall", f"heights of at most {TALLEST_M:g} m"
-                got, hint = f"{tallest:.4g} m, by the allometry", "a lower dominant height, thinner trees, a smaller cv"
-                raise RecipeError(problem, where=where, expected=expected, got=got, hint=hint)
             top = float(height_m[rows[thickest(len(rows), self._site)]].mean())
             if top > _TALLER * above:
                 problem, expected = "this storey is taller than the one above it", f"at most {above:.3g} m; or first"

@@ -33,6 +33,7 @@ def _plantation():
 
 PLANTATION = _plantation()
 SIZES = TreeSizes(
+    tallest_m=30,
     dbh_m={"at_10_m": 0.1, "height_exponent": 1.0},
     crown_width_m={"at_10_m": 3.0},
     crown_ratio={"at_10_m": 1.0},

@@ -268,10 +268,6 @@ CONTRADICTIONS = {
         {"storeys": [{"species": {"pine": 1}, "stems_per_ha": 3000, "dbh": {"mean_cm": 200}}]},
         "community.storeys.0",
     ),
-    "trees of 200 m": (
-        {"storeys": [{"species": {"pine": 1}, "stems_per_ha": 300, "dominant_height_m": 130}]},
-        "community.storeys.0",
-    ),
     "herbs without number": ({"ground": {"bracken": {"plants_per_ha": 1e8}}}, "community.ground.bracken.plants_per_ha"),
     "large herbs": (
         {"ground": {"bracken": {"plants_per_ha": 9, "radius_m": 30}}},
