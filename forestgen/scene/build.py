@@ -118,19 +118,27 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             *plan.views.check_outside_of_buildings(),
             *infrared_notes(base_materials, plan.views.all_cameras),
         ]
-        wind, sway = recipe.wind, None
-        if wind.speed_m_per_s > 0:
-            sway = sway_in(
-                instances,
-                exemplars,
-                speed_m_per_s=wind.speed_m_per_s,
-                gustiness=wind.gustiness,
-                from_deg=recipe.site.wind_from_deg,
-                seed=drawn.image_seed,
-            )
-            sway = around.sway(sway)
+        sway = _sway(drawn, instances, exemplars, around)
     errors = errors_of_sizes(plan, population, chosen, exemplars)
     return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population)
+
+
+def _sway(
+    drawn: DrawnRecipe, instances: Instances, exemplars: Sequence[Exemplar], around: SurroundedStand
+) -> Sway | None:
+    """How the wind moves the plants; None in a calm."""
+    wind = drawn.recipe.wind
+    if wind.speed_m_per_s <= 0:
+        return None
+    own = sway_in(
+        instances,
+        exemplars,
+        speed_m_per_s=wind.speed_m_per_s,
+        gustiness=wind.gustiness,
+        from_deg=drawn.recipe.site.wind_from_deg,
+        seed=drawn.image_seed,
+    )
+    return around.sway(own)
 
 
 def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
