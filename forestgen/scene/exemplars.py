@@ -47,7 +47,14 @@ from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Species
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplar_plan import OF_EXEMPLARS, SIZE_STEP, ExemplarPlan, cluster, rung_of, rungs_of
-from forestgen.scene.tree_exemplars import LibraryTree, instance_scales, plan_library_trees, plan_trees, tree_sizes_of
+from forestgen.scene.tree_exemplars import (
+    LibraryTree,
+    instance_dbh_m,
+    instance_scales,
+    plan_library_trees,
+    plan_trees,
+    tree_sizes_of,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -197,6 +204,7 @@ def size_errors(
         built = np.where(np.isnan(plan.tree[:, 1]), exemplar_width_m, plan.tree[:, 1])  # in leaf
         across = instance_scales(sizes[rows], population.height_m[rows], mine, exemplar_height_m, plan.tree)[1]
         width = built[mine] * across / plant_width_m[rows]
+        dbh_m = instance_dbh_m(population.height_m[rows], mine, across, plan.tree)
         trees = np.isfinite(sizes[rows, 0]) & (plan.plant[mine] < 0)
         thick = trees & np.isfinite(sizes[rows, 2]) & np.isfinite(plan.tree[mine, 2])
         errors.append(
@@ -206,7 +214,7 @@ def size_errors(
                 exemplars=len(np.unique(mine)),
                 radius_rms=None if trees.any() else rms(plan.radius_m[mine] / population.radius_m[rows]),
                 crown_width_rms=None if np.isnan(plant_width_m[rows]).any() else rms(width),
-                dbh_rms=rms((plan.tree[mine, 2] * across / sizes[rows, 2])[thick]) if thick.any() else None,
+                dbh_rms=rms((dbh_m / sizes[rows, 2])[thick]) if thick.any() else None,
             )
         )
     return errors

@@ -151,3 +151,12 @@ def instance_scales(
     stout = np.where(np.isnan(sizes[:, 2] + made[:, 2]), wide, stout)
     stretch = np.clip(np.sqrt(wide * stout) / upright, 1.0 / _MOST_STRETCH, _MOST_STRETCH)
     return upright, upright * np.where(np.isnan(stretch), 1.0, stretch)
+
+
+def instance_dbh_m(height_m: Floats, exemplar: NDArray[np.integer], across: Floats, tree: Floats) -> Floats:
+    """(N,) diameters at breast height of the instances of trees, their stems as cones; NaN of low trees.
+
+    `across`: (N,) horizontal scale, see `instance_scales`. `tree`: (E, 5) sizes of the exemplars.
+    """
+    made = tree[exemplar]
+    return np.asarray(made[:, 2] * across * _cone(height_m) / _cone(made[:, 0]))

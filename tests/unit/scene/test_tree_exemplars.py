@@ -12,7 +12,7 @@ from forestgen.api.plant_requests import drawn_of
 from forestgen.plants.build import tree_size
 from forestgen.recipe.tree_sizes import own_normals
 from forestgen.scene.exemplars import plan_exemplars
-from forestgen.scene.tree_exemplars import instance_scales, tree_sizes_of
+from forestgen.scene.tree_exemplars import instance_dbh_m, instance_scales, tree_sizes_of
 
 
 def trees(count: int):
@@ -42,9 +42,12 @@ def scaled(plants, plan):
     upright, across = instance_scales(
         tree_sizes_of(plants), plants.height_m, plan.exemplar_of_plant, plan.tree[:, 0], plan.tree
     )
-    cone = [np.maximum(1.0 - 1.3 / height, 0.1) for height in (plants.height_m, made[:, 0])]
     leaf = made[:, 4] * across * np.sqrt(0.5 * (upright**2 + across**2))
-    sizes = [made[:, 0] * upright, made[:, 1] * across, made[:, 2] * across * cone[0] / cone[1]]
+    sizes = [
+        made[:, 0] * upright,
+        made[:, 1] * across,
+        instance_dbh_m(plants.height_m, plan.exemplar_of_plant, across, plan.tree),
+    ]
     return np.stack([*sizes, made[:, 3] * upright, leaf], axis=1)
 
 
