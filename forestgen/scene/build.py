@@ -118,19 +118,22 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             *plan.views.check_outside_of_buildings(),
             *infrared_notes(base_materials, plan.views.all_cameras),
         ]
-        wind, sway = recipe.wind, None
-        if wind.speed_m_per_s > 0:
-            sway = sway_in(
-                instances,
-                exemplars,
-                speed_m_per_s=wind.speed_m_per_s,
-                gustiness=wind.gustiness,
-                from_deg=recipe.site.wind_from_deg,
-                seed=drawn.image_seed,
-            )
-            sway = around.sway(sway)
+        sway = None if recipe.wind.speed_m_per_s <= 0 else around.sway(_sway(plan, instances, exemplars))
     errors = errors_of_sizes(plan, population, chosen, exemplars)
     return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population)
+
+
+def _sway(plan: Plan, instances: Instances, exemplars: Sequence[Exemplar]) -> Sway:
+    """How the site's plants move in the recipe's wind."""
+    wind = plan.drawn.recipe.wind
+    return sway_in(
+        instances,
+        exemplars,
+        speed_m_per_s=wind.speed_m_per_s,
+        gustiness=wind.gustiness,
+        from_deg=plan.drawn.recipe.site.wind_from_deg,
+        seed=plan.drawn.image_seed,
+    )
 
 
 def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
