@@ -7,7 +7,8 @@ Of a tree of height H metres, with D the diameter at breast height::
 
 for crown width W, dry leaf mass M and crown length C. Each x is a normal number of the tree's own, of standard
 deviation s + t ln(H / 10); so trees of one height differ, and a tree with a stouter stem than others has a wider,
-longer and leafier crown. Competition shifts D: what grows in the open is stouter, what is suppressed is slender.
+longer and leafier crown: D / D(H) counts as 0.5 to 2. Competition shifts D: what grows in the open is stouter, what is
+suppressed is slender.
 
 The other way round, the height of a tree of a diameter is 1.3 m + (T - 1.3 m) / (1 + c D^(-1/p)): the curve of Hossfeld
 (1822; form IV in Zeide 1993, Analysis of growth equations, Forest Science 39, 594-616), which ends at T. T of the
@@ -23,6 +24,7 @@ Below 3 m, where few trees are measured, a seedling is a smaller tree: W is in p
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -39,6 +41,7 @@ Grown = Literal["stand", "open", "suppressed"]
 
 NUMBERS = 4  # standard normal numbers of a tree: of D, W, C and M
 MOST_NORMAL = 2.5  # a tree's own numbers are no further from 0
+_MOST_FOLLOWED = math.log(2.0)  # of the diameter over its median, which other sizes follow; few trees are beyond
 _SAPLING_M = 3.0
 _LEAF_POWER = 2.5
 _TOP = 0.95  # of the height of the tallest: from here on slenderness stays
@@ -145,8 +148,10 @@ class TreeSizes(Section):
             relative = np.where(np.isnan(dbh_m), relative, known)
         relative = np.broadcast_to(relative, height_m.shape)
 
+        followed = np.clip(relative, -_MOST_FOLLOWED, _MOST_FOLLOWED)
+
         def of(law: SizeLaw, column: int) -> Floats:
-            value = law.log_median(log_height) + law.dbh_exponent * relative
+            value = law.log_median(log_height) + law.dbh_exponent * followed
             return np.asarray(np.exp(value + law.deviation(log_height) * own[:, column]))
 
         sapling = np.asarray(np.minimum(height_m / _SAPLING_M, 1.0))
