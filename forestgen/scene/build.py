@@ -118,19 +118,25 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             *plan.views.check_outside_of_buildings(),
             *infrared_notes(base_materials, plan.views.all_cameras),
         ]
-        wind, sway = recipe.wind, None
-        if wind.speed_m_per_s > 0:
-            sway = sway_in(
-                instances,
-                exemplars,
-                speed_m_per_s=wind.speed_m_per_s,
-                gustiness=wind.gustiness,
-                from_deg=recipe.site.wind_from_deg,
-                seed=drawn.image_seed,
-            )
-            sway = around.sway(sway)
+        sway = _sway(plan, instances, exemplars, around)
     errors = errors_of_sizes(plan, population, chosen, exemplars)
     return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population)
+
+
+def _sway(plan: Plan, instances: Instances, exemplars: Sequence[Exemplar], around: SurroundedStand) -> Sway | None:
+    """How the wind moves all plants; None: the air is still."""
+    wind, site = plan.drawn.recipe.wind, plan.drawn.recipe.site
+    if wind.speed_m_per_s <= 0:
+        return None
+    sway = sway_in(
+        instances,
+        exemplars,
+        speed_m_per_s=wind.speed_m_per_s,
+        gustiness=wind.gustiness,
+        from_deg=site.wind_from_deg,
+        seed=plan.drawn.image_seed,
+    )
+    return around.sway(sway)
 
 
 def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
