@@ -179,7 +179,7 @@ def test_validate_counts_the_frames_of_paths_and_notes_what_is_odd() -> None:
 
 
 def test_the_quickstart_is_valid() -> None:
-    assert fg.load(QUICKSTART).validate().species == ("fireweed", "poplar", "spruce")
+    assert fg.load(QUICKSTART).validate().species == ("fireweed", "poplar", "spruce", "bramble")
 
 
 @pytest.mark.parametrize(
