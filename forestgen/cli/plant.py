@@ -109,7 +109,7 @@ def _print_many(made: Sequence[SinglePlant], say: Printer, *, frames: bool) -> N
             (
                 str(number if frames else one.seed),
                 f"{one.height_m:.2f} m",
-                "none" if one.dbh_m is None else f"{100 * one.dbh_m:.1f} cm",
+                "none" if one.dbh_m is None or one.dbh_m < _THIN_M else f"{100 * one.dbh_m:.1f} cm",
                 f"{one.crown_width_m:.2f} m",
                 f"{sum(one.triangles.values()):,}",
                 f"{one.leaf_area_m2:.3g} m²",

@@ -10,8 +10,8 @@ leaf of their species, as factors on the reflectance and transmittance of that l
 Materials with `leaf_type` take part. An exemplar has one chlorophyll, so plants that share an exemplar are alike,
 whatever their detail and season. One of its plants, of the lowest plant_id, decides on its place among the exemplars of
 its species, which are evenly spread over the normal distribution: their standard deviation is that of plants, however
-many there are, and other numbers of exemplars leave most plants about as green as they were. One alone is as green as
-the mean, as are the far meshes around a site.
+many there are, and with other numbers of exemplars plants keep their order of green. One alone is as green as the mean,
+as are the far meshes around a site.
 
 References
 ----------

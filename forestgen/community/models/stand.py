@@ -55,7 +55,7 @@ Decisions
 ---------
 - Targets are means over the whole site, those of a storey over that storey. `map` and `keep_out` say where trees stand,
   and change no numbers.
-- A target is feasible where the trees of the stand differ in the mean by at most two standard deviations from their
+- A target is feasible where the trees of the stand differ in the mean by at most three standard deviations from their
   species' allometry: in height for a dominant height, in crown width for a cover, in leaf mass for a leaf area index.
   Beyond that the recipe is refused, with what these trees could have.
 - canopy_cover is the share of ground under crowns as discs of their radius. Rays find less: real crowns have gaps.

@@ -93,7 +93,7 @@ def test_plants_differ_in_chlorophyll_by_the_measured_share():
     assert greens(made, ONE) == {1: base.reflectance_spectrum.at(705)}
 
 
-def test_a_plants_green_is_its_own_whatever_other_exemplars_there_are():
+def test_plants_keep_their_order_of_green_whatever_other_exemplars_there_are():
     """The order of plants stays where some are left out, and an exemplar of other detail is as green."""
     made = materials("birch")
     every, some = greens(made, np.arange(1, 21)), greens(made, np.array([17, 3, 3, 8, 11]))
