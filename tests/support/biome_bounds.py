@@ -4,6 +4,9 @@ Leaf area index: mean and standard deviation of the biome's class, Asner, Scurlo
 Biogeography 12, 191-205; of savannas from the least of grasslands to the highest of shrublands. Cover: classes of the
 IGBP, Loveland et al. (2000), International Journal of Remote Sensing 21, 1303-1330: forests over 60%, savannas 10 to
 30% of trees, open shrublands 10 to 60%, grasslands under 10% of trees and shrubs, barren land under 10%.
+
+The class of deserts (1.31 +- 0.85) has no barren land, whose lower bound is 0. Read at the source: Asner's deserts and
+its range, the curves of Broadfoot & Krinard and of Dunning. All other numbers are from memory and have to be looked up.
 """
 
 from __future__ import annotations
