@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from forestgen.community.tree_columns import HIGHEST_BASE
 from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Bools, Floats, Mesh, surface_area_m2
@@ -29,15 +30,15 @@ BELOW_CROWN = 0.02  # share of the leaf area below the crown's base
 _ROUNDS = 12
 _LEAF_SIZE = (0.5, 1.25)  # factor on the length of leaves; their number makes up for the rest
 _SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the length
-_MOST_LEAVES = 8.0  # times as many leaves as the generator placed
+_MOST_LEAVES = 8.0  # times as many leaves as the generator placed, in the mean of a crown
 _EXTINCTION = 0.25  # of light by leaf area: half of it is seen, of which half acts as if at random
 _STRAIGHTENED = 0.7  # of a stem's way aside, as it grew
 _EVEN = 0.4  # mean of (r / R)² of points in an ellipsoid, r from the axis and R its greatest
-_MOST_FILLED = 1.5  # the stretch of what is next to the axis, over that of the mean, less 1
+_MOST_FILLED = 1.5  # the stretch of what is next to the axis, over that of the farthest, less 1
 _TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
 _MEASURED_M = 2.0  # lower trees keep their thickness: breast height is among their tips
 _POWER = (0.3, 3.0)  # of the radius
-_HIGHEST_BASE, _LOWEST_BASE = 0.95, 0.02  # of the crown, over the height, where heights are stretched apart
+_LOWEST_BASE = 0.02  # of the crown, over the height, where heights are stretched apart
 
 
 @dataclass(frozen=True)
@@ -203,7 +204,7 @@ def stretch_to(
     middle = 0.5 * (low + high)[:, 2]
     found = _low_quantile(feet[:, 2] + middle, area)
     knee = float(np.clip(0.5 * raw_top if found is None else found, 0.05 * raw_top, 0.9 * raw_top))
-    wanted = float(np.clip(size.crown_base_m, _LOWEST_BASE * size.height_m, _HIGHEST_BASE * size.height_m))
+    wanted = float(np.clip(size.crown_base_m, _LOWEST_BASE * size.height_m, HIGHEST_BASE * size.height_m))
     base = knee * size.height_m / raw_top if found is None else wanted
     wide = size.crown_width_m / max(_mean_width(nodes, feet + low, feet + high), 1e-6)
     reach = max(float(np.hypot(*np.concatenate([nodes, feet])[:, :2].T).max()), 1e-6)
@@ -218,7 +219,7 @@ def stretch_to(
         wide = stretch.wide + (size.crown_width_m - width) / span
         if found is not None:
             made = _low_quantile(at + middle, area)
-            base = float(np.clip(stretch.base + wanted - (made or 0.0), 0.2 * wanted, _HIGHEST_BASE * stretch.top))
+            base = float(np.clip(stretch.base + wanted - (made or 0.0), 0.2 * wanted, HIGHEST_BASE * stretch.top))
         stretch = replace(
             stretch,
             wide=float(np.clip(wide, 0.05 * stretch.wide, 20.0 * stretch.wide)),

@@ -45,7 +45,8 @@ from forestgen.scene.wind import Sway
 LOW = 0.15
 REACH_HEIGHTS, LEAST_REACH_M, MOST_REACH_M = 1.25, 10.0, 60.0
 MOST_BLOCKS = 8
-UNEVEN, UNEVEN_M, UNEVEN_REACHES = 0.05, 0.15, 4.0  # of the tallest plant, or m: how far far feet may miss the ground
+# A block's ground is uneven where it is farther from a plane than a share of the tallest plant, or m: the larger.
+UNEVEN, UNEVEN_M, UNEVEN_REACHES = 0.05, 0.15, 4.0
 FAR_BLOCKS, LOW_FAR_BLOCKS, FAR_M = 16, 8, 1000.0
 APART = 0.35
 FAR_SHARE, _LEAST_TRIANGLES = 0.15, 20_000
@@ -228,7 +229,7 @@ def _layer(
 
 
 def _free_of_stems(population: Population, members: Rows, row: Rows, block: Rows, xy: Floats) -> Bools:
-    """(K,) copies of which no stem of the site, or of a block before theirs, is too near."""
+    """(K,) copies to which no stem that stays, of the site or of a block before theirs, is too near."""
     from scipy.spatial import cKDTree  # late: half a second
 
     at = np.concatenate([population.position_m[members, :2], xy])
@@ -236,9 +237,11 @@ def _free_of_stems(population: Population, members: Rows, row: Rows, block: Rows
     of = np.concatenate([np.full(len(members), -1), block])
     first, second = cKDTree(at).query_pairs(2.0 * APART * radius_m.max(), output_type="ndarray").T
     close = np.linalg.norm(at[first] - at[second], axis=1) < APART * (radius_m[first] + radius_m[second])
-    first, second = (one[close & (of[first] != of[second])] for one in (first, second))
+    pairs = np.stack([first, second], axis=1)[close & (of[first] != of[second])]
+    pairs = np.take_along_axis(pairs, np.argsort(of[pairs], axis=1), axis=1)  # of the earlier block, of the later
     kept = np.full(len(at), True)
-    kept[np.where(of[first] > of[second], first, second)] = False
+    for earlier, later in pairs[np.argsort(of[pairs[:, 1]])].tolist():
+        kept[later] &= not kept[earlier]
     return kept[len(members) :]
 
 

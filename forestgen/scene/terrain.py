@@ -192,7 +192,7 @@ def build_terrain(
         wet = wet_ground(spectrum, wetness.at(x, y, smooth_step(away / MARGIN_M)))
     return Terrain(
         mesh=mesh,
-        texture=_texture(ground, cover, colour, rng),
+        texture=_texture(ground, cover, colour, 0.0 if fresh is None else fresh.cover, rng),
         far_share=far.astype(np.float32),
         far_reflectance=colours_of_surface(far_spectrum, None)[0],
         spectrum=spectrum,
@@ -206,13 +206,16 @@ _kept: BoundedCache[_Kept] = BoundedCache(TEXTURE_PX**2 * 12, lambda kept: kept[
 
 
 def _texture(
-    ground: str, cover: GroundCover, colour: tuple[float, float, float], rng: np.random.Generator
+    ground: str, cover: GroundCover, colour: tuple[float, float, float], fresh: float, rng: np.random.Generator
 ) -> NDArray[np.float32]:
-    """(P, P, 3) reflectance of mean `colour`. The last one is kept, for an image that is made again."""
+    """(P, P, 3) reflectance of mean `colour`. The last one is kept, for an image that is made again.
+
+    `fresh`: share of the ground that leaves hide that fell lately.
+    """
 
     def make() -> _Kept:
         return with_mean(cover.pattern(rng), colour), rng.bit_generator.state
 
-    key = (ground, colour, repr(rng.bit_generator.state))
+    key = (ground, colour, fresh, repr(rng.bit_generator.state))
     texture, rng.bit_generator.state = _kept.get(key, make)
     return texture

@@ -29,7 +29,7 @@ LibraryTree = Callable[[str, int, int], Floats]  # species, rung, variant -> (5,
 
 # What k-means tells trees apart by: errors of diameter and width (each is half of what is left), of the crown's base
 # as a share of the height and of leaf area count by the first three, scales of height and of width over height by the
-# others. Chosen by the errors on the shipped recipes (docs/adr).
+# others. Chosen by the errors on the shipped recipes (docs/adr/0018-exemplars-of-trees.md).
 _STOUT_WEIGHT, _BASE_WEIGHT, _LEAF_WEIGHT, _HEIGHT_WEIGHT, _WIDE_WEIGHT = 0.7, 1.2, 0.4, 0.5, 0.3
 _LEAST_CONE = 0.1  # height above breast height over height, of trees that have a diameter
 _MOST_STRETCH = 1.6  # of a tree's width over its height

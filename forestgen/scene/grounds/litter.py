@@ -104,12 +104,12 @@ class Litter(GroundCover):
 
     def pattern(self, rng: np.random.Generator) -> NDArray[np.float32]:
         upper, leaf_colour, shade = _scattered_leaves(rng)
-        if self._fresh is not None:
-            new = rng.random(len(leaf_colour)) < self._fresh.cover
-            bright = 0.6 + 0.8 * rng.random((int(new.sum()), 1))
-            leaf_colour[new] = bright * colours_of_surface(self._fresh.spectrum, None)[0]
         patches = tile_noise(9.0, 0.25, 2.6, rng)
         grain = tile_noise(0.25, 0.032, 0.5, rng)
+        if self._fresh is not None:  # drawn last, as many for any cover: the rest is the same on all days
+            new = rng.random(len(leaf_colour)) < self._fresh.cover
+            bright = 0.6 + 0.8 * rng.random((len(leaf_colour), 1))
+            leaf_colour[new] = bright[new] * colours_of_surface(self._fresh.spectrum, None)[0]
         cover = 1 / (1 + np.exp(-(patches - 0.55) / 0.22))
         texture = np.empty((*upper.shape, 3), dtype=np.float32)
         _grow_moss(upper, leaf_colour, shade, patches, grain, cover, texture)

@@ -20,6 +20,7 @@ from forestgen.scene.surroundings import (
     REACH_HEIGHTS,
     UNEVEN,
     SurroundedStand,
+    _free_of_stems,
     layers_around,
     most_copies,
     surrounded,
@@ -196,14 +197,23 @@ def test_a_forest_keeps_stems_apart_at_the_seams_and_closes_them():
     away = np.linalg.norm(at[:, None] - at, axis=2)
     np.fill_diagonal(away, np.inf)
     close = away < APART * (radius[:, None] + radius) - 1e-9
-    own = np.arange(len(at)) < len(plants)
-    assert not close[own][:, ~own].any()
+    block = np.floor(at / 20.0)  # a third of the site
+    block[: len(plants)] = 0.0  # the site keeps all of its own
+    assert not (close & (block[:, None] != block).any(axis=2)).any()
     low, high = at.min(axis=0), at.max(axis=0)
     assert (low < -10).all()
     assert (high > 70).all()
     outward = np.abs(at - 30.0).max(axis=1) - 30.0
-    ring = [np.sum((outward >= a) & (outward < a + 3.0)) / ((66.0 + 2 * a) ** 2 - (60.0 + 2 * a) ** 2) for a in (-3, 0)]
-    assert ring[1] == pytest.approx(400 / 3600, rel=0.25)
+    assert np.sum((outward >= 0) & (outward < 3.0)) / (66.0**2 - 60.0**2) == pytest.approx(400 / 3600, rel=0.25)
+
+
+def test_a_copy_gives_way_only_to_stems_that_stay():
+    plants = replace(population(1, np.random.default_rng(0)), position_m=np.zeros((1, 3)), radius_m=np.full(1, 2.0))
+    apart = APART * 4.0
+    away = np.array([2.7, 1.8, 0.9, 2.7, 6.0]) * apart  # from the site's tree, in a row
+    block = np.array([2, 1, 0, 3, 3])
+    kept = _free_of_stems(plants, np.zeros(1, int), np.zeros(5, int), block, np.stack([away, np.zeros(5)], axis=1))
+    assert kept.tolist() == [False, True, False, False, True]
 
 
 def test_copies_move_as_their_plants_and_nothing_else_moves():

@@ -7,7 +7,8 @@ import pytest
 
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import terrain
-from forestgen.scene.surfaces import fresh_litter
+from forestgen.scene.grounds import litter
+from forestgen.scene.surfaces import FreshLitter, fresh_litter
 from forestgen.scene.terrain import HORIZON_M, HeightField, build_terrain, terrain_mesh
 from forestgen.scene.terrains.rolling import rolling
 
@@ -98,6 +99,28 @@ def test_the_texture_of_an_image_made_again_is_kept(monkeypatch):
     assert not any(np.array_equal(first, other) for other in others)
     assert len(terrain._kept) == 1
     assert build("sand", 1)[0].tobytes() == first.tobytes()
+
+
+def test_fresh_leaves_leave_the_rest_of_the_litter_as_it_was():
+    def pattern(cover: float, seed: int = 1) -> np.ndarray:
+        ground = litter.COVER.under(FreshLitter(cover, litter.COVER.reflectance())) if cover else litter.COVER
+        return ground.pattern(np.random.default_rng(seed))
+
+    bare, few, more = pattern(0.0), pattern(0.01), pattern(0.3)
+    changed, later = ((one != bare).any(axis=2) for one in (few, more))
+    assert 0.0 < changed.mean() < 0.02
+    assert later.mean() < 0.3
+    assert (few == more)[changed].all()  # leaves that lie there stay, others come
+
+
+def test_a_kept_texture_is_of_the_same_fresh_leaves():
+    """Leaves of the litter's own colour leave the mean as it is, but not the texture."""
+
+    def texture(cover: float) -> np.ndarray:
+        fresh = FreshLitter(cover, litter.COVER.reflectance())
+        return build_terrain(HeightField((8.0, 8.0)), np.random.default_rng(1), "litter", fresh=fresh).texture
+
+    assert not np.array_equal(texture(0.2), texture(0.6))
 
 
 def test_leaves_that_fell_lately_lie_on_litter_in_the_colours_of_autumn():
