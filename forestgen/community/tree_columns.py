@@ -10,6 +10,8 @@ Where a model does not say itself, they follow from a tree's height by its speci
 In between the logarithm of the diameter changes in proportion. Crowns count by the median of their species at their
 height, dead trees not at all. Beyond a site that does not repeat there is more of the same: the part of a disc outside
 counts as the part inside.
+
+A dead tree has no leaves unless a model gives it some.
 """
 
 from __future__ import annotations
@@ -53,7 +55,9 @@ def with_tree_sizes(
     known = {name: np.array(population.columns.get(name, nothing), dtype=np.float64) for name in COLUMNS}
     if not np.isnan([known[name][trees] for name in COLUMNS]).any():
         return population
-    living = np.flatnonzero(trees & (population.status != Status.DEAD))
+    dead = population.status == Status.DEAD
+    known["leaf_area_m2"][trees & dead & np.isnan(known["leaf_area_m2"])] = 0.0
+    living = np.flatnonzero(trees & ~dead)
     shift = np.zeros(len(population))
     shift[living] = competition_shifts(
         population.position_m[living, :2],

@@ -6,17 +6,17 @@
 | `basal_area_m2_per_ha` | of the stems' sections at 1.3 m |
 | `quadratic_mean_diameter_cm` | of the stems: the diameter of the mean basal area |
 | `mean_height_m` | mean of the stems |
-| `dominant_height_m` | mean of the row's 100 thickest plants a hectare, or of all that have a DBH if fewer |
+| `dominant_height_m` | mean of the 100 thickest stems a hectare, or all if fewer; of plants in a row without stems |
 | `slenderness` | median of height over DBH of the stems |
 | `stem_volume_m3_per_ha` | of the stems' trunks over bark, from the ground to the tip |
 | `biomass_t_per_ha` | of all plants, dry, above the ground: wood volume by density, leaf area by its mass per area |
 | `leaf_area_index` | one side of all leaves of all plants over the site's area |
 | `canopy_cover` | share of vertical rays that meet a plant of the row at least 1.3 m above the ground |
 
-Storeys, of all plants: upper from 2/3 of the stand's dominant height on, lower below 1/3, middle between them (IUFRO;
-Leibundgut 1956). A stand without a stem at 1.3 m has none. A plant of several stems counts as one stem of their basal
-area. Crowns that reach over the edge of a site that repeats cover its other side. Dead trees are counted alone.
-Foresters' definitions: Pretzsch 2009, Forest Dynamics, Growth and Yield, sections 8.1 to 8.4.
+Storeys: upper from 2/3 of the mean height of the stand's 100 thickest plants a hectare on, lower below 1/3, middle
+between them (IUFRO; Leibundgut 1956). A stand without a stem at 1.3 m has none. A plant of several stems counts as one
+stem of their basal area. Crowns that reach over the edge of a site that repeats cover its other side. Dead trees are
+counted alone. Foresters' definitions: Pretzsch 2009, Forest Dynamics, Growth and Yield, sections 8.1 to 8.4.
 
 The profile is leaf area density, m2/m3, by height above the plants' stem bases; what hangs lower counts in the lowest
 layer.
@@ -128,7 +128,8 @@ class StandTable(Reading):
         stem = f"DBH from {self.min_dbh_cm:g} cm on"
         yield f"living plants of a site of {three_digits(self.site_ha)} ha, as they are rendered; {stem}: stems"
         yield "stems/ha, BA (basal area), Dq (quadratic mean diameter), H (mean height), H/D (median), V (trunk): stems"
-        yield f"Hdom: mean height of the {_DOMINANT_PER_HA} thickest stems a hectare; storeys: from 2/3, 1/3 of it on"
+        yield f"Hdom: mean height of the {_DOMINANT_PER_HA} thickest stems a hectare, or plants in a row without stems"
+        yield f"storeys: from 2/3, 1/3 of the mean height of the {_DOMINANT_PER_HA} thickest plants a hectare on"
         yield "AGB (dry biomass above the ground), LAI (one side of the leaves): all plants, also those without a DBH"
         yield f"cover: vertical rays that meet a plant above {BREAST_HEIGHT_M} m; one ray may meet several rows"
         if self.standing_dead_per_ha:

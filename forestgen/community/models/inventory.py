@@ -75,8 +75,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, model_validator
 
 from forestgen.community.arrivals import radii_m
-from forestgen.community.ground.living_conditions import Conditions
-from forestgen.community.placement.densities import grid_shape, relative_density
+from forestgen.community.placement.densities import grid_shape, tree_density
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.population import Ecologies, Floats, Indices, Site, ecology_of
 from forestgen.community.stand import spacing
@@ -101,7 +100,7 @@ if TYPE_CHECKING:
 _BYTES_PER_TREE = 400
 _CELLS = 1024
 _FEWEST_MEASURED = 5  # heights of a species that make its curve the list's own
-_TALLER = 1.5  # a tree whose crown begins above the height that its diameter gives, over that height
+_MOST_RAISED = 1.5  # a height by diameter is raised at most so many times for a high crown base
 _lists: BoundedCache[TreeList] = BoundedCache(300_000_000, lambda one: one.nbytes)
 
 
@@ -220,15 +219,15 @@ class Inventory(StaticModel[InventoryParameters]):
         normals = own_rng.standard_normal((len(rows), NUMBERS))
         height_m = _heights(trees, rows, sp[rows], normals, position_m, parameters, site, species)
         check_proportions(trees, rows, height_m)
-        is_tree, dead = are_trees(species, sp[rows]), trees.dead[rows]
+        is_tree = are_trees(species, sp[rows])
         sizes = {name: np.where(is_tree, trees.number(name)[rows], np.nan) for name in COLUMNS[:3]}
         return Placement(
             sp[rows],
             position_m,
             radii_m(species, sp[rows], height_m),
             height_m,
-            tree_sizes=sizes | {COLUMNS[3]: np.where(is_tree & dead, 0.0, np.nan)},
-            dead=dead,
+            tree_sizes=sizes,
+            dead=trees.dead[rows],
             age_yr=np.nan_to_num(trees.number("age_yr")[rows]),
             azimuth_deg=trees.number("azimuth_deg")[rows],
             notes=tuple(_notes(trees, sp, species)),
@@ -328,7 +327,7 @@ def _numbers_here(trees: TreeList, parameters: InventoryParameters, site: Site) 
         plot_m2 = parameters.plot_area_m2 or site.area_m2
         number = (trees.number("count") if "count" in trees.numbers else np.ones(len(trees))) * (site.area_m2 / plot_m2)
         if parameters.plot_area_m2 is None and "count" not in trees.numbers:
-            problem, got = "neither places nor numbers of trees", ", ".join([*trees.numbers, *trees.ignored])
+            problem, got = "neither places nor numbers of trees", ", ".join(trees.names)[:200]
             expected = "columns x_m and y_m, stems_per_ha or count; or community.plot_area_m2"
             hint = "`columns: {X: x_m, Y: y_m}` says what columns are; plot_area_m2 is that of all plots together"
             raise RecipeError(problem, where=trees.head, expected=expected, got=got, hint=hint)
@@ -368,8 +367,8 @@ def _placed(
     own = spacing.own_distance_m(dbh[order], site.area_m2, parameters.clark_evans)
     widest = max(2 * float(dbh.max(initial=0.01)), float(own.max(initial=0.0)))
     grid = spacing.empty_grid(len(rows), widest, site.size_m, periodic=parameters.periodic)
-    density = relative_density(Conditions(), parameters.map, parameters.keep_out, site, grid_shape(site, _CELLS))
-    ground = (density / max(float(density.max()), 1e-300), np.zeros(density.shape))
+    density = tree_density(parameters.map, parameters.keep_out, site, grid_shape(site, _CELLS))
+    ground = (density, np.zeros(density.shape))
     placed = spacing.place_storey(grid, 0, dbh[order], np.ones(len(rows)), parameters.clark_evans, ground, rng)
     if placed < len(rows):
         problem, got = "so many trees have no room", f"{len(rows):,} on the site"
@@ -424,8 +423,16 @@ def _heights(
         )
     least_m = np.nan_to_num(trees.number("crown_base_m")[rows[missing]]) / HIGHEST_BASE
     given_m = height_m[missing]  # a crown may begin high on a tall tree of its diameter
-    height_m[missing] = np.where(least_m <= _TALLER * given_m, np.maximum(given_m, least_m), given_m)
+    usual_m = _medians(rows[missing], given_m)
+    height_m[missing] = np.where(least_m <= _MOST_RAISED * usual_m, np.maximum(given_m, least_m), given_m)
     return height_m
+
+
+def _medians(line: Indices, values: Floats) -> Floats:
+    """(M,) the median of each value's line; `line` ascends."""
+    ascending = values[np.lexsort((values, line))]
+    _, first, count = np.unique(line, return_index=True, return_counts=True)
+    return np.repeat(0.5 * (ascending[first + (count - 1) // 2] + ascending[first + count // 2]), count)
 
 
 MODEL = Inventory()

@@ -93,7 +93,7 @@ from forestgen.community.placement.densities import (
     one_size,
     plant_counts,
     radii_at,
-    relative_density,
+    tree_density,
 )
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.population import Ecologies, Floats, Site, SpeciesEcology, ecology_of
@@ -253,12 +253,7 @@ def _density(parameters: StandParameters, site: Site, rng: np.random.Generator) 
     """(rows, cols) relative density of trees, at most 1, and 1 in gaps; row 0 at y = 0."""
     cells = min(_CELLS, max(64, math.ceil(max(site.size_m) / _CELL_M)))
     shape = grid_shape(site, cells)
-    density = relative_density(Conditions(), parameters.map, parameters.keep_out, site, shape)
-    if not density.any():
-        problem, expected = "no tree may stand anywhere", "a map and keep_out that leave some ground"
-        where = "community.map" if parameters.keep_out is None else "community.keep_out"
-        raise RecipeError(problem, where=where, expected=expected, got="0 on the whole site")
-    gap = np.zeros(shape)
+    density, gap = tree_density(parameters.map, parameters.keep_out, site, shape), np.zeros(shape)
     if parameters.gaps is not None:
         centre_m, radius_m = _gaps(parameters.gaps, site, parameters.periodic, rng)
         y, x = (((np.arange(n) + 0.5) * side / n) for n, side in zip(shape, reversed(site.size_m), strict=True))
@@ -269,7 +264,7 @@ def _density(parameters: StandParameters, site: Site, rng: np.random.Generator) 
             rows, cols = np.flatnonzero(dy < radius_m), np.flatnonzero(dx < radius_m)
             inside = dy[rows, None] ** 2 + dx[None, cols] ** 2 < radius_m**2
             gap[np.ix_(rows, cols)] = np.maximum(gap[np.ix_(rows, cols)], inside)
-    return density / density.max(), gap
+    return density, gap
 
 
 def _gaps(gaps: Gaps, site: Site, periodic: bool, rng: np.random.Generator) -> tuple[Floats, float]:

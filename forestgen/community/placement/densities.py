@@ -124,6 +124,16 @@ def relative_density(
     return np.ascontiguousarray(np.where(density < LEAST, 0.0, density))
 
 
+def tree_density(painted: MapSection | None, keep_out: MapSection | None, site: Site, shape: tuple[int, int]) -> Floats:
+    """(rows, cols) relative density of trees, 1 at most; row 0 at y = 0. Raises `RecipeError` where none may stand."""
+    density = relative_density(Conditions(), painted, keep_out, site, shape)
+    if not density.any():
+        problem, expected = "no tree may stand anywhere", "a map and keep_out that leave some ground"
+        where = "community.map" if keep_out is None else "community.keep_out"
+        raise RecipeError(problem, where=where, expected=expected, got="0 on the whole site")
+    return np.asarray(density / density.max())
+
+
 def plant_counts(parameters: PlacementParameters, site: Site, species: Ecologies) -> NDArray[np.int64]:
     """(S,) how many plants of each species are asked for, the same for every model.
 

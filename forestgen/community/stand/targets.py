@@ -18,7 +18,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation
 from forestgen.recipe.tree_sizes import NUMBERS, TreeSizes
 
-MOST_STEMS_PER_HA, _MOST_AREA = 1e6, 300.0  # the area in m² per hectare
+_MOST_STEMS_PER_HA, _MOST_AREA = 1e6, 300.0  # the area in m² per hectare
 TOLERANCE = 0.05  # of a target that others determine
 THICKEST_PER_HA = 100  # whose mean height is the dominant height
 INDEX_AGE_YR = 100
@@ -67,7 +67,7 @@ class Storey(Section):
 
     species: dict[Name, Positive] = Field(min_length=1, description="Share of each species, of any sum.")
     share_of: Literal["basal_area", "stems"] = Field("basal_area", description="What the shares are of.")
-    stems_per_ha: Positive | None = Field(None, le=MOST_STEMS_PER_HA, description="Number of stems per hectare.")
+    stems_per_ha: Positive | None = Field(None, le=_MOST_STEMS_PER_HA, description="Number of stems per hectare.")
     basal_area_m2_per_ha: Positive | None = Field(
         None, le=_MOST_AREA, description="Area of all stems at 1.3 m, per hectare."
     )
@@ -170,7 +170,7 @@ def _check_stocking(found: Stocking, storey: Storey, where: str) -> None:
     got = f"{found.stems_per_ha:,.0f} stems/ha of {100 * found.mean_dbh_m:.3g} cm in the mean, "
     got += f"{found.basal_area_m2_per_ha:,.4g} m²/ha"
     for name, most, hint in (
-        ("stems_per_ha", MOST_STEMS_PER_HA, "a smaller basal area, or thicker trees"),
+        ("stems_per_ha", _MOST_STEMS_PER_HA, "a smaller basal area, or thicker trees"),
         ("basal_area_m2_per_ha", _MOST_AREA, "fewer stems, or thinner trees"),
     ):
         if getattr(found, name) > most * (1 + 1e-9):

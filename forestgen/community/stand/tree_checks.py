@@ -74,7 +74,7 @@ def are_trees(species: Ecologies, sp: Indices) -> Mask:
 def check_proportions(trees: TreeList, rows: Indices, height_m: Floats) -> None:
     """Raise `RecipeError` for sizes that contradict the heights, of the list or by its diameters."""
     listed, all_m = trees.number("height_m"), np.full(len(trees), np.nan)
-    all_m[rows] = height_m
+    np.fmin.at(all_m, rows, height_m)  # a line's trees each have a height; the least
     trees = replace(trees, numbers={**trees.numbers, "height_m": all_m})
     dbh, height, sizes = trees.number("dbh_m"), trees.number("height_m"), ("dbh_m", "height_m")
     what = "a diameter of at most a tenth of the height, of a dead tree at most half of it"

@@ -62,6 +62,7 @@ class TreeList:
     species_names: tuple[str, ...]  # as in the file
     dead: NDArray[np.bool_]  # (N,)
     numbers: Mapping[str, Floats]  # (N,) each, dbh as dbh_m and crowns as crown_radius_m
+    names: tuple[str, ...]  # of all columns, as in the file
     ignored: tuple[str, ...]  # names of columns that mean nothing here
 
     def __len__(self) -> int:
@@ -99,7 +100,7 @@ def read_trees(content: bytes, name: str, columns: Mapping[str, str]) -> TreeLis
     if not len(line):
         raise _no_trees(name, f"one line: {mark.join(names)[:80]!r}")
     ignored = tuple(one for index, one in enumerate(names) if one and index not in known.values())
-    return _typed(table, name, head, line, ignored, decimal_comma=mark != ",")
+    return _typed(table, name, head, line, (tuple(names), ignored), decimal_comma=mark != ",")
 
 
 def _no_trees(name: str, got: str) -> RecipeError:
@@ -212,10 +213,11 @@ def _typed(
     name: str,
     head: str,
     line: NDArray[np.int64],
-    ignored: tuple[str, ...],
+    names: tuple[tuple[str, ...], tuple[str, ...]],
     *,
     decimal_comma: bool,
 ) -> TreeList:
+    """The list. `names`: of all columns, and of those without meaning."""
     import pyarrow.compute as pc
 
     species = table["species"].combine_chunks().dictionary_encode()
@@ -242,7 +244,7 @@ def _typed(
         numbers["dbh_m"] = numbers.pop("dbh_cm") / 100.0
     if "crown_width_m" in numbers:
         numbers["crown_radius_m"] = numbers.pop("crown_width_m") / 2.0
-    return TreeList(name, head, line, code, called, dead, numbers, ignored)
+    return TreeList(name, head, line, code, called, dead, numbers, *names)
 
 
 def _numbers(cells: Any, column: str, name: str, line: NDArray[np.int64], *, decimal_comma: bool) -> Floats:

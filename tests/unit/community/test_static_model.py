@@ -16,6 +16,7 @@ from forestgen.community.model import simulate
 from forestgen.community.population import Site, Status
 from forestgen.community.snapshot_checks import check_snapshot
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
+from forestgen.community.tree_columns import with_tree_sizes
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.tree_sizes import TreeSizes
 from support.error_messages import raises_error
@@ -308,7 +309,7 @@ class Measured(Grove):
         height_m = np.where(dead, population.height_m, population.height_m + 1.0)
         new = replace(
             placed(height_m=4.0),
-            tree_sizes={"leaf_area_m2": np.zeros(1), "crown_radius_m": np.ones(1)},
+            tree_sizes={"crown_radius_m": np.ones(1)},
             dead=np.array([True]),
             age_yr=np.array([30.0]),
             azimuth_deg=np.array([90.0]),
@@ -323,7 +324,8 @@ def test_sizes_follow_the_change_or_the_height_and_arrivals_keep_theirs(tree, tm
     assert last["dbh_m"][:10] == pytest.approx(np.full(10, 0.1331))
     assert np.isnan(last["crown_radius_m"][:10]).all()  # of the new height now
     assert last["crown_radius_m"][10:].tolist() == [1, 1, 1]  # these did not grow
-    assert last["leaf_area_m2"][10:].tolist() == [0, 0, 0]
+    whole = with_tree_sizes(history[-1], both, SITE, 4, periodic=True)
+    assert (whole.columns["leaf_area_m2"] > 0).tolist() == [True] * 10 + [False] * 3
     assert last["azimuth_deg"][10:].tolist() == [90, 90, 90]
     assert history[-1].age_yr[10:].tolist() == [32, 31, 30]
     assert (history[-1].status == Status.DEAD).tolist() == [False] * 10 + [True] * 3

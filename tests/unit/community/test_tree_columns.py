@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from forestgen.api.plant_requests import drawn_of
-from forestgen.community.population import Population, Site, ecology_of
+from forestgen.community.population import Population, Site, Status, ecology_of
 from forestgen.community.tree_columns import COLUMNS, _covers, with_tree_sizes
 
 SPECIES = [ecology_of(name, drawn_of(name, 0).species[name]) for name in ("spruce", "fireweed")]
@@ -59,6 +61,17 @@ def test_what_a_model_knows_stays_and_herbs_have_no_sizes() -> None:
     median = sized(population(where, np.array([20.0, 20.0, 1.0]), np.array([0, 0, 1])))
     assert made.columns["leaf_area_m2"][0] != median.columns["leaf_area_m2"][0]  # follows the known diameter
     assert made.columns["leaf_area_m2"][1] == median.columns["leaf_area_m2"][1]
+
+
+def test_dead_trees_have_the_leaves_that_a_model_gives_them_or_none() -> None:
+    where = np.array([[10.0, 10.0], [20.0, 20.0], [30.0, 30.0], [40.0, 40.0]])
+    given = np.array([np.nan, np.nan, 3.0, np.nan])
+    plants = population(where, np.array([20.0, 20.0, 20.0, 1.0]), np.array([0, 0, 0, 1]), leaf_area_m2=given)
+    made = sized(replace(plants, status=np.array([Status.GROWING, *[Status.DEAD] * 3], dtype=np.uint8)))
+    assert made.columns["leaf_area_m2"][0] > 10
+    assert made.columns["leaf_area_m2"][1:3].tolist() == [0, 3]
+    assert np.isnan(made.columns["leaf_area_m2"][3])  # no tree
+    assert np.isfinite(made.columns["dbh_m"][:3]).all()
 
 
 def test_covers_are_those_of_every_pair() -> None:

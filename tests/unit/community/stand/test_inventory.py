@@ -157,6 +157,17 @@ def test_a_tall_tree_s_crown_may_begin_above_the_height_of_its_diameter(species)
     assert found.height_m[0] == pytest.approx(1.2 * usual / 0.95, rel=1e-3)
 
 
+def test_each_tree_of_a_line_reaches_above_the_line_s_crown_base(species):
+    line, site = "species,dbh_cm,crown_base_m,stems_per_ha\nspruce,20,{},300\n", Site((100.0, 100.0))
+    usual = placed(species, line.format(""), site).height_m
+    base_m = 1.2 * float(np.median(usual))
+    assert (usual < base_m / 0.95 / 1.5).sum() > 10  # more than each of them may be raised
+    found = placed(species, line.format(base_m), site)
+    assert found.height_m == pytest.approx(np.maximum(usual, base_m / 0.95))
+    with raises_error(RecipeError, place="community.table, line 2"):
+        placed(species, line.format(round(1.3 * base_m)), site)  # above what a height is raised to
+
+
 def test_stumps_are_short_and_crowns_of_herbs_mean_nothing(species):
     text = "species,x_m,y_m,dbh_cm,height_m,crown_radius_m,status\nspruce,1,2,60,3,,dead\nbracken,3,3,,0.5,0.3,\n"
     found = placed(species, text)
@@ -249,7 +260,7 @@ def test_a_bad_list_has_one_message_with_its_line(name, species):
     table, given = BAD[name] if isinstance(BAD[name], tuple) else (BAD[name], {})
     with raises_error(RecipeError) as caught:
         placed(species, table, **given)
-    assert "community.table" in caught.value.where
+    assert ("community.keep_out" if name == "no ground" else "community.table") in caught.value.where
 
 
 def test_a_bad_file_is_refused_when_the_recipe_is_checked(examples, tmp_path):
