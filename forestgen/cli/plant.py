@@ -91,7 +91,7 @@ def _print(made: Sequence[SinglePlant], say: Printer, as_json: bool, frames: boo
 
 
 def _print_one(one: SinglePlant, say: Printer) -> None:
-    stem = "" if one.dbh_m is None or one.dbh_m < _THIN_M else f", stem {100 * one.dbh_m:.1f} cm at 1.3 m"
+    stem = f", stem {_stem(one)} at 1.3 m" if _stem(one) else ""
     base = "" if one.crown_base_m is None else f" and {one.crown_base_m:.2f} m above the ground"
     say(f"{one.species}: {one.height_m:.2f} m tall, crown {one.crown_width_m:.2f} m wide{base}{stem}")
     parts = ", ".join(f"{number:,} {part}" for part, number in one.triangles.items())
@@ -109,7 +109,7 @@ def _print_many(made: Sequence[SinglePlant], say: Printer, *, frames: bool) -> N
             (
                 str(number if frames else one.seed),
                 f"{one.height_m:.2f} m",
-                "none" if one.dbh_m is None or one.dbh_m < _THIN_M else f"{100 * one.dbh_m:.1f} cm",
+                _stem(one) or "none",
                 f"{one.crown_width_m:.2f} m",
                 f"{sum(one.triangles.values()):,}",
                 f"{one.leaf_area_m2:.3g} m²",
@@ -120,6 +120,11 @@ def _print_many(made: Sequence[SinglePlant], say: Printer, *, frames: bool) -> N
         )
     say(f"{count(len(made), 'frame' if frames else 'plant')} of {made[0].species}")
     say("\n".join(table_lines(rows)))
+
+
+def _stem(one: SinglePlant) -> str:
+    """Diameter at breast height; empty without a stem there."""
+    return "" if one.dbh_m is None or one.dbh_m < _THIN_M else f"{100 * one.dbh_m:.1f} cm"
 
 
 def _mass(kilograms: float) -> str:

@@ -44,7 +44,7 @@ MOST_NORMAL = 2.5  # a tree's own numbers are no further from 0
 _MOST_FOLLOWED = math.log(2.0)  # of the diameter over its median, which other sizes follow; few trees are beyond
 _SAPLING_M = 3.0
 _LEAF_POWER = 2.5
-_TOP = 0.95  # of the height of the tallest: from here on slenderness stays
+TOP = 0.95  # of the height of the tallest: from here on slenderness stays
 _SPREAD = (0.02, 1.0)
 _WIDEST = 1.2  # crown width over height, whatever the allometry says
 _CROWN = (0.1, 0.98)  # crown length over height
@@ -113,14 +113,14 @@ class TreeSizes(Section):
 
         Trees that are taller than 0.95 T have the slenderness of that height.
         """
-        top_m = _TOP * self.tallest_m
+        top_m = TOP * self.tallest_m
         stretched = self._log_stretched(np.clip(height_m, BREAST_HEIGHT_M + 1e-3, top_m)) - self._log_stretched(10.0)
         median = np.log(self.dbh_m.at_10_m) + self.dbh_m.height_exponent * stretched
         return np.asarray(np.maximum(median + np.log(np.maximum(height_m / top_m, 1.0)), np.log(_LEAST_DBH_M)))
 
     def height_deviation(self, height_m: Floats) -> Floats:
         """(N,) standard deviation of the logarithm of the height of trees of one diameter."""
-        height_m = np.clip(height_m, BREAST_HEIGHT_M + 0.1, _TOP * self.tallest_m)
+        height_m = np.clip(height_m, BREAST_HEIGHT_M + 0.1, TOP * self.tallest_m)
         steepness = height_m / (height_m - BREAST_HEIGHT_M) + height_m / (self.tallest_m - height_m)
         return np.asarray(self.dbh_m.deviation(np.log(height_m / 10.0)) / (self.dbh_m.height_exponent * steepness))
 

@@ -84,7 +84,7 @@ def _foot_m(sizes: Floats) -> Floats:
 
 
 def _tree_features(sizes: Floats) -> Floats:
-    """(n, 5) what trees are told apart by, of their (n, 5) sizes; the first is the height's."""
+    """(n, 5) coordinates in which trees are clustered, of their (n, 5) sizes; the first is the height's."""
     height_m, width_m, _, base_m, leaf_m2 = sizes.T
     foot_m = _foot_m(sizes)
     side = np.sqrt(width_m * foot_m)

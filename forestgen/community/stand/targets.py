@@ -16,14 +16,13 @@ from forestgen.community.stand.tree_list import TALLEST_M
 from forestgen.core.compiled import compiled
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation
-from forestgen.recipe.tree_sizes import NUMBERS, TreeSizes
+from forestgen.recipe.tree_sizes import NUMBERS, TOP, TreeSizes
 
 _MOST_STEMS_PER_HA, _MOST_AREA = 1e6, 300.0  # the area in m² per hectare
 TOLERANCE = 0.05  # of a target that others determine
 THICKEST_PER_HA = 100  # whose mean height is the dominant height
 INDEX_AGE_YR = 100
 _QUANTILES = 1000
-_TOP = 0.95  # of the height of the tallest trees: the highest dominant height
 _LEAST_TOP_M = 1.5
 _SMALLEST = 0.2  # diameter of a normal distribution's thinnest tree over the mean
 _CURVES = {  # asymptote in metres, b, c: see `dominant_height_at`
@@ -188,8 +187,8 @@ def _mean_by_height(storey: Storey, species: Ecologies, per_stem: float, where: 
     none = np.zeros((len(known_m), NUMBERS))
     heights_m = sum(share * laws_of(species, name).height_of(known_m, none) for name, share in storey.species.items())
     heights_m = np.asarray(heights_m) / sum(storey.species.values())
-    if top > _TOP * heights_m[-1]:
-        problem, expected = "trees of these species are not so tall", f"at most {_TOP * heights_m[-1]:.3g} m"
+    if top > TOP * heights_m[-1]:
+        problem, expected = "trees of these species are not so tall", f"at most {TOP * heights_m[-1]:.3g} m"
         hint = "give stems_per_ha and a dbh too; or raise tree.tallest_m in the species' files"
         raise RecipeError(problem, where=where, expected=expected, got=f"a dominant height of {top:.3g} m", hint=hint)
     for _ in range(10):
