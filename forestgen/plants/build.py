@@ -92,7 +92,7 @@ def build_exemplar(
         fitted = fit(skeleton, templates, plant.fit, height_m, width_m)
     else:
         height_m, leaf_rng = tree.height_m, rng.spawn(1)[0]
-        fitted = fit_tree(skeleton, plant.shapes, templates, plant.wood.flare, tree, leaf_rng)
+        fitted = fit_tree(skeleton, plant, templates, tree, leaf_rng).skeleton
     skeleton = _with_visible_organs(fitted, templates)
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")

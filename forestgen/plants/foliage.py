@@ -23,7 +23,9 @@ class Foliage(Section):
 
     shape: str = Field(description="name of an organ shape")
     heights_m: tuple[float, float] = Field((0.0, 1e3), description="heights that it serves, upper end excluded, metres")
-    orders: tuple[int, ...] = Field(min_length=1, description="branch orders that bear it; 0 is the stem")
+    orders: tuple[int, ...] = Field(
+        min_length=1, description="branch orders that bear it; 0 is the stem, 100 the twigs of `crown_twigs`"
+    )
     spacing_m: float | None = Field(None, gt=0, description="distance between nodes along the axis, metres")
     count: int | None = Field(None, ge=1, le=10_000, description="nodes on each axis, in place of spacing_m")
     per_node: int = Field(1, ge=1, le=500, description="organs at a node, evenly about the axis: 2 for opposite leaves")

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.geometry.mesh import Mesh
+from forestgen.plants.crown_twigs import CrownTwigs
 from forestgen.plants.foliage import Foliage, place
 from forestgen.plants.organs.flowers import Acorn, Berry, Bud, Catkin, Cone, Daisy, Disc, FourPetals, Lily
 from forestgen.plants.organs.fronds import FanFrond, FernFrond, GrassBlade, GrassPanicle, PalmFrond
@@ -61,6 +62,7 @@ class PlantParameters(Section):
     wood: Wood = Field(description="surface of stems and branches")
     shapes: dict[str, OrganShape] = Field(default_factory=dict, description="forms of the organs, by name")
     foliage: tuple[Foliage, ...] = Field((), description="where organs sit, beside those that the generator places")
+    crown_twigs: CrownTwigs | None = Field(None, description="twigs that fill the crown of a tree of given sizes")
     variation: Variation | None = Field(None, description="growth responses that make plants of a base model differ")
     fit: Fit = Field(
         "scale",

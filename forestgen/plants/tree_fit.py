@@ -8,6 +8,8 @@ A generator grows a plant of about the right height and width. Here it gets the 
 - Heights are stretched apart above and below the crown's base, which is the height that 2% of the leaf area lie below,
   widths throughout, until the geometry's extents fit. Organs keep their attitude. Where a few long branches make the
   extents, the others are stretched further: leaves are as far from the axis as in an ellipsoid of even density.
+- Where the species has `crown_twigs`, they take the place of the thin wood and its leaves, and what has moved is fitted
+  once more.
 - Wood is made thinner or thicker by a power of its radius, so that the stem has its diameter 1.3 m above the ground,
   flare included, and the finest twigs stay as they are.
 """
@@ -16,22 +18,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from forestgen.community.tree_columns import HIGHEST_BASE
 from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Bools, Floats, Mesh, surface_area_m2
+from forestgen.geometry.mesh import Bools, Floats, Ints, Mesh, surface_area_m2
+from forestgen.plants.crown_twigs import EXTINCTION, Leaves, fill_crown, rules_of_twigs
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
+
+if TYPE_CHECKING:
+    from forestgen.plants.parameters import PlantParameters
 
 BELOW_CROWN = 0.02  # share of the leaf area below the crown's base
 _ROUNDS = 12
 _LEAF_SIZE = (0.5, 1.25)  # factor on the length of leaves; their number makes up for the rest
 _SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the length
 _MOST_LEAVES = 8.0  # times as many leaves as the generator placed, in the mean of a crown
-_EXTINCTION = 0.25  # of light by leaf area: half of it is seen, of which half acts as if at random
 _STRAIGHTENED = 0.7  # of a stem's way aside, as it grew
 _EVEN = 0.4  # mean of (r / R)² of points in an ellipsoid, r from the axis and R its greatest
 _MOST_FILLED = 1.5  # the stretch of what is next to the axis, over that of the farthest, less 1
@@ -71,18 +77,43 @@ def blade_areas_m2(shapes: Mapping[str, OrganForm]) -> dict[str, float]:
     }
 
 
+@dataclass(frozen=True)
+class FittedTree:
+    """A tree at its sizes, and where what the generator grew has come to."""
+
+    skeleton: Skeleton
+    base: Ints  # (N,) the generator's node that bears each node, or is it
+    stretches: tuple[Stretch, ...]  # of the generator's points, one after the other
+
+    def points(self, points_m: Floats) -> Floats:
+        """(M, 3) points of the generator's plant, stretched."""
+        for stretch in self.stretches:
+            points_m = stretch.points(points_m)
+        return points_m
+
+
 def fit_tree(
-    skeleton: Skeleton,
-    shapes: Mapping[str, OrganForm],
-    templates: Mapping[str, Mesh],
-    flare: float,
-    size: TreeSize,
-    rng: np.random.Generator,
-) -> Skeleton:
-    """The tree at its sizes. `flare`: of the stem's foot, see `plants.parameters.Wood`."""
-    leafy = fit_leaves(skeleton, shapes, size, rng)
-    stretched = stretch_to(leafy, templates, blade_areas_m2(shapes), size).skeleton(leafy)
-    return fit_wood(stretched, flare, size.dbh_m)
+    skeleton: Skeleton, plant: PlantParameters, templates: Mapping[str, Mesh], size: TreeSize, rng: np.random.Generator
+) -> FittedTree:
+    """The tree at its sizes, its crown filled with twigs where the species has them."""
+    blade = blade_areas_m2(plant.shapes)
+    leafy = fit_leaves(skeleton, plant.shapes, size, rng)
+    stretch = stretch_to(leafy, templates, blade, size)
+    made, base, stretches = stretch.skeleton(leafy), np.arange(len(skeleton.parent)), [stretch]
+    leaves = _leaves(made, blade)
+    rules = rules_of_twigs(plant.crown_twigs, plant.foliage, blade, size.height_m)
+    if plant.crown_twigs is not None and rules and leaves.total_m2 > 0.0:
+        made, base = fill_crown(made, plant.crown_twigs, rules, blade, leaves, rng)
+        made = fit_leaves(made, plant.shapes, size, rng)
+        stretches.append(stretch_to(made, templates, blade, size))
+        made = stretches[-1].skeleton(made)
+    return FittedTree(fit_wood(made, plant.wood.flare, size.dbh_m), base, tuple(stretches))
+
+
+def _leaves(skeleton: Skeleton, blade: Mapping[str, float]) -> Leaves:
+    place = [np.zeros((0, 3)), *(one.frame[:, :, 3].astype(np.float64) for one in skeleton.organs)]
+    area = [np.zeros(0), *(_areas(one, blade) for one in skeleton.organs)]
+    return Leaves(np.concatenate(place), np.concatenate(area))
 
 
 def fit_leaves(
@@ -122,7 +153,7 @@ def _light(height: Floats, leaf_area_index: Floats) -> Floats:
     order = np.argsort(-height, kind="stable")
     above = np.empty(len(height))
     above[order] = np.cumsum(leaf_area_index[order])
-    return np.asarray(np.exp(-_EXTINCTION * above))
+    return np.asarray(np.exp(-EXTINCTION * above))
 
 
 def _areas(organs: OrganPlacements, blade: Mapping[str, float]) -> Floats:
@@ -145,9 +176,10 @@ def _numbered(organs: OrganPlacements, number: Floats, skeleton: Skeleton, rng: 
     x, y = frame[more, 0, :3].copy(), frame[more, 1, :3].copy()
     frame[more, 0, :3] = cos[:, None] * x - sin[:, None] * y
     frame[more, 1, :3] = sin[:, None] * x + cos[:, None] * y
-    bearer = skeleton.parent[node[more]]
-    way = skeleton.position_m[np.maximum(bearer, 0)] - skeleton.position_m[node[more]]
-    frame[more, :, 3] += along[more, None].astype(np.float32) * way
+    start = skeleton.position_m[np.maximum(skeleton.parent[node[more]], 0)]
+    way = skeleton.position_m[node[more]] - start
+    at = np.sum((frame[more, :, 3] - start) * way, axis=1) / np.maximum(np.sum(way * way, axis=1), 1e-12)
+    frame[more, :, 3] += (along[more] - np.clip(at, 0.0, 1.0))[:, None].astype(np.float32) * way
     return OrganPlacements(organs.shape, frame.astype(np.float32), node)
 
 

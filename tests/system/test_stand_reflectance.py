@@ -5,9 +5,8 @@ import pytest
 from support.stand_reflectance import BANDS, MEASURED, measure
 from support.stand_structure import STANDS, grown, misses, structure
 
-# Broad-leaved stands are 10 to 20% too dark in the near infrared: leaves are larger than real ones and stand closer.
-DARK = {("birch", "B8"): 0.85, ("beech", "B8"): 0.82}
-CLUMPED = {"birch": ["clumping"], "beech": ["clumping"]}  # 0.51; measured 0.7 and more
+# Of birch by 2 and 4%: the lower ends are a model's of Hyytiälä's stands (NIR), and of maples and beeches (red).
+DARK = {("birch", "B8"): 0.97, ("birch", "B4"): 0.93}
 
 
 @pytest.mark.slow
@@ -19,7 +18,7 @@ def test_stands_reflect_as_forests_do(name):
         low, high = MEASURED[name][band]
         assert found.error[band] < 0.03 * high
         dark = DARK.get((name, band), 1.0)
-        assert low * dark < found.factor[band] < (high if dark == 1.0 else low), band
+        assert low * dark < found.factor[band] < high, band
 
 
 @pytest.mark.slow
@@ -28,5 +27,4 @@ def test_stands_are_as_open_as_forests(name):
     """Clumping, density and profile of leaves within measured ranges: tests/support/stand_structure.py."""
     found = structure(grown(STANDS[name]))
     assert found.leaf_area_index == pytest.approx(STANDS[name].leaf_area_index, rel=0.08)
-    assert misses(name, found) == CLUMPED.get(name, [])
-    assert found.clumping > 0.45
+    assert misses(name, found) == []

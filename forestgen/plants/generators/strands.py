@@ -91,7 +91,7 @@ from forestgen.plants.build import fit, moved
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.plants.strands import JITTERS, ORDERS, Branching, Leaves, Pose, Wind, carried, divide, leaf_places, pose
-from forestgen.plants.tree_fit import TreeSize, blade_areas_m2, fit_leaves, fit_wood, stretch_to
+from forestgen.plants.tree_fit import TreeSize, fit_tree
 from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 
@@ -347,17 +347,24 @@ class StrandGenerator:
         times_s: Iterable[float],
         tree: TreeSize,
     ) -> Iterator[Skeleton]:
-        """Poses of a tree of given sizes."""
-        shapes = parameters.shapes
-        leafy = fit_leaves(at_rest, shapes, tree, leaf_rng)
-        stretch = stretch_to(leafy, parameters.templates(), blade_areas_m2(shapes), tree)
-        still = fit_wood(stretch.skeleton(leafy), parameters.wood.flare, tree.dbh_m)
+        """Poses of a tree of given sizes: what sits on a segment keeps its place on it."""
+        fitted = fit_tree(at_rest, parameters, parameters.templates(), tree, leaf_rng)
+        still, base = fitted.skeleton, fitted.base
+        seat = still.position_m - fitted.points(rest.position_m)[base]
         for time_s in times_s:
             wind = parameters.wind.model_copy(update={"time_s": time_s})
             stance = pose(branching, wind, parameters.stiffness, phases_rad)
-            organs = stretch.organs([carried(one, rest, stance) for one in leafy.organs])
-            position_m = stretch.points(stance.position_m.astype(np.float64)).astype(np.float32)
-            yield replace(still, position_m=position_m, organs=organs)
+            turn = stance.rotation @ rest.rotation.transpose(0, 2, 1)
+            foot = fitted.points(stance.position_m)[base]
+            moved_m = (foot + np.einsum("nij,nj->ni", turn[base], seat)).astype(np.float32)
+            organs = []
+            for one in still.organs:
+                by = turn[base[one.node]].astype(np.float32)
+                frame = by @ one.frame
+                away = one.frame[:, :, 3] - still.position_m[one.node]
+                frame[:, :, 3] = moved_m[one.node] + np.einsum("nij,nj->ni", by, away)
+                organs.append(replace(one, frame=frame))
+            yield replace(still, position_m=moved_m, organs=tuple(organs))
 
 
 def _largest(position_m: NDArray[np.float32]) -> Floats:

@@ -11,7 +11,7 @@ from forestgen.plants.growing import grow_exemplar
 
 # Mean angle between blade and horizontal, of all measured leaves of a species: Chianucci et al. 2018 (Annals of Forest
 # Science 75, 50; doi:10.17632/4rmc7r8zvy.2, as the R package LAD 0.1.0 has it). 101 to 1,685 leaves each.
-MEASURED_DEG = {"beech": 18.1, "birch": 55.6, "maple": 33.8}
+MEASURED_DEG = {"beech": 18.1, "birch": 55.6, "maple": 33.8, "oak": 34.8, "poplar": 36.8}  # Populus tremula
 
 
 @pytest.mark.parametrize("name", MEASURED_DEG)

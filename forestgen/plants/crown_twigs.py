@@ -1,0 +1,273 @@
+"""Twigs that fill the crown of a tree: what a generator leaves between its branches.
+
+The generator's branches end where they are as thin as a twig. From there twigs grow to points spread evenly in the
+crown, each from the branch or the twig that it reaches by the shortest way (a minimum spanning tree whose costs count
+the way from the branch too: Cuntz, H., Forstner, F., Borst, A., Häusser, M. (2010). One rule to grow them all. PLoS
+Computational Biology 6(8), e1000877). So every leaf sits on a twig, and leaves fill the crown as those of real trees.
+
+The crown is the hull of the generator's own leaves, by height and azimuth. Fewer points lie where others shade them: of
+a share v of the crown's volume, counted from above, the leaf area index a(v) follows da/dv = c exp(-k a), which is
+solved by a = ln(1 + (exp(k L) - 1) v) / k. L is the crown's leaf area over its ground area, k the extinction of light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+from scipy.ndimage import map_coordinates
+from scipy.spatial import cKDTree
+
+from forestgen.core.compiled import compiled
+from forestgen.geometry.mesh import Bools, Floats, Ints, unit
+from forestgen.plants.foliage import Foliage, place
+from forestgen.plants.skeleton import Skeleton, check_budget
+from forestgen.recipe.curves import evaluate, evaluate_one
+from forestgen.recipe.fields import Section
+
+TWIG_ORDER = 100  # branch order of all twigs
+EXTINCTION = 0.25  # of light by leaf area: half of it is seen, of which half acts as if at random
+_LAYERS, _SECTORS = 12, 8  # of the hull's measurement
+_FINER = 6  # times as many for its volume
+_UNEVEN = 0.25  # of points' mean distance, by which they are moved at random
+_NEAREST = 12  # nodes of branches that a point may be reached from
+TURN_COST = 0.6  # of a way straight back, as a share of its length
+PATH_COST = 0.35  # of the way from the branch to where a twig begins
+THICK_COST = 5.0  # of a bearer's radius
+_PIPE = 0.42  # power of the number of tips in a twig's radius
+_TWIG_BYTES = 6000  # of a twig with its leaves while it is made
+_FEWEST = 6
+# Of evenly spread points: powers of 1/g, g⁴ = g + 1 (Roberts, M. (2018). The unreasonable effectiveness of
+# quasirandom sequences).
+_SPREAD = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+
+
+class CrownTwigs(Section):
+    """Twigs between a tree's branches. Rules of `foliage` with the order 100 say where leaves sit on them."""
+
+    replaces_below_m: float = Field(gt=0, le=0.5, description="the generator's wood of a smaller diameter makes way")
+    taller_than_m: float = Field(5.0, ge=2, description="lower trees keep the generator's wood and leaves")
+    leaves_each: float = Field(gt=0, le=1000, description="leaves of a twig; with the leaf area, the number of twigs")
+    diameter_m: float = Field(0.0024, gt=0, le=0.02, description="of a twig's tip, metres")
+    bend: float = Field(0.5, ge=0, le=1, description="how far a twig sets out along its bearer, not straight ahead")
+    droop: float = Field(0.0, ge=-1, le=1, description="how far twigs rather grow down than up; negative: up")
+
+
+def rules_of_twigs(
+    twigs: CrownTwigs | None, foliage: Iterable[Foliage], blade_m2: Mapping[str, float], height_m: float
+) -> list[Foliage]:
+    """The rules of organs for a crown of twigs: leaves on them alone, other organs where they are; none: no twigs."""
+    if twigs is None or height_m < twigs.taller_than_m:
+        return []
+    suited = [rule for rule in foliage if rule.suits(height_m)]
+    on_twigs = [rule.model_copy(update={"orders": (TWIG_ORDER,)}) for rule in suited if TWIG_ORDER in rule.orders]
+    if not any(blade_m2[rule.shape] > 0.0 for rule in on_twigs):
+        return []
+    return on_twigs + [rule for rule in suited if TWIG_ORDER not in rule.orders and not blade_m2[rule.shape] > 0.0]
+
+
+def fill_crown(
+    skeleton: Skeleton,
+    twigs: CrownTwigs,
+    rules: Sequence[Foliage],
+    blade_m2: Mapping[str, float],
+    leaves: Leaves,
+    rng: np.random.Generator,
+) -> tuple[Skeleton, Ints]:
+    """The tree with twigs and leaves in place of its generator's; and the node of the given one that bears each node.
+
+    `skeleton`: at its final size. `rules`: see `rules_of_twigs`. `blade_m2`: of an organ of each shape at size 1.
+    `leaves`: those that the tree has so far.
+
+    Raises `RecipeError`: more twigs or leaves than memory holds.
+    """
+    height_m = float(skeleton.position_m[:, 2].max())
+    wood, kept = _branches(skeleton, twigs.replaces_below_m)
+    wanted = leaves.total_m2 / (twigs.leaves_each * _leaf_m2(rules, blade_m2, height_m))
+    check_budget("twigs", wanted, _TWIG_BYTES, "a smaller leaf area, or more crown_twigs.leaves_each")
+    tips, apart_m = _hull(leaves).spread(max(round(wanted), _FEWEST), EXTINCTION * leaves.total_m2, rng)
+    tips = np.concatenate([_beyond_ends(wood, apart_m), tips])
+    grown, base = _grown(wood, *_spanned(wood, tips, twigs), twigs)
+    organs = tuple(place(rule, grown, height_m, rng) for rule in rules)
+    return replace(grown, organs=organs), kept[base]
+
+
+def _leaf_m2(rules: Sequence[Foliage], blade_m2: Mapping[str, float], height_m: float) -> float:
+    """Area of a leaf of the first rule that has any."""
+    rule = next(rule for rule in rules if blade_m2[rule.shape] > 0.0)
+    share = evaluate(rule.size, np.linspace(0.0, 1.0, 11)) * evaluate_one(rule.size_by_height, height_m)
+    return float(blade_m2[rule.shape]) * max(float(np.mean(share**2)), 1e-6)
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """Where a tree's leaves are."""
+
+    position_m: Floats  # (M, 3)
+    area_m2: Floats  # (M,) one side
+
+    @property
+    def total_m2(self) -> float:
+        return float(self.area_m2.sum())
+
+
+@dataclass(frozen=True)
+class _Hull:
+    """A crown's radius by height and azimuth."""
+
+    low_m: float
+    high_m: float
+    radius_m: Floats  # (L, S) in layers from below, closed at both ends, and sectors from x on
+
+    def spread(self, count: int, extinct_m2: float, rng: np.random.Generator) -> tuple[Floats, float]:
+        """(count, 3) points, even but for shade, and their distance; `extinct_m2`: leaf area times extinction."""
+        u = (rng.random(3) + np.arange(1, count + 1)[:, None] * _SPREAD) % 1.0
+        area = self.radius_m[::-1] ** 2 * (np.pi / self.radius_m.shape[1])  # layers from above
+        above = np.append(0.0, np.cumsum(area.sum(axis=1))) / area.sum()
+        shade = max(extinct_m2 / float(area.sum(axis=1).max()), 1e-6)
+        depth = np.interp(np.expm1(shade * u[:, 0]) / np.expm1(shade), above, np.arange(len(area) + 1))
+        layer = np.minimum(depth.astype(np.int64), len(area) - 1)
+        up_to = np.cumsum(area[layer], axis=1) / np.sum(area[layer], axis=1, keepdims=True)
+        sector = np.sum(u[:, 1:2] >= up_to[:, :-1], axis=1)
+        each = np.diff(up_to, axis=1, prepend=0.0)[np.arange(count), sector]
+        turn = sector + 1.0 - (up_to[np.arange(count), sector] - u[:, 1]) / each
+        away = self.radius_m[::-1][layer, sector] * np.sqrt(u[:, 2])
+        angle = 2.0 * np.pi * turn / self.radius_m.shape[1]
+        height = self.high_m - (self.high_m - self.low_m) * depth / len(area)
+        points = np.stack([away * np.cos(angle), away * np.sin(angle), height], axis=1)
+        apart_m = np.cbrt(float(area.sum()) * (self.high_m - self.low_m) / len(area) / count)
+        return points + _UNEVEN * apart_m * rng.normal(size=points.shape), apart_m
+
+
+def _hull(leaves: Leaves) -> _Hull:
+    """The hull of leaves, its lobes half as deep."""
+    leaf_m, leaf_area = leaves.position_m, leaves.area_m2
+    order = np.argsort(leaf_m[:, 2])
+    share = np.cumsum(leaf_area[order]) / leaf_area.sum()
+    low = float(leaf_m[order[np.searchsorted(share, 0.01)], 2])
+    high = max(float(leaf_m[order[-1], 2]), low + 1e-3)
+    layer = np.clip(((leaf_m[:, 2] - low) / (high - low) * _LAYERS).astype(np.int64), 0, _LAYERS - 1)
+    turn = np.arctan2(leaf_m[:, 1], leaf_m[:, 0]) / (2.0 * np.pi) % 1.0
+    sector = np.minimum((turn * _SECTORS).astype(np.int64), _SECTORS - 1)
+    reach = np.zeros((_LAYERS, _SECTORS))
+    np.maximum.at(reach, (layer, sector), np.hypot(leaf_m[:, 0], leaf_m[:, 1]))
+    reach = 0.5 * reach + 0.5 * reach.mean(axis=1, keepdims=True)
+    beside = np.pad(np.pad(reach, ((1, 1), (0, 0)), mode="edge"), ((0, 0), (1, 1)), mode="wrap")
+    reach = 0.25 * (beside[:-2, 1:-1] + 2.0 * reach + beside[2:, 1:-1])
+    edged = np.pad(np.pad(reach, ((1, 1), (0, 0))), ((0, 0), (1, 1)), mode="wrap")
+    up = (np.arange(_LAYERS * _FINER) + 0.5) / _FINER  # from an edge to the next middle is half a layer
+    place = np.clip(
+        np.where(up < 0.5, 2.0 * up, np.where(up > _LAYERS - 0.5, 2.0 * up - _LAYERS + 1.0, up + 0.5)), 0, _LAYERS + 1
+    )
+    turn = (np.arange(_SECTORS * _FINER) + 0.5) / _FINER + 0.5
+    fine = map_coordinates(edged, np.stack(np.meshgrid(place, turn, indexing="ij")), order=1)
+    return _Hull(low, high, np.maximum(fine, 0.02 * fine.max() + 1e-6))
+
+
+def _branches(skeleton: Skeleton, thinnest_m: float) -> tuple[Skeleton, Ints]:
+    """The wood at least so thick, without organs; and the numbers of its nodes."""
+    kept: Bools = 2.0 * skeleton.radius_m >= thinnest_m
+    kept[0] = True
+    for one in range(1, len(kept)):
+        kept[one] &= kept[skeleton.parent[one]]
+    node = np.flatnonzero(kept)
+    number = np.cumsum(kept) - 1
+    parent = np.where(node > 0, number[np.maximum(skeleton.parent[node], 0)], -1)
+    axis = np.unique(skeleton.axis[node], return_inverse=True)[1]
+    mark = None if skeleton.mark is None else skeleton.mark[node]
+    of = skeleton.position_m[node], skeleton.radius_m[node], skeleton.order[node]
+    return Skeleton.of(parent, *of, axis, mark=mark), node
+
+
+def _beyond_ends(wood: Skeleton, way_m: float) -> Floats:
+    """(E, 3) points straight ahead of where branches end: none is left without a twig."""
+    ends = np.setdiff1d(np.arange(1, len(wood.parent)), wood.parent)
+    position = wood.position_m.astype(np.float64)
+    return np.asarray(position[ends] + 0.6 * way_m * unit(position[ends] - position[wood.parent[ends]]))
+
+
+@compiled
+def _way_cost(start: Floats, end: Floats, ahead: Floats, droop: float) -> Any:
+    """Length of a way, more if it turns back from `ahead`, the bearer's direction, or runs against `droop`."""
+    x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    length = np.sqrt(x * x + y * y + z * z) + 1e-9
+    back = 1.0 - (x * ahead[0] + y * ahead[1] + z * ahead[2]) / length
+    wrong = 1.0 + np.sign(droop) * z / length
+    return length * (1.0 + 0.5 * TURN_COST * back + 0.5 * abs(droop) * wrong)
+
+
+@compiled
+def _span(position, ahead, radius, near, tips, droop):  # type: ignore[no-untyped-def]
+    """The order in which tips are reached, and what bears each: a node, or the number of nodes plus a tip's rank.
+
+    `position`, `ahead`, `radius`: (N, 3), (N, 3), (N,) of nodes. `near`: (T, K) nodes that tips may be reached from.
+    """
+    many, count = len(position), len(tips)
+    order, bearer = np.empty(count, np.int64), np.empty(count, np.int64)
+    least, path = np.full(count, np.inf), np.zeros(count)
+    waiting = np.arange(count)
+    for i in range(count):
+        for node in near[i]:
+            cost = _way_cost(position[node], tips[i], ahead[node], droop) + THICK_COST * radius[node]
+            if cost < least[i]:
+                least[i], bearer[i] = cost, node
+    direction = np.empty(3)
+    for rank in range(count):
+        at = 0
+        for k in range(count - rank):
+            if least[waiting[k]] < least[waiting[at]]:
+                at = k
+        here = waiting[at]
+        waiting[at] = waiting[count - rank - 1]
+        order[rank] = here
+        inner = bearer[here] >= many
+        start = tips[order[bearer[here] - many]] if inner else position[bearer[here]]
+        direction[:] = tips[here] - start
+        length = np.sqrt(np.sum(direction * direction))
+        path[rank] = length + (path[bearer[here] - many] if inner else 0.0)
+        direction /= length + 1e-9
+        for k in range(count - rank - 1):
+            other = waiting[k]
+            cost = _way_cost(tips[here], tips[other], direction, droop) + PATH_COST * path[rank]
+            if cost < least[other]:
+                least[other], bearer[other] = cost, many + rank
+    return order, bearer[order]
+
+
+def _spanned(wood: Skeleton, tips: Floats, twigs: CrownTwigs) -> tuple[Floats, Ints]:
+    """The (T, 3) tips, bearers first, and (T,) what bears each: a node of the wood, or their number plus a tip's."""
+    position = wood.position_m.astype(np.float64)
+    ahead = unit(position - position[np.maximum(wood.parent, 0)])
+    near = np.asarray(cKDTree(position).query(tips, k=np.arange(1, min(_NEAREST, len(position)) + 1))[1])
+    order, bearer = _span(position, ahead, wood.radius_m.astype(np.float64), near, tips, twigs.droop)
+    return tips[order], bearer
+
+
+def _grown(wood: Skeleton, tips: Floats, bearer: Ints, twigs: CrownTwigs) -> tuple[Skeleton, Ints]:
+    """The wood with its twigs, each an axis of two segments; and the wood's node that each node comes from."""
+    many, count = len(wood.parent), len(tips)
+    borne = np.ones(count)  # tips that a twig bears, its own too
+    for one in range(count - 1, -1, -1):
+        if bearer[one] >= many:
+            borne[bearer[one] - many] += borne[one]
+    last = many + 2 * np.arange(count) + 1
+    inner, twig = bearer >= many, np.maximum(bearer - many, 0)
+    start = np.where(inner, last[twig], bearer)
+    parent = np.append(wood.parent.astype(np.int64), np.stack([start, last - 1], axis=1))
+    position = np.concatenate([wood.position_m.astype(np.float64), np.repeat(tips, 2, axis=0)])
+    way = tips - position[start]
+    ahead = np.where(inner[:, None], way[twig], position[start] - position[np.maximum(parent[start], 0)])
+    out = unit(unit(way) + twigs.bend * unit(ahead))
+    position[last - 1] += 0.25 * np.linalg.norm(way, axis=1, keepdims=True) * out - 0.75 * way
+    radius = np.append(wood.radius_m, 0.5 * twigs.diameter_m * np.stack([borne, np.maximum(borne - 1, 1)], 1) ** _PIPE)
+    base = np.append(np.arange(many), np.zeros(2 * count, np.int64))
+    for at, end in zip(start.tolist(), last.tolist(), strict=True):
+        radius[end - 1 : end + 1] = np.minimum(radius[end - 1 : end + 1], radius[at])
+        base[end - 1 : end + 1] = base[at]
+    axis = np.append(wood.axis, int(wood.axis[-1]) + 1 + np.repeat(np.arange(count), 2))
+    order = np.append(wood.order, np.full(2 * count, TWIG_ORDER))
+    mark = None if wood.mark is None else wood.mark[base]
+    return Skeleton.of(parent, position, radius, order, axis, mark=mark), base

@@ -1,0 +1,145 @@
+"""Twigs that fill a tree's crown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial.distance import cdist
+
+from forestgen.api.plant_requests import plan_of, request_of
+from forestgen.plants import build, crown_twigs
+from forestgen.plants.crown_twigs import TWIG_ORDER, CrownTwigs, Leaves
+from forestgen.plants.growing import grow_exemplar
+from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.tree_fit import fit_tree
+
+BROAD = ("beech", "birch", "maple", "oak", "poplar")
+
+
+def stem(height_m: float = 10.0, nodes: int = 21) -> Skeleton:
+    position = np.zeros((nodes, 3))
+    position[:, 2] = np.linspace(0.0, height_m, nodes)
+    own = np.zeros(nodes, dtype=np.int64)
+    return Skeleton.of(np.arange(nodes) - 1, position, np.full(nodes, 0.02), own, own)
+
+
+def grown(name: str, height_m: float, monkeypatch: pytest.MonkeyPatch, seed: int = 1) -> Skeleton:
+    """The skeleton that an exemplar is meshed from."""
+    found: list[Skeleton] = []
+
+    def kept(*arguments: object) -> object:
+        fitted = fit_tree(*arguments)  # type: ignore[arg-type]
+        found.append(fitted.skeleton)
+        return fitted
+
+    monkeypatch.setattr(build, "fit_tree", kept)
+    grow_exemplar(request_of(plan_of(name, 0), name, height_m, seed, "stand"))
+    return found[-1]
+
+
+def test_without_other_costs_the_twigs_are_the_shortest_tree(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sum of all ways is that of SciPy's minimum spanning tree, the wood's own ways left out."""
+    tips = np.random.default_rng(3).uniform([-3, -3, 3], [3, 3, 10], (150, 3))
+    wood = stem()
+    for name in ("TURN_COST", "PATH_COST", "THICK_COST"):
+        monkeypatch.setattr(crown_twigs, name, 0.0)
+    monkeypatch.setattr(crown_twigs, "_NEAREST", len(wood.parent))
+    # Compiled kernels keep the constants that they were compiled with.
+    monkeypatch.setattr(crown_twigs, "_way_cost", crown_twigs._way_cost.py_func)
+    monkeypatch.setattr(crown_twigs, "_span", crown_twigs._span.py_func)
+    order, bearer = crown_twigs._spanned(wood, tips, CrownTwigs(replaces_below_m=0.01, leaves_each=5))
+    points = np.concatenate([wood.position_m.astype(np.float64), order])
+    made = np.linalg.norm(order - points[bearer], axis=1).sum()
+    length = cdist(points, points)
+    own = len(wood.parent)
+    length[:own, :own] = 1e-6  # the wood is one piece already; less would count as no way at all
+    assert made == pytest.approx(minimum_spanning_tree(length).sum(), rel=1e-5)
+    assert np.all(bearer < own + np.arange(len(order)))  # bearers come first
+
+
+def test_points_thin_out_where_others_shade_them() -> None:
+    """In a cylinder, leaf area over depth is ln(1 + (exp(k L) - 1) v) / k; without shade, and across, it is even."""
+    hull = crown_twigs._Hull(2.0, 12.0, np.full((48, 24), 3.0))
+    for leaf_area_index in (0.0, 2.0, 6.0):
+        extinct = crown_twigs.EXTINCTION * leaf_area_index
+        points, _ = hull.spread(6000, extinct * np.pi * 3.0**2, np.random.default_rng(1))
+        depth = (12.0 - points[:, 2]) / 10.0
+        for v in (0.25, 0.5, 0.75):
+            expected = v if extinct == 0.0 else np.log1p(np.expm1(extinct) * v) / extinct
+            assert np.mean(depth < v) == pytest.approx(expected, abs=0.01)
+        away = np.hypot(points[:, 0], points[:, 1])
+        assert np.mean(away < 3.0 / np.sqrt(2.0)) == pytest.approx(0.5, abs=0.02)
+        assert np.hypot(*points[:, :2].mean(axis=0)) < 0.05
+
+
+def test_points_are_more_even_than_chance() -> None:
+    """Clark and Evans' ratio in space: mean distance to the nearest over that of random points, 0.554 n^(-1/3)."""
+    hull = crown_twigs._Hull(0.0, 10.0, np.full((48, 24), 4.0))
+    points, apart_m = hull.spread(1500, 0.0, np.random.default_rng(2))
+    near = np.sort(cdist(points, points), axis=1)[:, 1].mean()
+    assert apart_m == pytest.approx((np.pi * 16.0 * 10.0 / 1500) ** (1 / 3), rel=1e-6)
+    assert near / (0.554 * apart_m) > 1.05
+
+
+@pytest.mark.parametrize("name", BROAD)
+def test_every_leaf_sits_on_a_twig(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No leaf's foot is further than 2 cm from its twig: the petiole is part of the leaf."""
+    tree = grown(name, 12.0, monkeypatch)
+    twig = tree.order == TWIG_ORDER
+    assert twig.sum() > 200
+    assert np.all(tree.radius_m[twig] <= tree.radius_m[tree.parent[twig]] + 1e-9)  # none is thicker than its bearer
+    for one in tree.organs:
+        assert np.all(tree.order[one.node] == TWIG_ORDER)
+        end = tree.position_m[one.node].astype(np.float64)
+        start = tree.position_m[tree.parent[one.node]].astype(np.float64)
+        foot, way = one.frame[:, :, 3] - start, end - start
+        along = np.clip(np.sum(foot * way, axis=1) / np.sum(way * way, axis=1), 0.0, 1.0)
+        assert np.linalg.norm(foot - along[:, None] * way, axis=1).max() < 0.02
+
+
+@pytest.mark.parametrize("name", BROAD)
+def test_crowns_are_filled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaf area is spread over more of the space than the generator spreads it: cells of half a metre."""
+
+    def cells(tree: Skeleton) -> float:
+        """Number of cells that would hold all leaves, were they as many in each."""
+        leaf = np.concatenate([one.frame[:, :, 3] for one in tree.organs])
+        area = np.concatenate([np.linalg.norm(one.frame[:, :, 1], axis=1) ** 2 for one in tree.organs])
+        _, cell = np.unique(np.floor(leaf / 0.5).astype(np.int64), axis=0, return_inverse=True)
+        return float(area.sum() ** 2 / np.sum(np.bincount(cell.ravel(), area) ** 2))
+
+    filled = cells(grown(name, 12.0, monkeypatch))
+    monkeypatch.setattr("forestgen.plants.tree_fit.rules_of_twigs", lambda *_: [])
+    assert filled > 1.2 * cells(grown(name, 12.0, monkeypatch))
+
+
+def test_lower_trees_keep_the_generator_s_twigs(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert np.all(grown("oak", 4.9, monkeypatch).order != TWIG_ORDER)
+    assert np.any(grown("oak", 5.1, monkeypatch).order == TWIG_ORDER)
+
+
+def test_branch_ends_bear_twigs(monkeypatch: pytest.MonkeyPatch) -> None:
+    tree = grown("beech", 10.0, monkeypatch)
+    ends = np.setdiff1d(np.arange(len(tree.parent)), tree.parent)
+    assert np.all(tree.order[ends] == TWIG_ORDER)
+
+
+def test_the_hull_of_a_ball_is_a_ball() -> None:
+    """Volume and widest place of the hull of leaves on a sphere of 3 m: within 12% of it."""
+    direction = np.random.default_rng(4).normal(size=(20_000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    hull = crown_twigs._hull(Leaves(3.0 * direction + [0.0, 0.0, 8.0], np.ones(len(direction))))
+    area = np.pi * np.mean(hull.radius_m**2, axis=1)
+    volume = float(area.mean()) * (hull.high_m - hull.low_m)
+    assert volume == pytest.approx(4 / 3 * np.pi * 27.0, rel=0.12)
+    assert hull.low_m + (np.argmax(area) + 0.5) / len(area) * (hull.high_m - hull.low_m) == pytest.approx(8.0, abs=0.6)
+
+
+def test_the_same_seed_gives_the_same_twigs(monkeypatch: pytest.MonkeyPatch) -> None:
+    one, same, other = (grown("oak", 9.0, monkeypatch, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one.position_m, same.position_m)
+    assert one.position_m.shape != other.position_m.shape or not np.array_equal(one.position_m, other.position_m)
+    assert replace(one, organs=()).volume_m3() == replace(same, organs=()).volume_m3()
