@@ -47,7 +47,7 @@ HALF = (0.0, 0.5)
 FOREST = (0.6, 1.0)
 BIOMES: dict[str, Figures[Range]] = {
     "boreal": Figures((314, 1148), (24.8, 46.7), HALF, (1.3, 4.0), FOREST, ANY, (18.1, 31.2)),
-    "temperate_seasonal": Figures((176, 509), (24.2, 32.3), HALF, (3.5, 6.7), FOREST, ANY, (21.6, 32)),
+    "temperate_seasonal": Figures((176, 509), (24.2, 32.3), HALF, (3.5, 6.7), FOREST, ANY, (21.6, 32.5)),
     "temperate_rain": Figures((427, 1000), (60, 123), HALF, (2.1, 8.8), FOREST, ANY, (38.4, 54.3)),
     "tropical_rain": Figures((400, 602), (25.2, 37.1), HALF, (3.1, 6.5), FOREST, ANY, (30, 46)),
     "tropical_seasonal": Figures((275, 502), (7.2, 40), HALF, (1.4, 6.5), FOREST, ANY, (10, 40)),
