@@ -55,6 +55,14 @@ def test_trees_of_a_height_differ_as_measured_ones(name: str) -> None:
             assert abs(np.log(ratio)) < np.log(1.5) + 2.0 / np.sqrt(len(measured)), (name, low, high, size, ratio)
 
 
+def test_acacias_are_wide() -> None:
+    """Medians of 35 street trees of 5 to 10 m and of 10 of 10 to 15 m (McPherson et al. 2016), within 25%."""
+    made = drawn(sizes_of("acacia"), np.repeat([7.0, 12.6], 2000))
+    for part, dbh_m, width_m in ((slice(2000), 0.183, 5.7), (slice(2000, None), 0.42, 9.05)):
+        assert abs(np.log(np.median(made["dbh"][part]) / dbh_m)) < np.log(1.25)
+        assert abs(np.log(np.median(made["width"][part]) / width_m)) < np.log(1.25)
+
+
 def test_suppressed_trees_differ_as_their_status_says() -> None:
     """Spruces and pines whose crowns are overgrown (status 0 and 1) against codominant ones (3), at one height."""
     for name in ("spruce", "pine"):
