@@ -13,7 +13,7 @@ from time import perf_counter
 
 from silviculture_stands import Report
 
-from support.biome_bounds import BIOMES, measured
+from support.biome_bounds import BIOMES, SOURCES, measured
 
 
 def main() -> int:
@@ -25,7 +25,7 @@ def main() -> int:
     for name in arguments.biome or BIOMES:
         start = perf_counter()
         figures = asdict(measured(name, tuple(arguments.set)))
-        print(f"{name}: {BIOMES[name].source}; {perf_counter() - start:.0f} s", flush=True)
+        print(f"{name}: {SOURCES[name]}; {perf_counter() - start:.0f} s", flush=True)
         for key, value in figures.items():
             low, high = getattr(BIOMES[name], key)
             report.check(key, f"{value:.2f}", low <= value <= high, f"{low:g} to {high:g}")

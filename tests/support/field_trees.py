@@ -1,6 +1,6 @@
 """Measured trees, and the allometries of their sizes.
 
-`tests/unit/plants/data/baad_trees.csv` has 3,336 trees of 22 genera from BAAD (Falster et al. 2015, Ecology 96:1445,
+`tests/unit/plants/data/baad_trees.csv` has 3,453 trees of 20 genera from BAAD (Falster et al. 2015, Ecology 96:1445,
 doi:10.1890/14-1889.1; CC0), compiled from its sources. Crown width is 2 sqrt(area / pi) where only the area was
 measured.
 
@@ -55,6 +55,7 @@ RELATIVES: Mapping[str, Sequence[str]] = {
     "poplar": ("Populus tremuloides",),
     "larch": ("Larix kaempferi",),
     "meranti": ("Shorea stenoptera",),
+    "cypress": ("Chamaecyparis obtusa",),
     "eucalyptus": ("Eucalyptus saligna", "Eucalyptus muellerana", "Eucalyptus regnans"),
 }
 

@@ -62,23 +62,24 @@ CURVES = {
     "sequoia": SiteCurve(
         "top",
         {40: 28.8, 80: 39.3, 150: 48.8},
-        "Dunning 1942, mixed conifers of the Sierra Nevada, class I: the Forest Vegetation Simulator (Western Sierra "
-        "Nevada variant) has giant sequoias by it",
+        "Dunning 1942, mixed conifers of the Sierra Nevada, class IA: the Forest Vegetation Simulator (ws/htcalc.f) "
+        "has giant sequoias by it",
     ),
     "spruce": SiteCurve("top", {40: 12.0, 80: 26.0, 150: 36.3}, "Goudie 1984, Picea glauca, SI50 22 m, from seed"),
     "sweetgum": SiteCurve(
         "top",
         {20: 15.3, 40: 24.6, 80: 31.8},
-        "Broadfoot and Krinard 1959, as in Carmean et al. 1989, Liquidambar styraciflua, SI50 27.4 m",
+        "Broadfoot and Krinard 1959, as in Carmean et al. 1989 (Forest Vegetation Simulator, sn/htcalc.f), Liquidambar "
+        "styraciflua, SI50 27.4 m",
     ),
 }
 _PASOH = "canopy trees of Pasoh some 45 years after logging: 30 to 40 m (NIES, Pasoh field site); to 60 m later"
 #: Top heights without a published curve: least, most, and age, years, at which trees of the species' forests have them.
 RANGES_M = {
-    "cecropia": (15.0, 21.0, 30, "Silander & Lugo 1990, Silvics of North America 2: to 20 m, 30 years"),
+    "cecropia": (15.0, 21.0, 30, "from memory, Silander & Lugo 1990: to 20 m, 30 years; Kricher 2017: rarely 25 m"),
     "kapok": (30.0, 45.0, 80, _PASOH),
     "meranti": (30.0, 45.0, 80, _PASOH),
-    "willow": (10.0, 15.0, 50, "Enescu et al. 2016, European Atlas of Forest Tree Species: 10 to 15 m, to 60 years"),
+    "willow": (10.0, 15.0, 50, "Enescu et al. 2016, European Atlas of Forest Tree Species: to 10 m, seldom to 15 m"),
 }
 
 
