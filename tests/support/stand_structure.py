@@ -68,7 +68,7 @@ class Structure:
 
 # Clumping of conifers: 4 STAR of shoots, 0.59 (Scots pine) and 0.64 (Norway spruce; Majasalmi et al. 2016, as Hadi and
 # Rautiainen 2018 use it, Remote Sensing Letters 9, 666-675), times 0.7 to 1 between shoots. Of broad-leaved stands:
-# effective plant area at 57 degrees over leaves of litter traps and wood, 0.41 below beech and other trees near Freiburg
+# effective plant area at 57 degrees over leaves of litter traps and wood, 0.41 below broad-leaved trees near Freiburg
 # (hemispherical photos; Lotz et al. 2026, Biogeosciences 23, 1949-1963, its data at github.com/GeoSense-Freiburg/
 # LittervsLens); LAI-2000 over litter traps 0.85 in beech and 0.94 in maple (Černý, Haninec and Pokorný 2020, Journal of
 # Forestry Research 31, 827-836, abstract) and 0.60 to 0.87 in mixed forests (Liu, Jin and Zhou 2015, iForest 9, 55-62,
