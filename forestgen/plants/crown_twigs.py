@@ -24,7 +24,7 @@ from scipy.spatial import cKDTree
 from forestgen.core.compiled import compiled
 from forestgen.geometry.mesh import Bools, Floats, Ints, unit
 from forestgen.plants.foliage import Foliage, place
-from forestgen.plants.skeleton import Skeleton, check_budget
+from forestgen.plants.skeleton import Skeleton
 from forestgen.recipe.curves import evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 
@@ -38,8 +38,7 @@ TURN_COST = 0.6  # of a way straight back, as a share of its length
 PATH_COST = 0.35  # of the way from the branch to where a twig begins
 THICK_COST = 5.0  # of a bearer's radius
 _PIPE = 0.42  # power of the number of tips in a twig's radius
-_TWIG_BYTES = 6000  # of a twig with its leaves while it is made
-_FEWEST = 6
+_FEWEST, _MOST = 6, 15_000  # twigs: the time goes with their square
 # Of evenly spread points: powers of 1/g, g⁴ = g + 1 (Roberts, M. (2018). The unreasonable effectiveness of
 # quasirandom sequences).
 _SPREAD = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
@@ -50,7 +49,7 @@ class CrownTwigs(Section):
 
     replaces_below_m: float = Field(gt=0, le=0.5, description="the generator's wood of a smaller diameter makes way")
     taller_than_m: float = Field(5.0, ge=2, description="lower trees keep the generator's wood and leaves")
-    leaves_each: float = Field(gt=0, le=1000, description="leaves of a twig; with the leaf area, the number of twigs")
+    leaves_each: float = Field(gt=0, le=1000, description="leaves of a twig; with the leaf area, their number")
     diameter_m: float = Field(0.0024, gt=0, le=0.02, description="of a twig's tip, metres")
     bend: float = Field(0.5, ge=0, le=1, description="how far a twig sets out along its bearer, not straight ahead")
     droop: float = Field(0.0, ge=-1, le=1, description="how far twigs rather grow down than up; negative: up")
@@ -82,13 +81,14 @@ def fill_crown(
     `skeleton`: at its final size. `rules`: see `rules_of_twigs`. `blade_m2`: of an organ of each shape at size 1.
     `leaves`: those that the tree has so far.
 
-    Raises `RecipeError`: more twigs or leaves than memory holds.
+    Raises `RecipeError`: more leaves than memory holds.
     """
     height_m = float(skeleton.position_m[:, 2].max())
     wood, kept = _branches(skeleton, twigs.replaces_below_m)
     wanted = leaves.total_m2 / (twigs.leaves_each * _leaf_m2(rules, blade_m2, height_m))
-    check_budget("twigs", wanted, _TWIG_BYTES, "a smaller leaf area, or more crown_twigs.leaves_each")
-    tips, apart_m = _hull(leaves).spread(max(round(wanted), _FEWEST), EXTINCTION * leaves.total_m2, rng)
+    tips, apart_m = _hull(leaves).spread(
+        round(float(np.clip(wanted, _FEWEST, _MOST))), EXTINCTION * leaves.total_m2, rng
+    )
     tips = np.concatenate([_beyond_ends(wood, apart_m), tips])
     grown, base = _grown(wood, *_spanned(wood, tips, twigs), twigs)
     organs = tuple(place(rule, grown, height_m, rng) for rule in rules)
@@ -158,12 +158,10 @@ def _hull(leaves: Leaves) -> _Hull:
     beside = np.pad(np.pad(reach, ((1, 1), (0, 0)), mode="edge"), ((0, 0), (1, 1)), mode="wrap")
     reach = 0.25 * (beside[:-2, 1:-1] + 2.0 * reach + beside[2:, 1:-1])
     edged = np.pad(np.pad(reach, ((1, 1), (0, 0))), ((0, 0), (1, 1)), mode="wrap")
-    up = (np.arange(_LAYERS * _FINER) + 0.5) / _FINER  # from an edge to the next middle is half a layer
-    place = np.clip(
-        np.where(up < 0.5, 2.0 * up, np.where(up > _LAYERS - 0.5, 2.0 * up - _LAYERS + 1.0, up + 0.5)), 0, _LAYERS + 1
-    )
-    turn = (np.arange(_SECTORS * _FINER) + 0.5) / _FINER + 0.5
-    fine = map_coordinates(edged, np.stack(np.meshgrid(place, turn, indexing="ij")), order=1)
+    middles = np.concatenate([[0.0], np.arange(_LAYERS) + 0.5, [float(_LAYERS)]])
+    layer_at = np.interp((np.arange(_LAYERS * _FINER) + 0.5) / _FINER, middles, np.arange(_LAYERS + 2))
+    sector_at = (np.arange(_SECTORS * _FINER) + 0.5) / _FINER + 0.5
+    fine = map_coordinates(edged, np.stack(np.meshgrid(layer_at, sector_at, indexing="ij")), order=1)
     return _Hull(low, high, np.maximum(fine, 0.02 * fine.max() + 1e-6))
 
 
@@ -267,7 +265,7 @@ def _grown(wood: Skeleton, tips: Floats, bearer: Ints, twigs: CrownTwigs) -> tup
     for at, end in zip(start.tolist(), last.tolist(), strict=True):
         radius[end - 1 : end + 1] = np.minimum(radius[end - 1 : end + 1], radius[at])
         base[end - 1 : end + 1] = base[at]
-    axis = np.append(wood.axis, int(wood.axis[-1]) + 1 + np.repeat(np.arange(count), 2))
+    axis = np.append(wood.axis, int(wood.axis.max()) + 1 + np.repeat(np.arange(count), 2))
     order = np.append(wood.order, np.full(2 * count, TWIG_ORDER))
     mark = None if wood.mark is None else wood.mark[base]
     return Skeleton.of(parent, position, radius, order, axis, mark=mark), base
