@@ -342,7 +342,7 @@ def test_a_stand_with_more_leaves_than_any_forest_says_so(species):
     found = grown(
         species, {"storeys": [{**STOREY, "stems_per_ha": 60000, "basal_area_m2_per_ha": 80}]}, size_m=(20.0, 20.0)
     )
-    assert found.state["reached"]["leaf_area_index"] > 15
+    assert found.state["reached"]["leaf_area_index"] > 18
     assert any("ask for a leaf_area_index" in note for note in found.notes)
 
 
