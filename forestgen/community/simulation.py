@@ -23,6 +23,7 @@ from forestgen.community.population import Population, Site, SpeciesEcology, Sta
 from forestgen.community.tree_columns import with_tree_sizes
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
+from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.core.progress import Progress
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.load import DrawnRecipe
@@ -122,14 +123,24 @@ class CommunityPlan:
         return reason
 
 
+def located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeError | ResourceError:
+    """A model's error with the file and line of the key that it names: models know keys only."""
+    key, comma, line = (cause.where or "").partition(",")  # the line of a table in the recipe
+    keys = tuple(int(one) if one.isdigit() else one for one in key.split("."))
+    return cause.at(drawn.where(*keys) + comma + line) if keys[0] == "community" else cause
+
+
 def snapshots(plan: CommunityPlan, progress: Progress, start: Population | None = None) -> Iterator[Population]:
     """The community at step 0, 1, ..., as the recipe asks; or from `start` on, a snapshot of the same simulation."""
     seed, first = plan.drawn.image_seed, 0 if start is None else start.step
     with progress.stage("community", plan.steps + 1 - first) as advance:
         history = simulate(plan.model, plan.parameters, plan.site, plan.ecologies, seed, steps=plan.steps, start=start)
-        for population in history:
-            advance(1)
-            yield population
+        try:
+            for population in history:
+                advance(1)
+                yield population
+        except (RecipeError, ResourceError) as cause:
+            raise located(cause, plan.drawn) from cause
 
 
 def final_population(plan: CommunityPlan, progress: Progress) -> Population:

@@ -8,8 +8,8 @@ Where a model does not say itself, they follow from a tree's height by its speci
 - o: the same of trees at least 1.25 times as tall. From 0.7 on the tree is suppressed.
 
 In between the logarithm of the diameter changes in proportion. Crowns count by the median of their species at their
-height, dead trees not at all. Beyond a site that does not repeat there is more of the same: the part of a disc outside
-counts as the part inside.
+height. A dead tree grew among all trees, dead ones too; a living one does not count the dead. Beyond a site that does
+not repeat there is more of the same: the part of a disc outside counts as the part inside.
 
 A dead tree has no leaves unless a model gives it some.
 """
@@ -57,15 +57,15 @@ def with_tree_sizes(
         return population
     dead = population.status == Status.DEAD
     known["leaf_area_m2"][trees & dead & np.isnan(known["leaf_area_m2"])] = 0.0
-    living = np.flatnonzero(trees & ~dead)
-    shift = np.zeros(len(population))
-    shift[living] = competition_shifts(
-        population.position_m[living, :2],
-        population.species[living],
-        population.height_m[living],
+    shift, rows = np.zeros(len(population)), np.flatnonzero(trees)
+    shift[rows] = competition_shifts(
+        population.position_m[rows, :2],
+        population.species[rows],
+        population.height_m[rows],
         laws,
         site,
         periodic=periodic,
+        dead=dead[rows],
     )
     normals = np.zeros((len(population), NUMBERS))
     normals[trees] = own_normals(child_root(seed, "trees"), population.plant_id[trees])
@@ -91,11 +91,19 @@ def competition_shifts(
     site: Site,
     *,
     periodic: bool,
+    dead: NDArray[np.bool_] | None = None,
 ) -> Floats:
-    """(N,) logarithm of the diameter over that of a tree in a stand, by the neighbours, of living trees.
+    """(N,) logarithm of the diameter over that of a tree in a stand, by the neighbours.
 
-    `position_m`: (N, 2). `species`: (N,) index in `laws`, which has a law for each of them.
+    `position_m`: (N, 2). `species`: (N,) index in `laws`, which has a law for each of them. `dead`: (N,) trees that
+    count as neighbours of one another alone; None: all live.
     """
+    if dead is not None and dead.any():
+        shift = competition_shifts(position_m, species, height_m, laws, site, periodic=periodic)
+        live = ~dead
+        own = position_m[live], species[live], height_m[live]
+        shift[live] = competition_shifts(*own, laws, site, periodic=periodic)
+        return shift
     crown_m2, opened, suppressed = (np.zeros(len(height_m)) for _ in range(3))
     for index in np.unique(species).tolist():
         mine, law = species == index, laws[index]

@@ -65,7 +65,7 @@ STOREYS = ("upper", "middle", "lower")
 ALL = "all"
 _DOMINANT_PER_HA = 100
 _LEAST_DBH_M = 0.01  # of plants in the picture: tall herbs have stems too
-_RAYS = 16_384  # on the site; those on copies of it beyond its edges come on top
+_RAYS = 16_384  # on the site; where nothing repeats it, those beyond its edges come on top
 _LAYERS_M, _FEWEST_LAYERS = (1.0, 0.5, 0.2, 0.1, 0.05), 15
 _HEADS = ("stems/ha", "BA m2/ha", "Dq cm", "H m", "Hdom m", "H/D", "V m3/ha", "AGB t/ha", "LAI", "cover %")
 Floats = NDArray[np.float64]
@@ -281,7 +281,9 @@ def _met_by_rays(scene: BuiltScene, tracer: SceneTracer, plants: _Plants, reach_
     cell = np.stack(np.meshgrid(*map(np.arange, number), indexing="ij"), axis=-1).reshape(-1, 2)
     site_m = (cell + child_rng(scene.drawn.image_seed, "stand", "rays").random(cell.shape)) / number * size_m
     met = np.zeros((len(cell), len(plants.names), len(STOREYS) + 1), dtype=np.bool_)
-    shifts = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)] if community.parameters.periodic else [(0, 0)]
+    periodic, copied = community.parameters.periodic, scene.repeated
+    shifts = [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)] if periodic and copied is None else [(0, 0)]
+    plant = np.arange(len(plants.alive)) if copied is None or not periodic else copied
     point = np.concatenate([site_m + np.array(shift) * size_m for shift in shifts])
     near = np.flatnonzero(np.all((point >= -reach_m) & (point <= size_m + reach_m), axis=1))
     low_m = height(*point[near].T) + BREAST_HEIGHT_M
@@ -290,8 +292,8 @@ def _met_by_rays(scene: BuiltScene, tracer: SceneTracer, plants: _Plants, reach_
     above = low_m < top_m
     ray = near[above] % len(cell)
     for rays, rows in plants_below(tracer, start_m[above], top_m - low_m[above]):
-        mine = rows < len(plants.alive)  # the others are copies around the site
-        rays, rows = rays[mine], rows[mine]
+        mine = rows < len(plant)  # the others are around the site
+        rays, rows = rays[mine], plant[rows[mine]]
         lives = plants.alive[rows]
         row = rows[lives]
         met[ray[rays[lives]], plants.species[row], plants.storey[row]] = True

@@ -47,6 +47,7 @@ class BuiltScene:
     sway: Sway | None = None  # of the plants in the wind; None: still air
     notes: tuple[str, ...] = ()  # for people: of the community, on cameras in trunks, and on unknown infrared
     labelled: Population | None = None  # with the plants outside of the site that have a plant_id; None: the same
+    repeated: NDArray[np.intp] | None = None  # (K,) row of the plant that each plant of the site or near it repeats
     _posed: dict[float, SceneSpec] = field(default_factory=dict, repr=False, compare=False)  # by time, the last two
 
     @property
@@ -120,7 +121,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         ]
         sway = _sway(drawn, instances, exemplars, around)
     errors = errors_of_sizes(plan, population, chosen, exemplars)
-    return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population)
+    repeated = around.source[: len(around.plants)] if recipe.site.surroundings.kind == "repeat" else None
+    return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population, repeated)
 
 
 def _sway(

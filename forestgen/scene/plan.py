@@ -11,10 +11,11 @@ import numpy as np
 from forestgen.atmosphere.clouds.source import GAP_OF_SITE, LEAST_GAP_M, cloud_source_of
 from forestgen.community.capabilities import HasObstacles, OwnSkeletons, PlanChecks, capability, models_with
 from forestgen.community.disturbance import Ground
+from forestgen.community.model import CommunityParameters
 from forestgen.community.placement.density_map import check_maps
 from forestgen.community.population import Site
 from forestgen.community.registry import COMMUNITY_MODELS
-from forestgen.community.simulation import CommunityPlan
+from forestgen.community.simulation import CommunityPlan, located
 from forestgen.core.errors import ErrorList, RecipeError, ResourceError
 from forestgen.core.figures import show_bytes
 from forestgen.core.processes import free_bytes
@@ -71,7 +72,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     try:
         community = stand.model.estimate_bytes(stand.parameters, stand.site, stand.ecologies)
     except (RecipeError, ResourceError) as cause:
-        raise _located(cause, plan.drawn) from cause
+        raise located(cause, plan.drawn) from cause
     if simulate_only:
         return {"community": community + _FILM_BYTES, "libraries": _LOADED_SIMULATOR_BYTES}
     source = cloud_source_of(plan.drawn)
@@ -110,12 +111,6 @@ def own_triangles(plan: Plan) -> int:
         unique = MOST_TRIANGLES
     classes = sum(len(states[name]) for name in plan.plants.foliage)
     return unique + classes * section.exemplars_per_species * _TRIANGLES_OF_A_PLANT
-
-
-def _located(cause: RecipeError | ResourceError, drawn: DrawnRecipe) -> RecipeError | ResourceError:
-    """A model's error with the file and line of the key that it names: models know keys only."""
-    keys = tuple(int(key) if key.isdigit() else key for key in (cause.where or "").split("."))
-    return cause.at(drawn.where(*keys)) if keys[0] == "community" else cause
 
 
 def _may_be_exact(views: Views) -> bool:
@@ -280,10 +275,17 @@ def _check_community(plan: CommunityPlan, errors: ErrorList, stand_ins: frozense
     errors.attempt(check_maps, parameters, drawn.recipe.site.size_m, lambda *keys: drawn.where("community", *keys))
     own_checks = capability(plan.model, PlanChecks)
     if own_checks is not None and "species" not in stand_ins and len(errors.found) == had:
-        errors.attempt(own_checks.check_recipe, drawn, parameters)
+        errors.attempt(_check_own, own_checks, drawn, parameters)
     errors.attempt(check_wet_soil, plan)
     if "sky" not in stand_ins:
         errors.attempt(cloud_source_of(drawn).check_community, drawn, plan.model, parameters)
+
+
+def _check_own(checks: PlanChecks, drawn: DrawnRecipe, parameters: CommunityParameters) -> None:
+    try:
+        checks.check_recipe(drawn, parameters)
+    except RecipeError as cause:
+        raise located(cause, drawn) from cause
 
 
 def check_plan(loaded: LoadedRecipe, *, simulate_only: bool = False) -> Plan:

@@ -240,7 +240,7 @@ class DeformationKernel(placement.PlacementModel[DeformationKernelParameters]):
         uniform = placement.uniform_samples(wanted, species, rng)
         layout = _layout(parameters, site, species)
         densities = layout.densities(parameters, site, species, grid_shape(site, layout.cells))
-        found = _found(parameters, site, species, layout, densities, wanted, uniform)
+        found = _found(parameters, site, species, layout, densities, wanted, uniform, seed)
         if parameters.hopkins is None:
             kernels = parameters.matrix([species[i].name for i in layout.species])
         else:
@@ -305,6 +305,7 @@ def _found(
     densities: Sequence[Floats],
     wanted: placement.PlantingTargets,
     uniform: Floats,
+    seed: int,
 ) -> clustering.Found | None:
     """The kernel that gives the recipe's Hopkins index; None: it names none, or there are too few plants."""
     field = layout.field_of[wanted.sp]
@@ -319,8 +320,10 @@ def _found(
     if share < 1:
         shape = grid_shape(site, max(_FEWEST_CELLS, round(layout.cells * math.sqrt(share))))
         densities = layout.densities(parameters, site, species, shape)
-    trial = clustering.TrialPlacement(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m)
-    return clustering.kernel_for(parameters.hopkins, trial)
+    return clustering.kernel_for(
+        parameters.hopkins,
+        clustering.TrialPlacement(densities, size_m, parameters.periodic, field[few], uniform[few], spacing_m, seed),
+    )
 
 
 def _notes(site: Site, layout: _Layout) -> list[str]:

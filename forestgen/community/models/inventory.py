@@ -56,10 +56,13 @@ Decisions
   height) and at least 1/300 of the height above 1.3 m; a crown is 0.04 to 2.5 heights wide and begins below 0.95 of the
   height. The extremes of 3,336 measured trees, 1,221 of them with crowns, are 1/16, 1/268, 0.048 and 1.22 (Falster et
   al. 2015, Ecology 96, 1445: BAAD).
+- Five and more lines of a species without heights whose median diameter no stand has are refused: they are in
+  millimetres. The limit is 1.5 times the diameter of a tree of 0.85 of the species' tallest height, or a diameter of
+  1/25 of that height, whichever is less: 1.2 m of spruce, 2 m of beech, 5.6 m of giant sequoias.
 - Columns of other names mean nothing, and a note says so; a name that is nearly one of these is refused.
 - plant_id counts the lines from 1. Of a list without places each line becomes as many trees as it stands for on this
   site, rounded so that the sum is right; the thickest are placed first, as `stand` places trees.
-- Dead trees stand without leaves, and no neighbour counts them.
+- Dead trees stand without leaves, and no living neighbour counts them; they themselves grew among all trees.
 - Two trees of one species on one spot are refused; stems may overlap otherwise.
 - Plants of species without `tree` need a height_m, which their species' largest plant bounds.
 """
@@ -413,14 +416,13 @@ def _heights(
         return height_m
     laws = [one.tree for one in species]
     sized, shift = np.flatnonzero(are_trees(species, sp) & ~np.isnan(dbh_m)), np.zeros(len(rows))
-    living = np.flatnonzero(are_trees(species, sp) & ~trees.dead[rows])
-    measured_m = np.where(trees.dead[rows], np.nan, height_m)[sized]
+    all_trees, dead = np.flatnonzero(are_trees(species, sp)), trees.dead[rows]
+    measured_m = np.where(dead, np.nan, height_m)[sized]
     for _ in range(2):  # the second time with neighbours
         own = species, sp[sized], dbh_m[sized], normals[sized], shift[sized]
         height_m[missing] = _by_diameters(*own, measured_m)[np.searchsorted(sized, missing)]
-        shift[living] = competition_shifts(
-            position_m[living], sp[living], height_m[living], laws, site, periodic=parameters.periodic
-        )
+        among = position_m[all_trees], sp[all_trees], height_m[all_trees]
+        shift[all_trees] = competition_shifts(*among, laws, site, periodic=parameters.periodic, dead=dead[all_trees])
     least_m = np.nan_to_num(trees.number("crown_base_m")[rows[missing]]) / HIGHEST_BASE
     given_m = height_m[missing]  # a crown may begin high on a tall tree of its diameter
     usual_m = _medians(rows[missing], given_m)

@@ -98,7 +98,7 @@ from forestgen.community.placement.densities import (
 from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.population import Ecologies, Floats, Site, SpeciesEcology, ecology_of
 from forestgen.community.stand import spacing
-from forestgen.community.stand.build import StandBuilder, StandTrees, measured
+from forestgen.community.stand.build import MOST_LEAVES, StandBuilder, StandTrees, measured
 from forestgen.community.stand.targets import TOLERANCE, Storey, check_trees, stocking
 from forestgen.community.static_model import Placement, StaticModel, StaticParameters
 from forestgen.core.errors import RecipeError
@@ -113,7 +113,6 @@ _CELLS = 1024  # of the density, along the longer side
 _CELL_M = 0.5
 _TRIED_M2, _TRIED_PLANTS = 40_000, 50_000  # a site of at most so much is built when a recipe is checked
 _MOST_GAPS = 20_000
-_MOST_LEAVES = 15.0  # leaf area index
 _BYTES_PER_TREE = 300  # beside those of any static model; measured with 100,000 trees
 _GRID_BYTES = 40_000_000  # of cover and density
 
@@ -167,9 +166,7 @@ class StandParameters(StaticParameters):
 
     storeys: Annotated[tuple[Storey, ...], none_is(())] = Field((), max_length=6, description="from the top down")
     canopy_cover: Positive | None = Field(None, lt=1, description="share of the ground under crowns as discs")
-    leaf_area_index: Positive | None = Field(
-        None, le=_MOST_LEAVES, description="one side of all leaves over the ground"
-    )
+    leaf_area_index: Positive | None = Field(None, le=MOST_LEAVES, description="one side of all leaves over the ground")
     gaps: Gaps | None = Field(None, description="openings of the first storey")
     ground: Annotated[dict[Name, GroundPlants], none_is({})] = Field({}, description="herbs, shrubs and seedlings")
     map: DensityMap | None = Field(None, description="relative density of trees over the site")
@@ -336,8 +333,8 @@ def _notes(found: dict[str, Any]) -> Iterator[str]:
     ]
     parts.append(f"cover {reached['canopy_cover']:.2f}, leaf area index {reached['leaf_area_index']:.1f}")
     yield f"placed: {'; '.join(parts)}"
-    if reached["leaf_area_index"] > _MOST_LEAVES:
-        yield f"no forest has a leaf area index above {_MOST_LEAVES:g}: ask for a leaf_area_index, or for fewer stems"
+    if reached["leaf_area_index"] > MOST_LEAVES:
+        yield f"no forest has a leaf area index above {MOST_LEAVES:g}: ask for a leaf_area_index, or for fewer stems"
     pairs = [
         (f"storey {k}: ", *both) for k, both in enumerate(zip(targets["storeys"], reached["storeys"], strict=True), 1)
     ]

@@ -25,6 +25,7 @@ from forestgen.community.placement.kernels import SAMPLES, KernelTable
 from forestgen.community.point_patterns import hopkins_index
 from forestgen.community.population import Floats, Site
 from forestgen.community.trajectory import reported_hopkins
+from forestgen.core.randomness import child_rng
 
 MOST_TRIAL_PLANTS = 2000  # of more plants, a regular share is placed on a site that is smaller by as much
 FEWEST = 10  # plants that have a Hopkins index worth aiming at
@@ -85,6 +86,7 @@ class TrialPlacement:
     field: NDArray[np.intp]  # (N,) index of each plant's field, in the order of placement
     uniform: Floats  # (N, 2) in [0, 1)
     spacing_m: float
+    seed: int  # of the community
 
     def positions(self, kernel: KernelTable) -> Floats:
         """(N, 2) places, metres; nan for a plant that found none."""
@@ -97,7 +99,7 @@ class TrialPlacement:
         position_m = self.positions(family(t, self.spacing_m))
         if np.isnan(position_m).any():
             return 0.0
-        return hopkins_index(position_m, self.size_m, np.random.default_rng(0))
+        return hopkins_index(position_m, self.size_m, child_rng(self.seed, "community", "trial placement"))
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.recipe.tree_sizes import NUMBERS, Sizes
 
 MOST_DEVIATIONS = 3.0  # by which the trees of a stand may differ from their species' allometry in the mean
+MOST_LEAVES = 18.0  # leaf area index: the highest of 1,008 published ones (Asner et al. 2003, Glob. Ecol. Biogeogr. 12)
 _LEAST_HEIGHT_M = 1.4
 _MOST_MEASURED = 10_000  # trees whose nearest one is looked for
 _TALLER = 1.05  # a lower storey over the one above it
@@ -287,7 +288,8 @@ class StandBuilder:
         if 1.0 / most <= target / usual <= most:
             return leaf_m2 * (target / usual)
         problem = "leaf_area_index contradicts the trees"
-        expected = f"{usual / most:.3g} to {usual * most:.3g}: these trees have {usual:.3g} by their allometry"
+        low, high = usual / most, min(usual * most, max(MOST_LEAVES, usual / most))
+        expected = f"{low:.3g} to {high:.3g}: these trees have {usual:.3g} by their allometry"
         stems = len(sp) / self._site.area_ha
         hint = f"about {max(stems * target / usual, 1):,.0f} stems/ha of these sizes instead of {stems:,.0f}"
         raise RecipeError(problem, where="community.leaf_area_index", expected=expected, got=f"{target:g}", hint=hint)

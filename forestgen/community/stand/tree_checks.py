@@ -18,6 +18,8 @@ from forestgen.core.frames import BREAST_HEIGHT_M
 
 _STOUTEST, _STOUTEST_DEAD = 10.0, 2.0  # least height over diameter; dead trees may be broken
 _STOUTEST_DERIVED = 5.0  # where the height follows from the diameter: of the oldest trees
+_FEWEST_UNMEASURED = 5  # lines of a species
+_TALL, _STOUT, _STOUTEST_OF_STANDS = 0.85, 1.5, 25.0  # of the tallest height; of that tree's diameter; height over it
 _SLENDEREST = 300.0  # most height above breast height over diameter
 _WIDTHS = (0.04, 2.5)  # crown width over height
 
@@ -64,6 +66,23 @@ def check_sizes(trees: TreeList, sp: Indices, species: Ecologies) -> None:
     refuse(trees, ~is_tree & (height > most), "no plant of the species is so tall", what, ("height_m",))
     what = f"no diameter of a tree below {BREAST_HEIGHT_M} m, where diameters are measured"
     refuse(trees, (dbh > 0) & (height <= BREAST_HEIGHT_M), "the diameter and the height contradict", what, sizes)
+    _check_units(trees, sp, species)
+
+
+def _check_units(trees: TreeList, sp: Indices, species: Ecologies) -> None:
+    """Raise `RecipeError` for a species whose diameters are not those of any stand, and whose heights are not known."""
+    dbh, derived = trees.number("dbh_m"), np.isnan(trees.number("height_m"))
+    for index, one in enumerate(species):
+        mine = derived & (sp == index)
+        if one.tree is None or np.count_nonzero(mine) < _FEWEST_UNMEASURED:
+            continue
+        tall = float(np.exp(one.tree.log_dbh(np.array([_TALL * one.tree.tallest_m]))[0]))
+        most = min(_STOUT * tall, one.tree.tallest_m / _STOUTEST_OF_STANDS)
+        median = float(np.median(dbh[mine]))
+        if median > most:
+            what = f"a median of at most {most:.3g} m where heights are not known; of {one.name} it is {median:.3g} m"
+            hint = "dbh_cm is in centimetres, dbh_m in metres: divide millimetres by 10; or give these trees' heights"
+            refuse(trees, mine & (dbh > most), "no stand of the species is so thick", what, ("dbh_m",), hint)
 
 
 def are_trees(species: Ecologies, sp: Indices) -> Mask:

@@ -100,11 +100,9 @@ class CurvedProjection(Projection):
     def _pieces(self, camera: Camera, seen: Floats, edges: NDArray[np.int64]) -> NDArray[np.int64]:
         """(N,) pieces for each edge of a hull, a power of 2."""
         distance = np.sqrt(np.einsum("nvk,nvk->nv", seen, seen))
-        ends = seen[:, edges]
-        angle = np.zeros(len(seen))
-        if len(edges):
-            across = np.linalg.norm(np.cross(ends[:, :, 0], ends[:, :, 1]), axis=-1)
-            angle = np.arctan2(across, np.einsum("nek,nek->ne", ends[:, :, 0], ends[:, :, 1])).max(axis=1)
+        unit = seen / distance[..., None]
+        chord = unit[:, edges[:, 0]] - unit[:, edges[:, 1]]
+        angle = 2.0 * np.arcsin(np.minimum(np.sqrt(np.einsum("nek,nek->ne", chord, chord)).max(axis=1) / 2.0, 1.0))
         stretch = 1.0 / np.clip(self.stretch_sine(seen, distance).min(axis=1), 1e-3, 1.0) ** 2
         # An arc of angle a strays from its chord by a^2 / 8 of its bend, which is a few pixels a radian squared.
         bend = 3.0 * max(self.pixels_a_radian(camera)) * stretch
@@ -115,17 +113,34 @@ class CurvedProjection(Projection):
     def _box_of(self, camera: Camera, seen: Floats, edges: NDArray[np.int64], pieces: int) -> Floats:
         """(N, 4) of hulls that do not hold the camera."""
         unit = seen / np.linalg.norm(seen, axis=-1, keepdims=True)
-        share = np.arange(pieces + 1) / pieces
-        a, b = unit[:, edges[:, 0], None], unit[:, edges[:, 1], None]
-        at = project(camera, a + share[:, None] * (b - a))  # along the chord, whose directions are the arc's
-        x, y = at.x_px.copy(), at.y_px
-        if self.wraps_x:
-            # Unrolled from each hull's first point, so that no edge jumps from one end of the image to the other.
-            width = camera.size_px[0]
-            x -= width * np.round((x - x[:, :1, :1]) / width)
-        low = [(v - _bend(v)).min(axis=(1, 2)) for v in (x, y)]
-        box = np.stack([*low, *((v + _bend(v)).max(axis=(1, 2)) for v in (x, y))], axis=1)
-        return self.torn_boxes(camera, box, unit)
+        hull, edge = np.nonzero(self._outermost(camera, unit, edges, pieces))
+        share = (np.arange(pieces + 1) / pieces)[:, None]
+        a, b = unit[hull, edges[edge, 0], None], unit[hull, edges[edge, 1], None]
+        at = project(camera, a + share * (b - a))  # along the chord, whose directions are the arc's
+        x, y = self._unrolled(camera, at.x_px, at.x_px[np.searchsorted(hull, hull), :1]), at.y_px
+        first = np.searchsorted(hull, np.arange(len(seen)))
+        low = [np.minimum.reduceat((v - _bend(v)).min(axis=1), first) for v in (x, y)]
+        high = [np.maximum.reduceat((v + _bend(v)).max(axis=1), first) for v in (x, y)]
+        return self.torn_boxes(camera, np.stack([*low, *high], axis=1), unit)
+
+    def _unrolled(self, camera: Camera, x_px: Floats, from_px: Floats) -> Floats:
+        """From a point of each hull on, so that no edge jumps from one end of the image to the other."""
+        width = camera.size_px[0]
+        return x_px - width * np.round((x_px - from_px) / width) if self.wraps_x else x_px
+
+    def _outermost(self, camera: Camera, unit: Floats, edges: NDArray[np.int64], pieces: int) -> Bools:
+        """(N, E) edges that may reach the border of their hull's box: an end is as near as an arc may stray, or it is
+        long.
+        """
+        if pieces == _MOST_PIECES:
+            return np.ones((len(unit), len(edges)), dtype=np.bool_)
+        at = project(camera, unit)
+        stray, kept = _BEND_PX * pieces**2, np.zeros((len(unit), len(edges)), dtype=np.bool_)
+        for v in (self._unrolled(camera, at.x_px, at.x_px[:, :1]), at.y_px):
+            a, b = v[:, edges[:, 0]], v[:, edges[:, 1]]
+            low, high = v.min(axis=1, keepdims=True) + stray, v.max(axis=1, keepdims=True) - stray
+            kept |= (np.minimum(a, b) <= low) | (np.maximum(a, b) >= high) | (np.abs(a - b) > camera.size_px[0] / 4)
+        return kept
 
 
 def _around(seen: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -150,10 +165,10 @@ def _distance(points: NDArray[np.float64]) -> float:
 
 
 def _bend(way: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By how much ways of (N, E, P) points may stray from the chords beside each: an eighth of the second step."""
-    if way.shape[2] < 3:
+    """By how much ways of (N, P) points may stray from the chords beside each: an eighth of the second step."""
+    if way.shape[1] < 3:
         return np.zeros(way.shape)
-    return np.pad(np.abs(np.diff(way, n=2, axis=2)) / 8, ((0, 0), (0, 0), (1, 1)), mode="edge")
+    return np.pad(np.abs(np.diff(way, n=2, axis=1)) / 8, ((0, 0), (1, 1)), mode="edge")
 
 
 def lies_over(unit: NDArray[np.float64], direction: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -435,3 +435,21 @@ def test_under_light_as_many_survive_two_years_whatever_the_step_is(step_yr, nee
         state = MODEL.step(state)
     expected = (0.8 if need else 0.9) ** 4
     assert abs(len(MODEL.population(state)) - 4000 * expected) < 4.0 * np.sqrt(4000 * expected * (1.0 - expected))
+
+
+@pytest.mark.parametrize("step_yr", [0.125, 0.25, 0.5, 1.0])
+def test_under_light_growth_in_two_years_spreads_alike_whatever_the_step_is(step_yr, tree):
+    """Half-years differ by a uniform factor of 0.5 to 1.5, of variance 0.5^2 / 3; four of them are independent."""
+    of = tree(max_radius_m=1000.0, growth_m_per_yr=0.1)
+    clear = {"model": "crown_light", "extinction": 1e-9}
+    state = state_of(
+        (of,),
+        np.full(4000, 0.1),
+        np.ones(4000),
+        MODEL.Parameters(program="crown_light", step_yr=step_yr, environment=clear),
+    )
+    for _ in range(round(2.0 / step_yr)):
+        state = MODEL.step(state)
+    grown = MODEL.population(state).radius_m - 0.1
+    assert grown.mean() == pytest.approx(0.2, rel=0.01)
+    assert grown.std() / grown.mean() == pytest.approx(0.5 / np.sqrt(3 * 4), rel=0.05)

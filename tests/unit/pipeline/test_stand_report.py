@@ -102,6 +102,14 @@ def test_cover_and_profile_agree_with_the_sums(measured: tuple[StandTable, Path]
     assert table.total.canopy_cover < 1 - math.exp(-table.total.leaf_area_index) + 0.1
 
 
+def test_figures_are_the_same_where_copies_stand_around_the_site(measured: tuple[StandTable, Path]) -> None:
+    around = fg.load({**RECIPE, "site": {**RECIPE["site"], "surroundings": "repeat"}}).stand(progress=False)
+    for one, other in zip(measured[0].rows, around.rows, strict=True):
+        figures, same = one.figures(), other.figures()
+        assert same.pop("canopy_cover") == pytest.approx(figures.pop("canopy_cover"), abs=2e-4)  # a few rays graze
+        assert same == figures
+
+
 def test_index_and_manifest_have_the_same_figures(rendered: Path, measured: tuple[StandTable, Path]) -> None:
     table, _ = measured
     (row,) = pq.read_table(rendered / "index.parquet").to_pylist()

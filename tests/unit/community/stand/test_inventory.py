@@ -70,6 +70,26 @@ def test_heights_follow_from_diameters_and_neighbours(species):
     assert dense == pytest.approx(law.height_of(np.full(1, 0.25), np.zeros((1, 4)))[0], rel=0.15)
 
 
+def test_a_dead_tree_grew_among_all_trees_and_a_living_one_is_free_of_the_dead(species):
+    """Their heights follow from diameters: higher in a dense stand, whether it lives or is dead."""
+    rng = np.random.default_rng(1)
+    place_m = 20 * rng.random((120, 2))
+    heights = {}
+    for middle, others in (("alive", "alive"), ("dead", "dead"), ("alive", "dead"), ("dead", "alive"), ("dead", None)):
+        rest = "" if others is None else "".join(f"spruce,{x:.2f},{y:.2f},25,{others}\n" for x, y in place_m)
+        table = f"species,x_m,y_m,dbh_cm,status\nspruce,10,10,25,{middle}\n{rest}"
+        heights[middle, others] = placed(species, table, periodic=False).height_m[0]
+    assert heights["dead", "dead"] == heights["alive", "alive"] == heights["dead", "alive"]
+    assert heights["alive", "dead"] == pytest.approx(heights["dead", None])
+    assert heights["dead", None] < 0.9 * heights["dead", "dead"]
+
+
+def test_a_few_thick_veterans_and_those_with_heights_stand(species):
+    thick = "species,x_m,y_m,dbh_cm,height_m\n"
+    assert len(placed(species, thick + "".join(f"oak,{k},2,220,\n" for k in range(1, 5)))) == 4
+    assert len(placed(species, thick + "".join(f"oak,{k},2,220,28\n" for k in range(1, 9)))) == 8
+
+
 @pytest.mark.parametrize("measured", [4, 40])
 def test_heights_that_are_not_known_follow_those_that_are(measured, species):
     """Where five trees of a species or more are measured: here all are 0.7 times as tall above 1.3 m as usual."""
@@ -250,6 +270,7 @@ BAD = {
     "a wide crown": "species,x_m,y_m,height_m,crown_radius_m\npine,5,5,5,9",
     "a narrow crown": "species,x_m,y_m,height_m,crown_width_m\npine,5,5,30,1",
     "a crown above the height of the diameter": "species,x_m,y_m,dbh_cm,crown_base_m\npine,5,5,10,40",
+    "millimetres": HEAD + "".join(f"spruce,{k},2,{120 + 30 * k}\n" for k in range(1, 8)),
     "a dash": HEAD + "spruce,1,2,-\nspruce,1,3,-",
     "a decimal comma in quotes": HEAD + 'spruce,1,2,"30,5"',
 }

@@ -342,7 +342,7 @@ def test_a_stand_with_more_leaves_than_any_forest_says_so(species):
     found = grown(
         species, {"storeys": [{**STOREY, "stems_per_ha": 60000, "basal_area_m2_per_ha": 80}]}, size_m=(20.0, 20.0)
     )
-    assert found.state["reached"]["leaf_area_index"] > 15
+    assert found.state["reached"]["leaf_area_index"] > 18
     assert any("ask for a leaf_area_index" in note for note in found.notes)
 
 
@@ -371,3 +371,16 @@ def test_a_square_kilometre_of_100_000_trees_takes_less_than_10_seconds(species)
     found = grown(species, given, size_m=(1000.0, 1000.0))
     assert len(found) == 100_000
     assert time.perf_counter() - began < 10
+
+
+@pytest.mark.parametrize("side_m", [30, 300])  # tried when the recipe is checked; too large for that
+def test_targets_that_contradict_each_other_are_refused_with_their_line(side_m, tmp_path):
+    path = tmp_path / "recipe.yaml"
+    storey = "{species: {spruce: 1}, stems_per_ha: 600, basal_area_m2_per_ha: 40}"
+    path.write_text(
+        f"forestgen: 1\nsite: {{size_m: [{side_m}, {side_m}]}}\nspecies: {{spruce: {{from: spruce}}}}\n"
+        f"community:\n  model: stand\n  leaf_area_index: 0.1\n  storeys: [{storey}]\n"
+    )
+    with raises_error(RecipeError, place="community.leaf_area_index") as caught:
+        final_population(check_plan(load_recipe(path), simulate_only=True).community, Silent())
+    assert f"{path}:6: " in caught.value.where
