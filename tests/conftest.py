@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import functools
 import importlib
 import os
 import shutil
@@ -30,6 +31,7 @@ if sys.dont_write_bytecode and "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
+import typer.testing
 from hypothesis import settings
 
 from forestgen.core import registry
@@ -44,6 +46,9 @@ for _number, _handler in (
 ):
     if signal.getsignal(_number) == signal.SIG_IGN:
         signal.signal(_number, _handler)
+
+# Typer builds all commands anew for each call, which takes 0.06 s, and tests make a thousand.
+typer.testing._get_command = functools.cache(typer.testing._get_command)
 
 # A first call compiles kernels, and machines are shared: the time of one example says nothing. Examples are the same in
 # every run; `--hypothesis-profile explore` draws new ones.
@@ -74,19 +79,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
     """A file's tests run in one process, which builds their fixtures once; files in the order of collection.
 
-    Every second process begins at the other end: neighbours need the same compiled kernels and cached plants, which
-    two processes at a time would each make.
+    Processes begin at the first file, at the last and in the middle: neighbours need the same compiled kernels and
+    cached plants, which two processes at a time would each make.
     """
     from xdist.scheduler import LoadFileScheduling
 
-    class FromBothEnds(LoadFileScheduling):
+    class FarApart(LoadFileScheduling):
         def _assign_work_unit(self, node: Any) -> None:
-            if int(node.gateway.id[2:]) % 2:
-                self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
+            files = list(self.workqueue)
+            at = (0, len(files) - 1, len(files) // 2)[int(node.gateway.id[2:]) % 3]
+            self.workqueue.move_to_end(files[at], last=False)
             super()._assign_work_unit(node)
 
     config.option.loadscopereorder = False
-    return FromBothEnds(config, log)
+    return FarApart(config, log)
 
 
 @pytest.hookimpl(tryfirst=True)

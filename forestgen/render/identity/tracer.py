@@ -90,7 +90,7 @@ def hit_tables(spec: SceneSpec) -> HitTables:
     """Tables of `spec`: O(instances + faces and vertices of exemplars + texels)."""
     terrain, organs = spec.terrain, list(organs_of(spec))
     meshes = [terrain.mesh, *(mesh for _, mesh, _ in organs)]
-    ground_albedo = terrain.texture.mean(axis=(0, 1), dtype=np.float64)
+    ground_albedo = np.array(terrain.mean_colour)
     images = [terrain.texture, *(_image(*organ) for organ in organs)]  # colour textures
     images = [None if mesh.uv is None else image for mesh, image in zip(meshes, images, strict=True)]
     shown = {id(image): image for image in images if image is not None}  # species share none, organs may
