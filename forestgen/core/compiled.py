@@ -65,6 +65,16 @@ def _module_of(value: object) -> str:
     return value.__module__ if is_tuple or isinstance(value, Dispatcher | _Intrinsic) else ""
 
 
+@inlined_exactly
+def assign(to, values):  # type: ignore[no-untyped-def]
+    """`to[:] = values` of one axis, inside compiled code.
+
+    Numba's own statement compiles the text of its error message, in each process, for 2 to 6 s.
+    """
+    for i in range(len(to)):
+        to[i] = values[i]
+
+
 @intrinsic
 def unowned_view(typing_context, arrays):  # type: ignore[no-untyped-def]
     """The same array, or tuple of arrays and numbers, without a claim on its memory, inside compiled code.

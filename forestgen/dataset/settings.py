@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
-from forestgen.community.simulation import CommunityPlan
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.classes import ClassMap
 from forestgen.recipe.dataset import View
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DEFAULT_FORMATS
+
+if TYPE_CHECKING:  # workers and commands that only handle files start in half the time without Numba
+    from forestgen.community.simulation import CommunityPlan
 
 DRAW = "draw."  # begins the index's columns of what the recipe's distributions gave, as draw.sky.turbidity
 _CLASSES = ("labels", "classes")

@@ -214,8 +214,9 @@ def _measure(window, first, hits, samples, plant_id, instance):  # type: ignore[
     box = np.zeros((count, 4), dtype=np.int32)
     for plant in range(count):
         if high[plant, 0] >= 0:
-            box[plant, :2] = low[plant]
-            box[plant, 2:] = high[plant] - low[plant] + 1
+            for axis in range(2):
+                box[plant, axis] = low[plant, axis]
+                box[plant, 2 + axis] = high[plant, axis] - low[plant, axis] + 1
     return box, total
 
 

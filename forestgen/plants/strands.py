@@ -25,7 +25,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from forestgen.core.compiled import compiled
+from forestgen.core.compiled import assign, compiled
 from forestgen.geometry.mesh import UP, Floats, Ints, Mesh, unit
 from forestgen.plants.branching import around
 from forestgen.plants.foliage import droop, organ_frames
@@ -160,20 +160,20 @@ def divide(  # type: ignore[no-untyped-def]
     """
     size = 2 * strands
     tree, shape = np.zeros((size, 5), np.int64), np.zeros((size, 5))
-    tree[0] = (-1, 0, strands, 0, 0)
+    assign(tree[0], (-1, 0, strands, 0, 0))
     # Axes that wait for their turn: a minor sub-branch is written here, and copied to its place when that is known.
     waiting = np.zeros((strands, 4), np.int64)  # bearer, strands, g, w
     forms = np.zeros((strands, 6))  # relative and actual length, turn, tilt, azimuth, lift
-    waiting[0] = (0, strands, 0, 0)
-    forms[0] = (1.0, trunk_m, 0.0, 0.0, 0.0, 0.0)
+    assign(waiting[0], (0, strands, 0, 0))
+    assign(forms[0], (1.0, trunk_m, 0.0, 0.0, 0.0, 0.0))
     queued, done, node = 1, 0, 1
     last = len(normals) - 1
     while done < queued:
         bearer, s, g, w = waiting[done]
         ratio, actual, turned, tilted, turned_about, lifted = forms[done]
         while True:
-            tree[node] = (bearer, done, s, g, w)
-            shape[node] = (actual, turned, tilted, turned_about, lifted)
+            assign(tree[node], (bearer, done, s, g, w))
+            assign(shape[node], (actual, turned, tilted, turned_about, lifted))
             if s <= least:
                 break
             split = product(SPLIT, by_order, by_depth, g, w)
@@ -192,8 +192,8 @@ def divide(  # type: ignore[no-untyped-def]
             # The heavier sub-branch strays less from its angle, as Algorithm 1 has it turn less.
             draw = normals[min(size + queued, last)]
             sway = np.sqrt(major / s)
-            waiting[queued] = (node, minor, g + 1, w + 1)
-            forms[queued] = (
+            assign(waiting[queued], (node, minor, g + 1, w + 1))
+            child = (
                 minor_ratio,
                 scale * minor_ratio * np.exp(jitter[4] * draw[4]),
                 first - alpha + jitter[1] * sway * draw[1],
@@ -201,6 +201,7 @@ def divide(  # type: ignore[no-untyped-def]
                 phyllotaxis + jitter[3] * normals[min(node, last), 3],
                 lifted,
             )
+            assign(forms[queued], child)
             queued += 1
             draw = normals[min(node, last)]
             sway = np.sqrt(minor / s)
@@ -221,9 +222,9 @@ def _turned(frame: Floats, axis: Floats, angle: float) -> Floats:
     x, y, z = axis
     rest = 1.0 - c
     turn = np.empty((3, 3))
-    turn[0] = (c + x * x * rest, x * y * rest - z * s, x * z * rest + y * s)
-    turn[1] = (y * x * rest + z * s, c + y * y * rest, y * z * rest - x * s)
-    turn[2] = (z * x * rest - y * s, z * y * rest + x * s, c + z * z * rest)
+    assign(turn[0], (c + x * x * rest, x * y * rest - z * s, x * z * rest + y * s))
+    assign(turn[1], (y * x * rest + z * s, c + y * y * rest, y * z * rest - x * s))
+    assign(turn[2], (z * x * rest - y * s, z * y * rest + x * s, c + z * z * rest))
     out = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
@@ -242,7 +243,7 @@ def _stand(  # type: ignore[no-untyped-def]
     ex, ey, ez = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
     # The paper's y, along the trunk, is up: the plant frame's z.
     rotation[0, 0, 0], rotation[0, 2, 1], rotation[0, 1, 2] = 1.0, 1.0, -1.0
-    still[0] = rotation[0]
+    still[0, 0, 0], still[0, 2, 1], still[0, 1, 2] = 1.0, 1.0, -1.0
     local = np.empty(3)
     for i in range(1, n):
         bearer = parent[i]
@@ -263,8 +264,9 @@ def _stand(  # type: ignore[no-untyped-def]
                 for k in range(3):  # the wind's axis seen from the segment
                     local[k] = frame[0, k] * axis[0] + frame[1, k] * axis[1] + frame[2, k] * axis[2]
                 frame = _turned(frame, local, bend[i])
-        rotation[i], still[i] = frame, calm
         for k in range(3):
+            assign(rotation[i, k], frame[k])
+            assign(still[i, k], calm[k])
             position[i, k] = position[bearer, k] + length[i] * frame[k, 1]
     return position, rotation
 

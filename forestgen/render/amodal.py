@@ -26,7 +26,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.render.build import load, to_mesh
 from forestgen.render.frame import Amodal
 from forestgen.render.identity.tracer import SceneTracer, pixel_rays, sample_offsets
-from forestgen.render.variant import dr, mi, using
+from forestgen.render.variant import dr, mi, on_device, using
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
@@ -240,14 +240,14 @@ def alone_rays(
     number = index - pixel * samples
     rays = pixel_rays(
         camera,
-        dr.gather(mi.UInt32, mi.UInt32(column), pixel),
-        dr.gather(mi.UInt32, mi.UInt32(row), pixel),
-        dr.gather(mi.Float, mi.Float(offsets[:, 0]), number),
-        dr.gather(mi.Float, mi.Float(offsets[:, 1]), number),
+        dr.gather(mi.UInt32, on_device(mi.UInt32, column), pixel),
+        dr.gather(mi.UInt32, on_device(mi.UInt32, row), pixel),
+        dr.gather(mi.Float, on_device(mi.Float, offsets[:, 0]), number),
+        dr.gather(mi.Float, on_device(mi.Float, offsets[:, 1]), number),
         number,
     )
     start, direction = tracer.start_of(camera, rays), rays.direction
-    first = dr.gather(mi.UInt32, mi.UInt32(plant), pixel) * 12
+    first = dr.gather(mi.UInt32, on_device(mi.UInt32, plant), pixel) * 12
     m = [dr.gather(mi.Float, frame, first + k) for k in range(12)]
     # As Embree does: fused, from the last coordinate on.
     origin = [dr.fma(start.x, m[k], dr.fma(start.y, m[3 + k], dr.fma(start.z, m[6 + k], m[9 + k]))) for k in range(3)]

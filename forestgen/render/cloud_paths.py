@@ -115,7 +115,8 @@ def gather(
     With `disc`, rays that point at the sun see its disc; without, they still see the light around it.
     """
     count, channels = len(direction), len(light.sky)
-    start = np.ascontiguousarray(np.broadcast_to((np.asarray(origin_m) - field.low_m), (count, 3)), dtype=np.float64)
+    start = np.empty((count, 3))  # never read-only, which would be a second kernel
+    start[:] = np.asarray(origin_m) - field.low_m
     way = np.ascontiguousarray(direction, dtype=np.float64)
     out = np.zeros((count, ORDERS, channels + 1))
     sky = np.ascontiguousarray(np.moveaxis(light.sky, 0, -1), dtype=np.float32)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from forestgen.render.identity.surface import LIFT
 from forestgen.render.identity.tracer import SceneTracer
-from forestgen.render.variant import dr, mi, using
+from forestgen.render.variant import dr, mi, on_device, using
 from forestgen.scene.projection import DeviceRays
 
 Floats = NDArray[np.float64]
@@ -35,8 +35,8 @@ def plants_below(tracer: SceneTracer, start_m: Floats, length_m: Floats) -> Iter
     with using(tracer.variant):
         down = DeviceRays(mi.Vector3f(0.0, 0.0, -1.0), mi.Float(1.0), None, None)
         while len(ray):
-            rays = mi.Ray3f(mi.Point3f(*(mi.Float(axis) for axis in place.T)), down.direction)
-            rays.maxt = mi.Float(left_m)
+            rays = mi.Ray3f(mi.Point3f(*(on_device(mi.Float, axis) for axis in place.T)), down.direction)
+            rays.maxt = on_device(mi.Float, left_m)
             found = tracer.scene.ray_intersect_preliminary(rays, coherent=True, active=True)
             hits = tracer.looked_up(down, found, mi.Bool(True))
             dr.eval(hits.instance, hits.distance_m)

@@ -17,11 +17,12 @@ import importlib
 import os
 import sys
 import sysconfig
-import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -74,6 +75,26 @@ def find_llvm() -> Path | None:
     return max(candidates, default=None)
 
 
+class _NoPythonIntegrators:
+    """Leaves out Mitsuba's integrators in Python, which it loads anew with each change of variant, for 0.25 s.
+
+    They are those of inverse rendering, such as `prb`, and nothing here uses them.
+    """
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        is_theirs = name == "mitsuba.python.ad.integrators"
+        return ModuleSpec(name, _NoPythonIntegrators, is_package=True) if is_theirs else None  # type: ignore[arg-type]
+
+    @staticmethod
+    def create_module(spec: ModuleSpec) -> None:
+        """As usual."""
+
+    @staticmethod
+    def exec_module(module: ModuleType) -> None:
+        """It stays empty."""
+
+
 def mitsuba(threads: int | None = None) -> Any:
     """The `mitsuba` module, prepared; enter `using` before building anything with it.
 
@@ -88,11 +109,10 @@ def mitsuba(threads: int | None = None) -> Any:
         library = find_llvm()
         if library is not None:
             os.environ["DRJIT_LIBLLVM_PATH"] = str(library)
+        sys.meta_path.insert(0, _NoPythonIntegrators)
         with uninterrupted():
             module: Any = importlib.import_module("mitsuba")
             module.set_variant(SCALAR)
-        # Each change of variant transforms a few functions of Mitsuba's again: a long batch passes the limit of 1,000.
-        warnings.filterwarnings("ignore", "The AST-transforming decorator @drjit.syntax", RuntimeWarning)
         module.set_log_level(module.LogLevel.Error)
         _ready["mitsuba"] = module
     if threads is not None:
@@ -104,7 +124,7 @@ def mitsuba(threads: int | None = None) -> Any:
 def using(variant: str) -> Iterator[Any]:
     """The `mitsuba` module in a variant, which stays the current one afterwards.
 
-    Mitsuba's own context changes back, and each change takes 0.1 s: its integrators in Python are loaded anew.
+    Mitsuba's own context changes back when it ends.
     """
     if mi.variant() != variant:
         mi.set_variant(variant)
@@ -130,6 +150,20 @@ class _Lazy:
 
 mi: Any = _Lazy(mitsuba)
 dr: Any = _Lazy(drjit)
+
+
+def on_device(kind: Any, values: NDArray[Any]) -> Any:
+    """A copy of `values`, flat, as `mi.Float` or `mi.UInt32`.
+
+    Dr.Jit would borrow NumPy's memory, which begins anywhere, and it compiles a kernel again where other arrays than
+    before begin at multiples of 32 bytes: a second for the light paths, in half of all images.
+    """
+    flat = np.asarray(values, dtype=np.uint32 if kind is mi.UInt32 else np.float32).ravel()
+    memory = np.empty(flat.size + 16, flat.dtype)
+    first = -memory.ctypes.data % 64 // 4
+    aligned = memory[first : first + flat.size]
+    aligned[:] = flat
+    return kind(aligned)
 
 
 def tracing_variant() -> str:

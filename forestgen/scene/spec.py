@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -86,7 +87,7 @@ class Terrain:
     far_spectrum: Spectrum | None = None
     wet: WetGround | None = None  # None: dry, or nobody knows
 
-    @property
+    @cached_property
     def mean_colour(self) -> tuple[float, float, float]:
         """Mean of the texture, linear Rec. 709."""
         red, green, blue = (float(value) for value in self.texture.mean(axis=(0, 1), dtype=np.float64))

@@ -330,7 +330,7 @@ class Interrupts:
         yield lambda steps: None
 
 
-@pytest.mark.parametrize("number", slow_but([1, 5], 5))
+@pytest.mark.parametrize("number", slow_but([1, 5], 1))
 def test_an_interrupted_render_goes_on(number: int, recipe: fg.Recipe, data_set: fg.Dataset, tmp_path: Path) -> None:
     """In the first image, so that nothing was made, not even a folder; and in the second frame of the second one."""
     target, done = tmp_path / "set", (number - 1) // 3

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from command_line import CAMERAS, run, start, tiny, tree, wait_for_handler
 
+from support.tiers import few
+
 # What is wrong with a recipe: text to replace in it, and its replacement.
 _ROCK = """{rock: {
   ecology: {growth_m_per_yr: 1, max_radius_m: 1, shade_tolerance: 0, old_age_survival: 0, seedlings_per_ha_per_yr: 1},
@@ -219,19 +221,24 @@ def test_a_full_file_system_in_earnest(tmp_path: Path) -> None:
     assert set(tree(tmp_path)) == {"tiny.yaml"}
 
 
-def test_an_empty_community_is_a_result_with_a_reason(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("override", "reason"),
+    few(
+        [
+            (f"{_SEEDLINGS}=0", "seedlings_per_ha_per_yr is 0 for every species"),
+            ("community.steps=0", "community.steps is 0"),
+            (f"community={_NO_COHORT}", "initial_plants_per_ha is 0"),
+        ]
+    ),
+)
+def test_an_empty_community_is_a_result_with_a_reason(tmp_path: Path, override: str, reason: str) -> None:
     recipe = tiny(tmp_path)
-    for override, reason in {
-        "community.steps=0": "community.steps is 0",
-        f"{_SEEDLINGS}=0": "seedlings_per_ha_per_yr is 0 for every species",
-        f"community={_NO_COHORT}": "initial_plants_per_ha is 0",
-    }.items():
-        answer = run("simulate", recipe, "-o", tmp_path / "out", "--overwrite", "--set", override)
-        assert answer.code == 0, answer.err
-        assert "0 plants" in answer.out
-        assert "note: no plant can grow: " in answer.out
-        assert reason in answer.out
-        assert reason in run("validate", recipe, "--set", override).out
+    answer = run("simulate", recipe, "-o", tmp_path / "out", "--set", override)
+    assert answer.code == 0, answer.err
+    assert "0 plants" in answer.out
+    assert "note: no plant can grow: " in answer.out
+    assert reason in answer.out
+    assert reason in run("validate", recipe, "--set", override).out
 
 
 def test_an_empty_image_is_a_result_with_a_reason(tmp_path: Path) -> None:

@@ -92,7 +92,7 @@ def test_the_denoiser_does_not_depend_on_threads():
     )
     results = {
         subprocess.run([sys.executable, "-c", program, str(n)], capture_output=True, text=True, check=True).stdout
-        for n in (1, 2, 7)
+        for n in (1, 7)
     }
     assert len(results) == 1
 

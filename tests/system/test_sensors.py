@@ -215,6 +215,7 @@ def test_a_thin_lens_blurs_into_its_circle_of_confusion(focus_m: float, lamp_m: 
         assert spread == pytest.approx(np.sqrt(radius**2 / 2 + own**2 / 2 + 1 / 6), rel=0.05)
 
 
+@pytest.mark.slow  # test_repeatable has it for other cameras
 def test_the_same_bytes_with_any_number_of_threads() -> None:
     scene = scene_of(sky=white(), lamp=lamp((1.0, 2.0, 3.0), 0.5))
     images = []

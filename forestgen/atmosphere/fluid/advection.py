@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.fluid.momentum import fill_sides
 from forestgen.atmosphere.fluid.parameters import Velocity
-from forestgen.core.compiled import unchecked, unowned_view
+from forestgen.core.compiled import assign, unchecked, unowned_view
 from forestgen.core.threads import over_slabs
 
 Field = NDArray[np.float32]
@@ -73,7 +73,7 @@ def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first
     plane, work = np.empty(ratio.shape[1:], np.float32), np.empty((6, ratio.shape[2]), np.float32)
     x, y = _HALF * cx, _HALF * cy
     for k in range(first, end):
-        plane[:] = ratio[k]
+        _copy(plane, ratio[k])
         opened_x = None if opened is None else opened[0][k]
         opened_y = None if opened is None else opened[1][k]
         by_x, by_both = squeeze[0, k], squeeze[1, k]
@@ -83,7 +83,7 @@ def _sweep_flat(ratio, out, x_first, u, v, squeeze, cx, cy, opened, least, first
         else:
             _sweep_rows(plane, v[k], by_both, _ONE, by_x, _ONE, y, opened_y, least, work)
             _sweep_x(plane, u[k], squeeze[:, k], _ONE, _ZERO, x, opened_x, least, 2, rows - 2, work)
-        out[k, 2:-2, 2:-2] = plane[2:-2, 2:-2]
+        _copy(out[k, 2:-2, 2:-2], plane[2:-2, 2:-2])
 
 
 @unchecked
@@ -115,7 +115,7 @@ def _sweep_rows(plane, v, squeeze, sign, squeeze_after, sign_after, per_m, opene
     south, north = work[0], work[1]
     rest_south, rest_north = work[2], work[3]
     low, high = work[4], work[5]
-    before[:] = plane
+    _copy(before, plane)
     for j in range(1, rows - 1):
         _air(air[j], squeeze[j], sign)
         _scaled(low, v[j], per_m)
@@ -140,12 +140,18 @@ def _along_z(field, w, squeeze, per_m, opened, least, first, end):  # type: igno
     layers, m = field.shape[0], field.shape[2]
     plane, work = np.zeros((layers, m), np.float32), np.empty((6, m), np.float32)
     for j in range(first, end):
-        plane[2:-2] = field[2:-2, j]
+        _copy(plane[2:-2], field[2:-2, j])
         plane[1], plane[-2] = plane[2], plane[-3]  # no slope is seen beyond ground and ceiling
         opened_z = None if opened is None else opened[2][:, j]
         lost = squeeze[1, :, j]
         _sweep_rows(plane, w[:, j], lost, -_ONE, lost, _ONE, per_m, opened_z, least, work)
-        field[2:-2, j] = plane[2:-2]
+        _copy(field[2:-2, j], plane[2:-2])
+
+
+@unchecked
+def _copy(to, values):  # type: ignore[no-untyped-def]
+    for j in range(len(to)):
+        assign(to[j], values[j])
 
 
 @unchecked

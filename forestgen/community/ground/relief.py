@@ -191,7 +191,7 @@ def moisture(relief: Relief) -> NDArray[np.float64]:
 
 def route(relief: Relief, gradient: NDArray[np.float64] | None = None) -> Flow:
     """Let it rain on every node, and the water run; on its way it is drunk by the `gradient` (None: it is not)."""
-    z = np.ascontiguousarray(relief.z_m)
+    z = np.array(relief.z_m)  # never read-only, which would be a second kernel
     downhill_first = np.argsort(-z, axis=None, kind="stable")
     n = z.size
     receiver, share = np.full((n, 2), -1, dtype=np.int64), np.zeros((n, 2))

@@ -110,8 +110,8 @@ def diffuse(expected, start, serpentine):  # type: ignore[no-untyped-def]
                 below[j + step] += value
             if behind:
                 below[j - step] += 3.0 * value
-        error[:] = below
-        below[:] = 0.0
+        for j in range(len(error)):
+            error[j], below[j] = below[j], 0.0
     return plants
 
 

@@ -352,7 +352,7 @@ class DensityField:
     def deform(self, position_m: Floats, radius_m: Floats, kernel: KernelTable) -> None:
         """Multiply by the kernels of plants at (N, 2) places with (N,) radii, metres."""
         places = np.ascontiguousarray(position_m, dtype=np.float64).reshape(-1, 2) / _cell_m(self)
-        radius = np.ascontiguousarray(radius_m, dtype=np.float64)
+        radius = np.array(radius_m, dtype=np.float64)  # never read-only, which would be a second kernel
         species, none = np.zeros(len(radius), dtype=np.int64), np.empty((0, 2))
         _place_all(self._trees, self._exponents, _effects([[kernel]]), species, radius, none, places)
 
@@ -393,8 +393,8 @@ def place(
     if len(fields) > 1:
         cells, sums = (np.concatenate([getattr(one._trees, name) for one in fields]) for name in ("cells", "sums"))
         together, exponents = together._replace(cells=cells, sums=sums), np.concatenate([f._exponents for f in fields])
-    chosen, radius = np.ascontiguousarray(species, dtype=np.int64), np.ascontiguousarray(radius_m, dtype=np.float64)
-    uniform = np.ascontiguousarray(uniform, dtype=np.float64)
+    chosen, radius = np.array(species, dtype=np.int64), np.array(radius_m, dtype=np.float64)  # as in `deform`
+    uniform = np.array(uniform, dtype=np.float64)
     _place_all(together, exponents, _effects(kernels), chosen, radius, uniform, places)
     if len(fields) > 1:
         for index, one in enumerate(fields):

@@ -283,7 +283,8 @@ def _ways(mask: NDArray[np.bool_], ends: NDArray[np.int64]) -> Bridges:
         ],
         axis=1,
     )
-    return Bridges(ends[:, :2], ends[:, 2:], np.where((flat & within_row)[:, None], bend, -1), back)
+    start, end = (np.ascontiguousarray(one) for one in (ends[:, :2], ends[:, 2:]))
+    return Bridges(start, end, np.where((flat & within_row)[:, None], bend, -1), back)
 
 
 def _costs(pieces: NDArray[np.int32], ends: NDArray[np.int64]) -> NDArray[np.int64]:

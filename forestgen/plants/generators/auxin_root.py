@@ -59,7 +59,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from forestgen.core.compiled import compiled
+from forestgen.core.compiled import assign, compiled
 from forestgen.core.errors import RecipeError
 from forestgen.geometry.mesh import Floats
 from forestgen.plants.parameters import PlantParameters
@@ -287,12 +287,12 @@ def _split(side: Floats, auxin: Floats, n: int, first: int, segment: float) -> A
             if n == len(side):
                 return -1
             for j in range(n, i + 1, -1):
-                side[j] = side[j - 1]
-                auxin[j] = auxin[j - 1]
+                assign(side[j], side[j - 1])
+                assign(auxin[j], auxin[j - 1])
             side[i] *= 0.5
             auxin[i] *= 0.5
-            side[i + 1] = side[i]
-            auxin[i + 1] = auxin[i]
+            assign(side[i + 1], side[i])
+            assign(auxin[i + 1], auxin[i])
             n += 1
             i += 1
         i += 1
@@ -311,9 +311,9 @@ def _grow(  # type: ignore[no-untyped-def]
     sectors, diameter, work = side.shape[1], model.diameter_mm, 0.0
     share, first, frozen_mm, end = np.empty(sectors), 0, 0.0, np.empty((3, 3))
     for step in range(len(tip) - 1):
-        end[:] = frame
+        assign(end.ravel(), frame.ravel())
         length = _along(side[first:n], cosine, sine, diameter, end, frozen_mm)
-        tip[step] = end[2]
+        assign(tip[step], end[2])
         if length >= until_mm:
             return step, n
         work += n * sectors
@@ -331,9 +331,9 @@ def _grow(  # type: ignore[no-untyped-def]
         n = _split(side, auxin, n, first, model.segment_mm)
         if n < 0:
             return step, n
-    end[:] = frame
+    assign(end.ravel(), frame.ravel())
     _along(side[first:n], cosine, sine, diameter, end, frozen_mm)
-    tip[len(tip) - 1] = end[2]
+    assign(tip[len(tip) - 1], end[2])
     return len(tip) - 1, n
 
 

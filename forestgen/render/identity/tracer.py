@@ -19,7 +19,7 @@ from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.build import load, origin_of, plants_dict, to_mesh
 from forestgen.render.surfaces import LEAFLIKE
-from forestgen.render.variant import LLVM, dr, mi, require, tracing_variant, using
+from forestgen.render.variant import LLVM, dr, mi, on_device, require, tracing_variant, using
 from forestgen.scene.colour import RGB
 from forestgen.scene.projection import DeviceRays, Projection, Rays, projection_of
 from forestgen.scene.spec import Camera, Material, SceneSpec
@@ -90,7 +90,7 @@ def hit_tables(spec: SceneSpec) -> HitTables:
     """Tables of `spec`: O(instances + faces and vertices of exemplars + texels)."""
     terrain, organs = spec.terrain, list(organs_of(spec))
     meshes = [terrain.mesh, *(mesh for _, mesh, _ in organs)]
-    ground_albedo = terrain.texture.mean(axis=(0, 1), dtype=np.float64)
+    ground_albedo = np.array(terrain.mean_colour)
     images = [terrain.texture, *(_image(*organ) for organ in organs)]  # colour textures
     images = [None if mesh.uv is None else image for mesh, image in zip(meshes, images, strict=True)]
     shown = {id(image): image for image in images if image is not None}  # species share none, organs may
@@ -182,7 +182,7 @@ def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, row
     pixel = index // len(offsets)
     number = index - pixel * len(offsets)
     row = pixel // width
-    dx, dy = (dr.gather(mi.Float, mi.Float(offsets[:, axis]), number) for axis in range(2))
+    dx, dy = (dr.gather(mi.Float, on_device(mi.Float, offsets[:, axis]), number) for axis in range(2))
     through = number if np.ndim(offset) == 2 else None
     return pixel_rays(camera, pixel - row * width, row + dr.opaque(mi.UInt32, first_row), dx, dy, through)
 
@@ -208,9 +208,9 @@ def pixel_rays(camera: Camera, column: Any, row: Any, dx: Any, dy: Any, number: 
 
 def _uploaded(rays: Rays, projection: Projection) -> DeviceRays:
     """Rays (R,) of a projection that has no code for the tracer."""
-    direction = mi.Vector3f(*(mi.Float(axis) for axis in rays.direction.T))
+    direction = mi.Vector3f(*(on_device(mi.Float, axis) for axis in rays.direction.T))
     depth_share = mi.Float(1.0) if projection.depth_is_distance else direction.z
-    shift_m = mi.Vector3f(*(mi.Float(axis) for axis in rays.origin_m.T)) if projection.is_parallel else None
+    shift_m = mi.Vector3f(*(on_device(mi.Float, axis) for axis in rays.origin_m.T)) if projection.is_parallel else None
     return DeviceRays(direction, depth_share, shift_m, None if rays.valid.all() else mi.Bool(rays.valid))
 
 

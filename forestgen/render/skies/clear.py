@@ -24,7 +24,7 @@ from forestgen.atmosphere.daylight import Daylight, daylight
 from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.sky import SkySection
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, SkyModel, map_directions, row_weights
-from forestgen.render.variant import dr, mi
+from forestgen.render.variant import dr, mi, on_device
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import Sky
 
@@ -75,7 +75,7 @@ def _shape(elevation_deg: float, azimuth_deg: float, turbidity: float, albedo: f
              "sun_scale": 0.0}
         )  # fmt: skip
         interaction = dr.zeros(mi.SurfaceInteraction3f, len(flat))
-        interaction.wi = mi.Vector3f(*(-mi.Float(np.ascontiguousarray(flat[:, k])) for k in range(3)))
+        interaction.wi = mi.Vector3f(*(-on_device(mi.Float, flat[:, k]) for k in range(3)))
         values = []
         for first in range(0, len(_NODES_NM), 4):
             four = np.resize(_NODES_NM[first : first + 4], 4)

@@ -6,6 +6,7 @@ import base64
 import itertools
 import json
 import struct
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,24 @@ from module_graphs import plant_type, random_plants, shipped_tables, single
 
 from forestgen.architecture.geometry import SkeletalGraph, node_diameters, node_positions, skeletal_graph
 from forestgen.architecture.graph_files import write_graph
+from forestgen.architecture.modules import Modules
 from forestgen.core.errors import OutputError
 from support.error_messages import raises_error
 
 TYPES = (plant_type(), plant_type(tropism_strength=-0.5, thickening_cm=2.0))
 TABLES = shipped_tables(*TYPES)
 KINDS = np.array([0, 1, 1, 0, 1, 0])
-MODULES = random_plants(TABLES, KINDS, 25, np.random.default_rng(8))
 FOOT = np.random.default_rng(9).uniform(0, 100, (6, 3))
+
+
+@cache
+def modules() -> Modules:
+    return random_plants(TABLES, KINDS, 25, np.random.default_rng(8))
 
 
 @pytest.fixture(scope="module")
 def graph() -> SkeletalGraph:
-    return skeletal_graph(TABLES, MODULES, KINDS)
+    return skeletal_graph(TABLES, modules(), KINDS)
 
 
 def of_plant(graph: SkeletalGraph, row: int) -> SkeletalGraph:
@@ -42,8 +48,8 @@ def of_plant(graph: SkeletalGraph, row: int) -> SkeletalGraph:
 
 def test_every_segment_is_there_once(graph: SkeletalGraph) -> None:
     """Length of wood, plant by plant, against the modules' own."""
-    nodes = node_positions(TABLES, MODULES, KINDS)
-    plant = np.repeat(MODULES.plant(), np.diff(nodes.start))
+    nodes = node_positions(TABLES, modules(), KINDS)
+    plant = np.repeat(modules().plant(), np.diff(nodes.start))
     has_parent = graph.parent >= 0
     ends = graph.position_m[has_parent], graph.position_m[graph.parent[has_parent]]
     length = np.linalg.norm(ends[0].astype(np.float64) - ends[1], axis=1)
@@ -69,18 +75,18 @@ def test_graphs_are_trees_of_which_parents_come_first(graph: SkeletalGraph) -> N
 def test_modules_join_at_their_bearers_terminals(graph: SkeletalGraph) -> None:
     child = np.flatnonzero(graph.parent >= 0)
     crossing = child[graph.module[child] != graph.module[graph.parent[child]]]
-    bearer = MODULES.parent_row()
+    bearer = modules().parent_row()
     assert np.array_equal(graph.module[graph.parent[crossing]], bearer[graph.module[crossing]])
-    assert np.array_equal(graph.node[graph.parent[crossing]], MODULES.node[graph.module[crossing]])
+    assert np.array_equal(graph.node[graph.parent[crossing]], modules().node[graph.module[crossing]])
     joint = graph.position_m[graph.parent[crossing]]
-    assert np.allclose(joint, MODULES.base_m[graph.module[crossing]], atol=1e-5)
-    started = np.array([MODULES.age[row] > 0 for row in range(len(MODULES))])
+    assert np.allclose(joint, modules().base_m[graph.module[crossing]], atol=1e-5)
+    started = np.array([modules().age[row] > 0 for row in range(len(modules()))])
     assert set(graph.module[crossing]) == set(np.flatnonzero((bearer >= 0) & started))
 
 
 def test_diameters_are_those_of_the_modules_nodes(graph: SkeletalGraph) -> None:
-    diameter = node_diameters(TABLES, MODULES, KINDS)
-    start = np.concatenate([[0], np.cumsum(TABLES.nodes[MODULES.prototype])])
+    diameter = node_diameters(TABLES, modules(), KINDS)
+    start = np.concatenate([[0], np.cumsum(TABLES.nodes[modules().prototype])])
     assert np.array_equal(graph.diameter_m, diameter[start[graph.module] + graph.node])
     # No thinner than all that it bears together: what is more is wood of what was shed, or of a terminal's own.
     borne = np.bincount(graph.parent[graph.parent >= 0], graph.diameter_m[graph.parent >= 0] ** 2.0, len(graph))
@@ -106,21 +112,21 @@ def test_axes_run_through_modules(graph: SkeletalGraph) -> None:
 
 
 def test_ages_are_those_of_the_segments(graph: SkeletalGraph) -> None:
-    born = TABLES.birth[MODULES.prototype[graph.module], graph.node]
+    born = TABLES.birth[modules().prototype[graph.module], graph.node]
     mature = np.array([one.mature_age for one in TYPES])[KINDS[graph.plant]]
-    assert np.allclose(graph.age, MODULES.age[graph.module] - born * mature, atol=1e-6)
+    assert np.allclose(graph.age, modules().age[graph.module] - born * mature, atol=1e-6)
 
 
 def test_chosen_plants_are_as_in_the_whole_graph(graph: SkeletalGraph) -> None:
-    few = skeletal_graph(TABLES, MODULES, KINDS, [4, 1])
+    few = skeletal_graph(TABLES, modules(), KINDS, [4, 1])
     assert list(dict.fromkeys(few.plant.tolist())) == [4, 1]
     for row in (4, 1):
         one, other = of_plant(few, row), of_plant(graph, row)
         for name in one.__dataclass_fields__:
             assert np.array_equal(getattr(one, name), getattr(other, name)), name
-    part = MODULES.of_plants(np.array([4, 1]))
+    part = modules().of_plants(np.array([4, 1]))
     assert part.plants == 2
-    assert np.array_equal(part.number, MODULES.number[MODULES.rows(np.array([4, 1]))])
+    assert np.array_equal(part.number, modules().number[modules().rows(np.array([4, 1]))])
 
 
 def test_a_seedling_is_its_foot_alone() -> None:

@@ -23,7 +23,7 @@ def shell(words: str, redirection: str, before: str = "") -> tuple[int, str, str
 
 
 @pytest.mark.skipif(not FULL.is_char_device(), reason="there is no full device")
-@pytest.mark.parametrize("words", few(["lsystem koch", "--help", "models koch", "models --json", "--version"], 2))
+@pytest.mark.parametrize("words", few(["models koch", "--help", "lsystem koch", "models --json", "--version"], 2))
 def test_a_full_standard_output_is_told(words: str) -> None:
     code, _, err = shell(words, ">/dev/full")
     assert code == 4

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+
+import numpy as np
 import pytest
 
 from forestgen.core.errors import ResourceError
 from forestgen.render import variant
-from forestgen.render.variant import CUDA, LLVM, TRACING_ENVIRONMENT, require, tracing_variant
+from forestgen.render.variant import CUDA, LLVM, TRACING_ENVIRONMENT, dr, mi, on_device, require, tracing_variant, using
 from support.error_messages import raises_error
 
 
@@ -39,3 +42,21 @@ def test_a_process_that_was_forked_after_an_image_is_refused(monkeypatch):
     monkeypatch.setitem(variant._ready, "process", -1)
     with raises_error(ResourceError):
         variant.mitsuba()
+
+
+def test_one_kernel_serves_arrays_from_any_place():
+    """Dr.Jit's own conversion would compile two: for memory that begins at a multiple of 32 bytes, and elsewhere."""
+    with using(LLVM), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        for shift in range(8):
+            values = np.arange(64.0 + shift, dtype=np.float32)[shift:]
+            doubled = on_device(mi.Float, values) * 2.0
+            np.testing.assert_array_equal(np.array(doubled), values * 2)
+        assert len({one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT}) == 1
+
+
+def test_a_change_of_variant_loads_no_integrators():
+    with using("llvm_ad_spectral"):
+        pass
+    with using(LLVM):
+        assert not hasattr(sys.modules["mitsuba.python.ad.integrators"], "prb")

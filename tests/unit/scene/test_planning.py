@@ -12,6 +12,7 @@ from forestgen.recipe.load import load_recipe
 from forestgen.scene import plan
 from forestgen.scene.plan import Plan, check_memory, check_plan, estimate_bytes, make_plan
 from support.error_messages import raises_error
+from support.tiers import few
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 PERIOD = "model: multiset_lsystem, program: self_thinning"
@@ -99,11 +100,10 @@ def test_plants_and_clouds_above_them_need_memory() -> None:
     assert set(estimate_bytes(clear, simulate_only=True)) == {"community", "libraries"}
 
 
-def test_the_memory_of_shipped_recipes_is_within_that_of_usual_machines() -> None:
-    for name, most in (("quickstart", 3.3e9), ("mixed_stand", 7.7e9), ("vista", 7.0e9)):
-        loaded = load_recipe(QUICKSTART.with_name(f"{name}.yaml"))
-        need = max(sum(estimate_bytes(make_plan(drawn)).values()) for drawn in loaded.probes())
-        assert need < most, (name, need)
+@pytest.mark.parametrize(("name", "most"), few([("quickstart", 3.3e9), ("mixed_stand", 7.7e9), ("vista", 7.0e9)]))
+def test_the_memory_of_shipped_recipes_is_within_that_of_usual_machines(name: str, most: float) -> None:
+    loaded = load_recipe(QUICKSTART.with_name(f"{name}.yaml"))
+    assert max(sum(estimate_bytes(make_plan(drawn)).values()) for drawn in loaded.probes()) < most
 
 
 def test_the_limit_is_exact_and_the_message_names_the_largest_part(monkeypatch: pytest.MonkeyPatch) -> None:
