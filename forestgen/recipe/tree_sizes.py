@@ -47,7 +47,8 @@ _LEAF_POWER = 2.5
 TOP = 0.95  # of the height of the tallest: from here on slenderness stays
 _SPREAD = (0.02, 1.0)
 _WIDEST = 1.2  # crown width over height, whatever the allometry says
-_CROWN = (0.1, 0.98)  # crown length over height
+_CROWN = (0.2, 0.98)  # crown length over height; in BAAD 1% of the trees above 8 m have less than 0.2
+_CROWN_TREND = 0.7  # of the tallest tree's height: above, crowns become no shorter; few such trees are measured
 _LEAST_DBH_M = 0.002
 _SAME = 1e-9  # heights that differ by so little are equal
 
@@ -150,12 +151,12 @@ class TreeSizes(Section):
 
         followed = np.clip(relative, -_MOST_FOLLOWED, _MOST_FOLLOWED)
 
-        def of(law: SizeLaw, column: int) -> Floats:
+        def of(law: SizeLaw, column: int, log_height: Floats = log_height) -> Floats:
             value = law.log_median(log_height) + law.dbh_exponent * followed
             return np.asarray(np.exp(value + law.deviation(log_height) * own[:, column]))
 
         sapling = np.asarray(np.minimum(height_m / _SAPLING_M, 1.0))
-        odds = of(self.crown_ratio, 2)
+        odds = of(self.crown_ratio, 2, np.minimum(log_height, np.log(_CROWN_TREND * self.tallest_m / 10.0)))
         diameter = np.exp(median + relative)
         return Sizes(
             dbh_m=np.where(height_m > BREAST_HEIGHT_M, diameter, np.nan),
