@@ -296,27 +296,30 @@ def sway(
     parameters = generator.in_wind(parameters)
     anew = partial(child_rng, seed, "exemplar", species_name)
     still = build_exemplar(species_name, species, parameters, radius_m, anew(), tree=tree)
+    first: tuple[OrganMesh, ...] | None = None
     times_s = (np.arange(frames) / frames_per_s).tolist()
     size = size_m(species, radius_m) if tree is None else (tree.height_m, tree.crown_width_m)
     for skeleton in generator.poses(parameters, *size, anew(), times_s, tree):
         organs = organ_meshes(skeleton, parameters.shapes, parameters.wood)
-        posed = replace(still, organs=_with_the_faces_of(still.organs, organs))
+        first = first or organs
+        posed = replace(still, organs=_with_the_faces_of(first, organs))
         low, high = posed.bounds_m()
         yield replace(
             posed,
+            wood_volume_m3=skeleton.volume_m3(),
             height_m=float(high[2]),
             crown_width_m=float(np.mean((high - low)[:2])),
             leaf_area_m2=leaf_area_m2(posed.organs, parameters.shapes),
         )
 
 
-def _with_the_faces_of(still: tuple[OrganMesh, ...], posed: tuple[OrganMesh, ...]) -> tuple[OrganMesh, ...]:
+def _with_the_faces_of(first: tuple[OrganMesh, ...], posed: tuple[OrganMesh, ...]) -> tuple[OrganMesh, ...]:
     """Frames share their faces, as shape keys must; the mesher may cut a quad along its other diagonal."""
     shapes = [
         [(one.part, one.material, one.mesh.vertices_m.shape, one.mesh.faces.shape) for one in organs]
-        for organs in (still, posed)
+        for organs in (first, posed)
     ]
     if shapes[0] != shapes[1]:
         return posed
-    pairs = zip(still, posed, strict=True)
+    pairs = zip(first, posed, strict=True)
     return tuple(replace(new, mesh=replace(new.mesh, faces=old.mesh.faces)) for old, new in pairs)

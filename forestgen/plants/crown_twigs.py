@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
@@ -47,7 +48,9 @@ _SPREAD = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
 class CrownTwigs(Section):
     """Twigs between a tree's branches. Rules of `foliage` with the order 100 say where leaves sit on them."""
 
-    replaces_below_m: float = Field(gt=0, le=0.5, description="the generator's wood of a smaller diameter makes way")
+    replaces_below_m: float = Field(
+        gt=0, le=0.5, description="branches that the generator grows thinner make way, metres"
+    )
     taller_than_m: float = Field(5.0, ge=2, description="lower trees keep the generator's wood and leaves")
     leaves_each: float = Field(gt=0, le=1000, description="leaves of a twig; with the leaf area, their number")
     diameter_m: float = Field(0.0024, gt=0, le=0.02, description="of a twig's tip, metres")
@@ -128,7 +131,9 @@ class _Hull:
         area = self.radius_m[::-1] ** 2 * (np.pi / self.radius_m.shape[1])  # layers from above
         above = np.append(0.0, np.cumsum(area.sum(axis=1))) / area.sum()
         shade = max(extinct_m2 / float(area.sum(axis=1).max()), 1e-6)
-        depth = np.interp(np.expm1(shade * u[:, 0]) / np.expm1(shade), above, np.arange(len(area) + 1))
+        # (exp(k L u) - 1) / (exp(k L) - 1), whatever k L is
+        share = np.exp(shade * (u[:, 0] - 1.0)) * np.expm1(-shade * u[:, 0]) / np.expm1(-shade)
+        depth = np.interp(share, above, np.arange(len(area) + 1))
         layer = np.minimum(depth.astype(np.int64), len(area) - 1)
         up_to = np.cumsum(area[layer], axis=1) / np.sum(area[layer], axis=1, keepdims=True)
         sector = np.sum(u[:, 1:2] >= up_to[:, :-1], axis=1)
@@ -139,7 +144,9 @@ class _Hull:
         height = self.high_m - (self.high_m - self.low_m) * depth / len(area)
         points = np.stack([away * np.cos(angle), away * np.sin(angle), height], axis=1)
         apart_m = np.cbrt(float(area.sum()) * (self.high_m - self.low_m) / len(area) / count)
-        return points + _UNEVEN * apart_m * rng.normal(size=points.shape), apart_m
+        points += _UNEVEN * apart_m * rng.normal(size=points.shape)
+        points[:, 2] = np.clip(points[:, 2], self.low_m, self.high_m)
+        return points, apart_m
 
 
 def _hull(leaves: Leaves) -> _Hull:
@@ -165,10 +172,16 @@ def _hull(leaves: Leaves) -> _Hull:
     return _Hull(low, high, np.maximum(fine, 0.02 * fine.max() + 1e-6))
 
 
+def first_stem(axis: NDArray[np.int32]) -> Bools:
+    """(N,) nodes of the first stem of a skeleton, its foot too."""
+    own: Bools = axis == axis[min(1, len(axis) - 1)]
+    own[0] = True
+    return own
+
+
 def _branches(skeleton: Skeleton, thinnest_m: float) -> tuple[Skeleton, Ints]:
-    """The wood at least so thick, without organs; and the numbers of its nodes."""
-    kept: Bools = 2.0 * skeleton.radius_m >= thinnest_m
-    kept[0] = True
+    """The stem, and what on it is at least so thick, without organs; and the numbers of its nodes."""
+    kept: Bools = (2.0 * skeleton.radius_m >= thinnest_m) | first_stem(skeleton.axis)
     for one in range(1, len(kept)):
         kept[one] &= kept[skeleton.parent[one]]
     node = np.flatnonzero(kept)
@@ -181,10 +194,13 @@ def _branches(skeleton: Skeleton, thinnest_m: float) -> tuple[Skeleton, Ints]:
 
 
 def _beyond_ends(wood: Skeleton, way_m: float) -> Floats:
-    """(E, 3) points straight ahead of where branches end: none is left without a twig."""
+    """(E, 3) points straight ahead of where branches end, so that none is left without a twig; of too many, some."""
     ends = np.setdiff1d(np.arange(1, len(wood.parent)), wood.parent)
+    ends = ends[:: 1 + len(ends) // _MOST]
     position = wood.position_m.astype(np.float64)
-    return np.asarray(position[ends] + 0.6 * way_m * unit(position[ends] - position[wood.parent[ends]]))
+    beyond = position[ends] + 0.6 * way_m * unit(position[ends] - position[wood.parent[ends]])
+    beyond[:, 2] = np.maximum(beyond[:, 2], 0.5 * position[ends, 2])  # never below the ground
+    return np.asarray(beyond)
 
 
 @compiled
@@ -212,7 +228,7 @@ def _span(position, ahead, radius, near, tips, droop):  # type: ignore[no-untype
             cost = _way_cost(position[node], tips[i], ahead[node], droop) + THICK_COST * radius[node]
             if cost < least[i]:
                 least[i], bearer[i] = cost, node
-    direction = np.empty(3)
+    ahead_of_tip = np.empty(3)
     for rank in range(count):
         at = 0
         for k in range(count - rank):
@@ -223,13 +239,13 @@ def _span(position, ahead, radius, near, tips, droop):  # type: ignore[no-untype
         order[rank] = here
         inner = bearer[here] >= many
         start = tips[order[bearer[here] - many]] if inner else position[bearer[here]]
-        direction[:] = tips[here] - start
-        length = np.sqrt(np.sum(direction * direction))
+        x, y, z = tips[here, 0] - start[0], tips[here, 1] - start[1], tips[here, 2] - start[2]
+        length = np.sqrt(x * x + y * y + z * z) + 1e-9
+        ahead_of_tip[0], ahead_of_tip[1], ahead_of_tip[2] = x / length, y / length, z / length
         path[rank] = length + (path[bearer[here] - many] if inner else 0.0)
-        direction /= length + 1e-9
         for k in range(count - rank - 1):
             other = waiting[k]
-            cost = _way_cost(tips[here], tips[other], direction, droop) + PATH_COST * path[rank]
+            cost = _way_cost(tips[here], tips[other], ahead_of_tip, droop) + PATH_COST * path[rank]
             if cost < least[other]:
                 least[other], bearer[other] = cost, many + rank
     return order, bearer[order]

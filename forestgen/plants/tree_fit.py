@@ -25,8 +25,8 @@ import numpy as np
 from forestgen.community.tree_columns import HIGHEST_BASE
 from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Bools, Floats, Ints, Mesh, surface_area_m2
-from forestgen.plants.crown_twigs import EXTINCTION, Leaves, fill_crown, rules_of_twigs
+from forestgen.geometry.mesh import Floats, Ints, Mesh, surface_area_m2
+from forestgen.plants.crown_twigs import EXTINCTION, Leaves, fill_crown, first_stem, rules_of_twigs
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 
@@ -276,7 +276,7 @@ def _filled(stretch: Stretch, nodes: Floats, feet: Floats, area: Floats) -> Stre
 
 def _stem_below(skeleton: Skeleton, height_m: float) -> Floats:
     """(K, 3) nodes of the stem up to a height, the height of each above those before."""
-    nodes = skeleton.position_m[_stem(skeleton)].astype(np.float64)
+    nodes = skeleton.position_m[first_stem(skeleton.axis)].astype(np.float64)
     nodes = nodes[np.maximum.accumulate(nodes[:, 2]) == nodes[:, 2]]
     below = nodes[(nodes[:, 2] <= height_m) & (np.diff(nodes[:, 2], prepend=-1.0) > 0.0)]
     return below if len(below) else np.zeros((1, 3))
@@ -311,7 +311,7 @@ def _low_quantile(height_m: Floats, area: Floats) -> float | None:
 
 def fit_wood(skeleton: Skeleton, flare: float, dbh_m: float) -> Skeleton:
     """Wood thinner or thicker, so that the stem has this diameter at breast height; the skeleton at its final size."""
-    stem = _stem(skeleton)
+    stem = first_stem(skeleton.axis)
     heights = np.maximum.accumulate(skeleton.position_m[stem, 2].astype(np.float64))
     radius = skeleton.radius_m.astype(np.float64)
     if not np.isfinite(dbh_m) or len(heights) < 2 or float(heights.max()) < _MEASURED_M:
@@ -337,11 +337,3 @@ def fit_wood(skeleton: Skeleton, flare: float, dbh_m: float) -> Skeleton:
     made = powered(low)
     thin = np.minimum(1.0, dbh_m / diameter(low))  # where no power is small enough
     return replace(skeleton, radius_m=(made * thin).astype(np.float32))
-
-
-def _stem(skeleton: Skeleton) -> Bools:
-    """(N,) nodes of the first stem, from the foot on, as long as they rise."""
-    axis = skeleton.axis[min(1, len(skeleton.axis) - 1)]
-    own: Bools = skeleton.axis == axis
-    own[0] = True
-    return own

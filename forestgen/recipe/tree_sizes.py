@@ -48,7 +48,7 @@ TOP = 0.95  # of the height of the tallest: from here on slenderness stays
 _SPREAD = (0.02, 1.0)
 _WIDEST = 1.2  # crown width over height, whatever the allometry says
 _CROWN = (0.2, 0.98)  # crown length over height; in BAAD 1% of the trees above 8 m have less than 0.2
-_CROWN_TREND = 0.7  # of the tallest tree's height: above, crowns become no shorter; few such trees are measured
+_CROWN_TREND = 0.7  # of the tallest tree's height: above, the crown ratio's median and spread stay
 _LEAST_DBH_M = 0.002
 _SAME = 1e-9  # heights that differ by so little are equal
 

@@ -153,14 +153,15 @@ dr: Any = _Lazy(drjit)
 
 
 def on_device(kind: Any, values: NDArray[Any]) -> Any:
-    """A copy of `values`, flat, as `mi.Float` or `mi.UInt32`.
+    """A copy of `values`, flat, as `mi.Float`, `mi.UInt32` or `mi.Bool`, for arrays that kernels read in order.
 
     Dr.Jit would borrow NumPy's memory, which begins anywhere, and it compiles a kernel again where other arrays than
     before begin at multiples of 32 bytes: a second for the light paths, in half of all images.
     """
-    flat = np.asarray(values, dtype=np.uint32 if kind is mi.UInt32 else np.float32).ravel()
-    memory = np.empty(flat.size + 16, flat.dtype)
-    first = -memory.ctypes.data % 64 // 4
+    number: Any = {mi.UInt32: np.uint32, mi.Bool: np.bool_}.get(kind, np.float32)
+    flat = np.asarray(values, dtype=number).ravel()
+    memory = np.empty(flat.size + 64, flat.dtype)
+    first = -memory.ctypes.data % 64 // flat.itemsize
     aligned = memory[first : first + flat.size]
     aligned[:] = flat
     return kind(aligned)

@@ -274,8 +274,7 @@ def white_sky(spec: SceneSpec, max_depth: int = 4096) -> PathTracer:
     return PathTracer(SceneTracer(overcast, Timings()), spec.cameras[0], max_depth, lambda channels: ones)
 
 
-@pytest.mark.parametrize("leaf", few([COLOURED, GREY]), ids=["coloured", "grey"])
-@pytest.mark.parametrize("away_m", few([1000.0, 0.0]))
+@pytest.mark.parametrize(("leaf", "away_m"), few([(COLOURED, 1000.0), (GREY, 0.0), (COLOURED, 0.0), (GREY, 1000.0)], 2))
 def test_white_furnace(leaf, away_m):
     """Nothing takes light away, so all of it comes back: from every part, near and far, and far from the origin."""
     spec = shifted(white_forest(leaf), (away_m, away_m, 0.0))

@@ -58,7 +58,7 @@ Decisions
   al. 2015, Ecology 96, 1445: BAAD).
 - Five and more lines of a species without heights whose median diameter no stand has are refused: they are in
   millimetres. The limit is 1.5 times the diameter of a tree of 0.85 of the species' tallest height, or a diameter of
-  1/25 of that height, whichever is less: 1.2 m of spruce, 2 m of beech, 5.6 m of giant sequoias.
+  1/25 of the tallest height, whichever is less: 1.2 m of spruce, 2 m of beech, 5.6 m of giant sequoias.
 - Columns of other names mean nothing, and a note says so; a name that is nearly one of these is refused.
 - plant_id counts the lines from 1. Of a list without places each line becomes as many trees as it stands for on this
   site, rounded so that the sum is right; the thickest are placed first, as `stand` places trees.

@@ -288,8 +288,10 @@ class StandBuilder:
         if 1.0 / most <= target / usual <= most:
             return leaf_m2 * (target / usual)
         problem = "leaf_area_index contradicts the trees"
-        low, high = usual / most, min(usual * most, max(MOST_LEAVES, usual / most))
+        low, high = usual / most, min(usual * most, MOST_LEAVES)
         expected = f"{low:.3g} to {high:.3g}: these trees have {usual:.3g} by their allometry"
+        if low > high:
+            expected = f"fewer or smaller trees: these have at least {low:.3g}, and no forest more than {high:g}"
         stems = len(sp) / self._site.area_ha
         hint = f"about {max(stems * target / usual, 1):,.0f} stems/ha of these sizes instead of {stems:,.0f}"
         raise RecipeError(problem, where="community.leaf_area_index", expected=expected, got=f"{target:g}", hint=hint)

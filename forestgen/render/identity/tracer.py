@@ -211,7 +211,7 @@ def _uploaded(rays: Rays, projection: Projection) -> DeviceRays:
     direction = mi.Vector3f(*(on_device(mi.Float, axis) for axis in rays.direction.T))
     depth_share = mi.Float(1.0) if projection.depth_is_distance else direction.z
     shift_m = mi.Vector3f(*(on_device(mi.Float, axis) for axis in rays.origin_m.T)) if projection.is_parallel else None
-    return DeviceRays(direction, depth_share, shift_m, None if rays.valid.all() else mi.Bool(rays.valid))
+    return DeviceRays(direction, depth_share, shift_m, None if rays.valid.all() else on_device(mi.Bool, rays.valid))
 
 
 def _lens_points(column: Any, row: Any, number: Any) -> Any:
