@@ -24,7 +24,8 @@ from forestgen.plants.parameters import Fit, ShapesTrees, Sways
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
-from forestgen.plants.tree_fit import TreeSize, fit_tree, organ_boxes, stalk_materials
+from forestgen.plants.tree_fit import fit_tree, organ_boxes, stalk_materials
+from forestgen.plants.tree_size import TreeSize
 from forestgen.plants.variation.model import vary
 from forestgen.recipe.phenology import SUMMER, LeafState
 from forestgen.recipe.species import Species

@@ -19,8 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.ndimage import map_coordinates
-from scipy.spatial import cKDTree
 
 from forestgen.core.compiled import compiled
 from forestgen.geometry.mesh import Bools, Floats, Ints, unit
@@ -31,6 +29,7 @@ from forestgen.recipe.fields import Section
 
 TWIG_ORDER = 100  # branch order of all twigs
 EXTINCTION = 0.25  # of light by leaf area: half of it is seen, of which half acts as if at random
+DARKEST = 4.0  # optical depth of a crown, as of a leaf area index of 16; the lowest leaves of denser ones live on
 _LAYERS, _SECTORS = 12, 8  # of the hull's measurement
 _FINER = 6  # times as many for its volume
 _UNEVEN = 0.25  # of points' mean distance, by which they are moved at random
@@ -130,10 +129,8 @@ class _Hull:
         u = (rng.random(3) + np.arange(1, count + 1)[:, None] * _SPREAD) % 1.0
         area = self.radius_m[::-1] ** 2 * (np.pi / self.radius_m.shape[1])  # layers from above
         above = np.append(0.0, np.cumsum(area.sum(axis=1))) / area.sum()
-        shade = max(extinct_m2 / float(area.sum(axis=1).max()), 1e-6)
-        # (exp(k L u) - 1) / (exp(k L) - 1), whatever k L is
-        share = np.exp(shade * (u[:, 0] - 1.0)) * np.expm1(-shade * u[:, 0]) / np.expm1(-shade)
-        depth = np.interp(share, above, np.arange(len(area) + 1))
+        shade = float(np.clip(extinct_m2 / area.sum(axis=1).max(), 1e-6, DARKEST))
+        depth = np.interp(np.expm1(shade * u[:, 0]) / np.expm1(shade), above, np.arange(len(area) + 1))
         layer = np.minimum(depth.astype(np.int64), len(area) - 1)
         up_to = np.cumsum(area[layer], axis=1) / np.sum(area[layer], axis=1, keepdims=True)
         sector = np.sum(u[:, 1:2] >= up_to[:, :-1], axis=1)
@@ -151,6 +148,8 @@ class _Hull:
 
 def _hull(leaves: Leaves) -> _Hull:
     """The hull of leaves, its lobes half as deep."""
+    from scipy.ndimage import map_coordinates  # slow to import
+
     leaf_m, leaf_area = leaves.position_m, leaves.area_m2
     order = np.argsort(leaf_m[:, 2])
     share = np.cumsum(leaf_area[order]) / leaf_area.sum()
@@ -253,6 +252,8 @@ def _span(position, ahead, radius, near, tips, droop):  # type: ignore[no-untype
 
 def _spanned(wood: Skeleton, tips: Floats, twigs: CrownTwigs) -> tuple[Floats, Ints]:
     """The (T, 3) tips, bearers first, and (T,) what bears each: a node of the wood, or their number plus a tip's."""
+    from scipy.spatial import cKDTree  # slow to import
+
     position = wood.position_m.astype(np.float64)
     ahead = unit(position - position[np.maximum(wood.parent, 0)])
     near = np.asarray(cKDTree(position).query(tips, k=np.arange(1, min(_NEAREST, len(position)) + 1))[1])

@@ -26,7 +26,7 @@ from forestgen.plants.build import build_exemplar, size_m
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood, wood_key
 from forestgen.plants.registry import GENERATORS, clothes_modules
-from forestgen.plants.tree_fit import TreeSize
+from forestgen.plants.tree_size import TreeSize
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.phenology import SUMMER, LeafState
 from forestgen.recipe.species import Species

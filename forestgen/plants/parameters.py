@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.geometry.mesh import Mesh
-from forestgen.plants.crown_twigs import CrownTwigs
+from forestgen.plants.crown_twigs import TWIG_ORDER, CrownTwigs
 from forestgen.plants.foliage import Foliage, place
 from forestgen.plants.organs.flowers import Acorn, Berry, Bud, Catkin, Cone, Daisy, Disc, FourPetals, Lily
 from forestgen.plants.organs.fronds import FanFrond, FernFrond, GrassBlade, GrassPanicle, PalmFrond
@@ -22,7 +22,7 @@ from forestgen.recipe.fields import Section
 
 if TYPE_CHECKING:
     from forestgen.plants.grown import ModuleWood
-    from forestgen.plants.tree_fit import TreeSize
+    from forestgen.plants.tree_size import TreeSize
     from forestgen.recipe.species import Species
 
 Tile = Annotated[float, Field(ge=0.01, le=10)]
@@ -75,6 +75,11 @@ class PlantParameters(Section):
         for rule in self.foliage:
             if rule.shape not in self.shapes:
                 raise ValueError(f"foliage names the shape {rule.shape!r}; there are: {', '.join(self.shapes)}")
+        on_twigs = any(TWIG_ORDER in rule.orders for rule in self.foliage)
+        if on_twigs and self.crown_twigs is None:
+            raise ValueError(f"foliage on twigs, order {TWIG_ORDER}, asks for crown_twigs")
+        if self.crown_twigs is not None and not on_twigs:
+            raise ValueError(f"crown_twigs bear no leaves: no rule of foliage has the order {TWIG_ORDER}")
         return self
 
     def templates(self) -> dict[str, Mesh]:

@@ -26,9 +26,10 @@ from forestgen.community.tree_columns import HIGHEST_BASE
 from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Floats, Ints, Mesh, surface_area_m2
-from forestgen.plants.crown_twigs import EXTINCTION, Leaves, fill_crown, first_stem, rules_of_twigs
+from forestgen.plants.crown_twigs import DARKEST, EXTINCTION, Leaves, fill_crown, first_stem, rules_of_twigs
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.tree_size import TreeSize
 
 if TYPE_CHECKING:
     from forestgen.plants.parameters import PlantParameters
@@ -45,17 +46,6 @@ _TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
 _MEASURED_M = 2.0  # lower trees keep their thickness: breast height is among their tips
 _POWER = (0.3, 3.0)  # of the radius
 _LOWEST_BASE = 0.02  # of the crown, over the height, where heights are stretched apart
-
-
-@dataclass(frozen=True)
-class TreeSize:
-    """What a tree's geometry is made to measure."""
-
-    height_m: float
-    crown_width_m: float  # mean of the extents in x and y
-    dbh_m: float  # outside bark at 1.3 m; NaN below that height
-    crown_base_m: float
-    leaf_area_m2: float  # one side
 
 
 def stalk_materials(shapes: Mapping[str, OrganForm]) -> set[str | None]:
@@ -153,7 +143,8 @@ def _light(height: Floats, leaf_area_index: Floats) -> Floats:
     order = np.argsort(-height, kind="stable")
     above = np.empty(len(height))
     above[order] = np.cumsum(leaf_area_index[order])
-    return np.asarray(np.exp(-EXTINCTION * above))
+    depth = EXTINCTION * above
+    return np.asarray(np.exp(-depth * min(1.0, DARKEST / max(float(depth.max()), 1e-9))))
 
 
 def _areas(organs: OrganPlacements, blade: Mapping[str, float]) -> Floats:

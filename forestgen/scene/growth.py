@@ -29,7 +29,7 @@ from forestgen.plants.grown import woods_of
 from forestgen.plants.levels import PIXEL_STEPS_M, level_for
 from forestgen.plants.parameters import CrownProfile, ShapesTrees
 from forestgen.plants.registry import GENERATORS
-from forestgen.plants.tree_fit import TreeSize
+from forestgen.plants.tree_size import TreeSize
 from forestgen.recipe.schema import MOST_LIBRARY
 from forestgen.recipe.species import Building, Material, Species
 from forestgen.recipe.tree_sizes import NUMBERS, own_normals

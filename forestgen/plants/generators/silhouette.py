@@ -59,7 +59,7 @@ from forestgen.geometry.mesh import Floats
 from forestgen.plants.branching import Assembly, Order, Shoots, grow, lateral_sites
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton, check_budget
-from forestgen.plants.tree_fit import TreeSize
+from forestgen.plants.tree_size import TreeSize
 from forestgen.recipe import curves
 from forestgen.recipe.curves import Curve, FallingCurve, PositiveCurve, StrictlyPositiveCurve, evaluate, evaluate_one
 from forestgen.recipe.fields import Section

@@ -91,7 +91,8 @@ from forestgen.plants.build import fit, moved
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.plants.strands import JITTERS, ORDERS, Branching, Leaves, Pose, Wind, carried, divide, leaf_places, pose
-from forestgen.plants.tree_fit import TreeSize, fit_tree
+from forestgen.plants.tree_fit import fit_tree
+from forestgen.plants.tree_size import TreeSize
 from forestgen.recipe.curves import Curve, Formula, PositiveCurve, Smooth, evaluate, evaluate_one
 from forestgen.recipe.fields import Section
 

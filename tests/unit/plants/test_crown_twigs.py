@@ -199,3 +199,27 @@ def test_the_same_seed_gives_the_same_twigs(monkeypatch: pytest.MonkeyPatch) -> 
     np.testing.assert_array_equal(one.position_m, same.position_m)
     assert one.position_m.shape != other.position_m.shape or not np.array_equal(one.position_m, other.position_m)
     assert replace(one, organs=()).volume_m3() == replace(same, organs=()).volume_m3()
+
+
+def test_more_leaves_than_a_crown_has_leave_the_other_sizes() -> None:
+    asked = request_of(plan_of("beech", 0), "beech", 8.0, 1, "stand")
+    assert asked.tree is not None
+    for width_m, leaf_area_m2 in ((0.3, 2000.0), (3.0, 1e5)):
+        built = grow_exemplar(
+            replace(asked, tree=replace(asked.tree, crown_width_m=width_m, leaf_area_m2=leaf_area_m2))
+        )
+        assert built.height_m == pytest.approx(8.0, rel=0.01)
+        assert built.crown_width_m < width_m + 0.5
+
+
+@pytest.mark.parametrize("leaves", [{"orders": [1]}, {}], ids=["no twigs", "no leaves"])
+def test_twigs_and_their_leaves_go_together(leaves: dict[str, object]) -> None:
+    plant = {
+        "generator": "strands",
+        "wood": {"material": "bark"},
+        "shapes": {"leaf": {"form": "simple", "material": "leaf", "length_m": 0.1, "width_m": 0.07}},
+    }
+    rule = {"shape": "leaf", "orders": [100], "spacing_m": 0.1, **leaves}
+    twigs = {"crown_twigs": {"replaces_below_m": 0.01, "leaves_each": 5}} if leaves else {}
+    with pytest.raises(ValueError, match="order 100"):
+        StrandGenerator.Parameters.model_validate({**plant, **twigs, "foliage": [rule]})
