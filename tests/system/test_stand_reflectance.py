@@ -12,13 +12,13 @@ DARK = {("birch", "B8"): 0.97, ("birch", "B4"): 0.93}
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STANDS)
 def test_stands_reflect_as_forests_do(name):
-    """Within the range of measured forests, whose sources are in tests/support/stand_reflectance.py."""
+    """Within the range of measured forests, as tests/support/stand_reflectance.py has it, and its own noise."""
     found = measure(name, samples=24)
     for band in BANDS:
         low, high = MEASURED[name][band]
         assert found.error[band] < 0.03 * high
         dark = DARK.get((name, band), 1.0)
-        assert low * dark < found.factor[band] < high, band
+        assert low * dark - 2.0 * found.error[band] < found.factor[band] < high + 2.0 * found.error[band], band
 
 
 @pytest.mark.slow
