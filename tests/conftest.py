@@ -107,7 +107,7 @@ def pytest_collection(session: pytest.Session) -> None:
     files = sorted(Path(session.config.args[0]).rglob("test_*.py"))
     for path in files[int(worker[2:]) :: int(os.environ["PYTEST_XDIST_WORKER_COUNT"])]:
         sys.path.insert(0, str(path.parent))
-        with contextlib.suppress(Exception, pytest.skip.Exception):  # pytest tells it when it comes to the file
+        with contextlib.suppress(Exception, pytest.skip.Exception):  # pytest reports it when it collects the file
             importlib.import_module(path.stem)
 
 

@@ -350,22 +350,18 @@ class StrandGenerator:
     ) -> Iterator[Skeleton]:
         """Poses of a tree of given sizes: what sits on a segment keeps its place on it."""
         fitted = fit_tree(at_rest, parameters, parameters.templates(), tree, leaf_rng)
-        still, base = fitted.skeleton, fitted.base
-        seat = still.position_m - fitted.points(rest.position_m)[base]
+        still, base = fitted.skeleton, fitted.base.astype(np.int32)
+        at_rest_m = replace(rest, position_m=fitted.points(rest.position_m))
+        seat = still.position_m - at_rest_m.position_m[base]
         for time_s in times_s:
             wind = parameters.wind.model_copy(update={"time_s": time_s})
             stance = pose(branching, wind, parameters.stiffness, phases_rad)
-            turn = stance.rotation @ rest.rotation.transpose(0, 2, 1)
-            foot = fitted.points(stance.position_m)[base]
-            moved_m = (foot + np.einsum("nij,nj->ni", turn[base], seat)).astype(np.float32)
-            organs = []
-            for one in still.organs:
-                by = turn[base[one.node]].astype(np.float32)
-                frame = by @ one.frame
-                away = one.frame[:, :, 3] - still.position_m[one.node]
-                frame[:, :, 3] = moved_m[one.node] + np.einsum("nij,nj->ni", by, away)
-                organs.append(replace(one, frame=frame))
-            yield replace(still, position_m=moved_m, organs=tuple(organs))
+            stance = replace(stance, position_m=fitted.points(stance.position_m))
+            turn = (stance.rotation @ rest.rotation.transpose(0, 2, 1))[base]
+            position_m = (stance.position_m[base] + np.einsum("nij,nj->ni", turn, seat)).astype(np.float32)
+            organs = (carried(replace(one, node=base[one.node]), at_rest_m, stance) for one in still.organs)
+            borne = zip(organs, still.organs, strict=True)
+            yield replace(still, position_m=position_m, organs=tuple(replace(a, node=b.node) for a, b in borne))
 
 
 def _largest(position_m: NDArray[np.float32]) -> Floats:
