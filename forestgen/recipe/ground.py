@@ -20,7 +20,7 @@ class GroundLayer(fields.PartSection):
     selector = "what"
 
     what: Annotated[fields.Text, Field(description="What lies or grows there.")]
-    cover: fields.Fraction = Field(
+    cover: fields.Number = Field(
         0.5, gt=0, le=DENSEST, description="Share of the ground that it hides, seen from above; mean over the site."
     )
     patch_m: fields.Positive | None = Field(

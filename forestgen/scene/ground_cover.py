@@ -49,7 +49,7 @@ FAR_M = 120.0
 _NEAR_M = 3.0  # around a camera, tiles are drawn behind it, too: their light and shadow may be in view
 _MOST_THINGS = 6000  # on a tile
 _WAVES = 24  # of a field of patches
-_REACH_M = 4.0  # standard deviation of where leaves fall
+_REACH_M = 2.5  # standard deviation of where leaves fall
 _SPREAD = 0.35  # of the logistic curve that makes patches of waves
 
 Ints = NDArray[np.intp]

@@ -31,17 +31,18 @@ class Thing:
     length_m: float
     share: float = 1.0  # of the layer's things, by number
     closed: bool = False  # its meshes are surfaces of bodies, not sheets
+    is_bushy: bool = False  # its sheets lie above one another
 
     @property
     def hidden_m2(self) -> float:
-        """Ground that it hides, seen from above: of many sheets, as if they lay at random over their box."""
+        """Ground that it hides, seen from above; of a bush, as if its sheets were at random over its ellipse."""
         shadow, box = 0.0, np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
         for organ in self.organs:
             flat = organ.mesh.vertices_m * np.array([1.0, 1.0, 0.0], dtype=np.float32)
             shadow += float(triangle_areas(flat, organ.mesh.faces).sum()) * (0.5 if self.closed else 1.0)
             box = np.stack([np.minimum(box[0], flat[:, :2].min(0)), np.maximum(box[1], flat[:, :2].max(0))])
         round_m2 = max(0.25 * np.pi * float(np.prod(box[1] - box[0])), 1e-9)
-        return shadow if shadow < 0.5 * round_m2 else round_m2 * (1.0 - float(np.exp(-shadow / round_m2)))
+        return round_m2 * (1.0 - float(np.exp(-shadow / round_m2))) if self.is_bushy else shadow
 
 
 @dataclass(frozen=True)

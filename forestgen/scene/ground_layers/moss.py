@@ -55,6 +55,7 @@ class Moss(GroundLayerKind[MossKeys]):
             Thing(
                 (sheet(Part.MOSS, f"moss-{index % len(_SHADES)}", _cushion(0.5 * keys.size_m, _SHOOTS[detail], rng)),),
                 keys.size_m,
+                is_bushy=True,
             )
             for index in range(_VARIANTS)
         ]

@@ -18,7 +18,7 @@ from pydantic import Field
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Floats, Ints, Mesh, vertex_normals
 from forestgen.plants.exemplar import OrganMesh
-from forestgen.recipe.fields import Fraction, Positive
+from forestgen.recipe.fields import Fraction, Number, Positive
 from forestgen.recipe.ground import DENSEST, GroundLayer
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.ground_layers.layer import GroundLayerKind, Layer, Request, Spread, Thing, opaque, scaled, shades
@@ -33,7 +33,7 @@ _HEIGHT, _WIDTH = 0.6, 0.8  # over the length
 class StonesKeys(GroundLayer):
     """Stones."""
 
-    cover: Fraction = Field(0.02, gt=0, le=DENSEST, description="Share of the ground that they hide, seen from above.")
+    cover: Number = Field(0.02, gt=0, le=DENSEST, description="Share of the ground that they hide, seen from above.")
     size_m: Positive = Field(0.12, ge=0.01, le=10, description="Their median length, metres.")
     size_sigma: Fraction = Field(0.5, description="Spread of the logarithm of their length.")
     roundness: Fraction = Field(0.3, description="0 broken rock, 1 stones of a stream.")

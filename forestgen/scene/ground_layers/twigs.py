@@ -16,7 +16,7 @@ from forestgen.core.parts import Part
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Floats
 from forestgen.geometry.patches import Patch, join, tube
-from forestgen.recipe.fields import Fraction, Positive
+from forestgen.recipe.fields import Number, Positive
 from forestgen.recipe.ground import DENSEST, GroundLayer
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.ground_layers.layer import GroundLayerKind, Layer, Request, Spread, Thing, centred, opaque, sheet
@@ -31,7 +31,7 @@ _FORK = 0.7  # chance that a twig has a side branch
 class TwigsKeys(GroundLayer):
     """Dead twigs."""
 
-    cover: Fraction = Field(0.03, gt=0, le=DENSEST, description="Share of the ground that they hide, seen from above.")
+    cover: Number = Field(0.03, gt=0, le=DENSEST, description="Share of the ground that they hide, seen from above.")
     length_m: Positive = Field(0.18, ge=0.01, le=3, description="Their median length, metres; thickness goes with it.")
 
 

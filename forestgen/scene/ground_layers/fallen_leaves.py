@@ -5,7 +5,7 @@ metres. Leaves are those of the species file, curled as they dried.
 
 Example
 -------
-    site: {ground: {kind: litter, layers: [{what: leaves, cover: 0.8}]}}
+    site: {ground: {kind: litter, layers: [{what: fallen_leaves, cover: 0.8}]}}
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ They are background: of the part ground_plants, without a plant_id. The species 
 Example
 -------
     species: {grass: grass}
-    site: {ground: {layers: [{what: plants, species: grass, height_m: 0.2, cover: 0.3, patch_m: 2}]}}
+    site: {ground: {layers: [{what: small_plants, species: grass, height_m: 0.2, cover: 0.3, patch_m: 2}]}}
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _as_cover(exemplar: Exemplar, name: str) -> Thing:
         OrganMesh(Part.GROUND_PLANTS, f"plants/{name}/{one.material}-0", replace(one.mesh, uv=None))
         for one in exemplar.organs
     )
-    return Thing(organs, max(exemplar.height_m, exemplar.crown_width_m))
+    return Thing(organs, max(exemplar.height_m, exemplar.crown_width_m), is_bushy=True)
 
 
 LAYER = Plants()
