@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
+from forestgen.recipe.curves import PositiveCurve
 from forestgen.recipe.fields import (
     Colour,
     Coordinate,
@@ -334,6 +335,11 @@ class Species(Section):
         (), max_length=20, description="Where the proportions come from, one reference each."
     )
     plant: Plant = Field(description="What makes its geometry.")
+    triangles: PositiveCurve | None = Field(
+        None,
+        description="Triangles of a plant at full detail over its height in metres, by which memory is estimated; "
+        "null: by height and width. docs/species_triangles.py measures them.",
+    )
     modules: PlantType | None = Field(None, description="How it grows as branch modules; null: it does not.")
     modules_plant: Plant | None = Field(
         None,
@@ -348,7 +354,8 @@ class Species(Section):
 
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in handler(self).items() if key != "phenology" or value is not None}
+        rare = ("phenology", "triangles")
+        return {key: value for key, value in handler(self).items() if key not in rare or value is not None}
 
     @model_validator(mode="after")
     def _height_is_a_plants(self) -> Self:

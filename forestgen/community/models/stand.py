@@ -81,7 +81,7 @@ Decisions
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import numpy as np
@@ -96,6 +96,7 @@ from forestgen.community.placement.densities import (
     Stand,
     check_sizes,
     grid_shape,
+    heights_asked_m,
     one_size,
     plant_counts,
     radii_at,
@@ -105,7 +106,7 @@ from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.population import Ecologies, Floats, Site, SpeciesEcology, ecology_of
 from forestgen.community.stand import spacing
 from forestgen.community.stand.build import MOST_LEAVES, StandBuilder, StandTrees, measured
-from forestgen.community.stand.targets import TOLERANCE, Storey, check_trees, stocking
+from forestgen.community.stand.targets import TOLERANCE, Storey, check_trees, height_range_m, stocking
 from forestgen.community.static_model import Placement, StaticModel, StaticParameters
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
@@ -229,6 +230,18 @@ class StandModel(StaticModel[StandParameters]):
         ground = parameters.ground_parameters(species)
         check_sizes(ground, species)
         return float(trees), float(plant_counts(ground, site, species).sum())
+
+    def asked_heights_m(
+        self, parameters: StandParameters, site: Site, species: Ecologies
+    ) -> Mapping[str, tuple[float, float]]:
+        """By the storeys' diameters and dominant heights, and the radii of the ground's plants."""
+        found = heights_asked_m(parameters.ground_parameters(species), species)
+        for index, storey in enumerate(parameters.storeys):
+            low, high = height_range_m(storey, species, f"community.storeys.{index}")
+            for name in storey.species:
+                least, most = found.get(name, (low, high))
+                found[name] = (min(least, low), max(most, high))
+        return found
 
     def empty_reason(self, parameters: StandParameters, site: Site, species: Ecologies) -> str | None:
         if self.expected_plants(parameters, site, species) > 0:
