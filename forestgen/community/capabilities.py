@@ -97,6 +97,14 @@ class AskedHeights(Protocol):
         """Least and greatest height, metres, of nearly all plants of each species that is placed."""
 
 
+@runtime_checkable
+class OneCohort(Protocol):
+    """Plants that may all be of one age, and so of one size."""
+
+    def is_cohort(self, parameters: Any, site: Site, species: Ecologies) -> bool:
+        """Whether no seedlings are known to follow the first plants."""
+
+
 def capability(model: object, kind: type[Capability]) -> Capability | None:
     """The model, if it has a capability; else None."""
     return model if isinstance(model, kind) else None

@@ -3,7 +3,8 @@
 Of each species there are as many exemplars as its recipe asks for, and no more than there are plants. Their heights lie
 evenly between the least and the greatest height of its plants, on a ladder those of a library. Models that place plants
 of given sizes say these heights (`AskedHeights`). In others, whose plants grow, all heights up to the mature one occur.
-A plant's triangles follow from its height by the species' `triangles`, or else are those of `most_triangles`.
+A plant's triangles follow from its height by the species' `triangles`, or else are those of `most_triangles`. Plants of
+one age (`OneCohort`) may all be mature and, where they have thinned themselves out, broad and leafy.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.community.capabilities import AskedHeights, capability
+from forestgen.community.capabilities import AskedHeights, OneCohort, capability
 from forestgen.community.simulation import CommunityPlan
 from forestgen.plants.levels import level_for
 from forestgen.plants.plan import PlantPlan
@@ -29,6 +30,7 @@ from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
 _MARGIN = 1.2  # heights are a guess, and plants of one height differ; without it the estimate is 1.0 to 1.53 times
+_OF_BROAD_TREES = 1.85  # over those of trees in stands: measured on spruces of 18 m after self-thinning
 _OF_LEVELS = (1.0, 0.5, 0.3)  # triangles of a plant at each level of detail over those at the first; upper numbers
 
 
@@ -41,6 +43,8 @@ def exemplar_triangles(
     """
     section, states = drawn.recipe.plants, leaf_states(drawn)
     model, parameters = community.model, community.parameters
+    cohort = capability(model, OneCohort)
+    one_age = cohort is not None and cohort.is_cohort(parameters, community.site, community.ecologies)
     known = capability(model, AskedHeights)
     asked = {} if known is None else known.asked_heights_m(parameters, community.site, community.ecologies)
     most = model.expected_plants(parameters, community.site, community.ecologies)
@@ -50,9 +54,10 @@ def exemplar_triangles(
         if name in plants.foliage or (known is not None and name not in asked and not parameters.disturbances):
             continue
         low_m, high_m = asked.get(name) or _grown_heights_m(species)
-        heights_m = _heights(low_m, high_m, section.exemplars_per_species, on_ladder=section.library is not None)
+        count, on_ladder = section.exemplars_per_species, section.library is not None
+        heights_m = np.full(count, high_m) if one_age else _heights(low_m, high_m, count, on_ladder=on_ladder)
         each = min(section.variants_per_size * len(states[name]), most / len(heights_m))
-        total += each * float(triangles_of(species, heights_m).sum())
+        total += each * (_OF_BROAD_TREES if one_age else 1.0) * float(triangles_of(species, heights_m).sum())
     return _MARGIN * total * detail
 
 
