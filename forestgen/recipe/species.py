@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
-from forestgen.recipe.curves import PositiveCurve
 from forestgen.recipe.fields import (
     Colour,
     Coordinate,
@@ -335,9 +334,11 @@ class Species(Section):
         (), max_length=20, description="Where the proportions come from, one reference each."
     )
     plant: Plant = Field(description="What makes its geometry.")
-    triangles: PositiveCurve | None = Field(
+    triangles: tuple[tuple[Positive, NonNegative], ...] | None = Field(
         None,
-        description="Triangles of a plant at full detail over its height in metres, by which memory is estimated; "
+        min_length=2,
+        max_length=100,
+        description="Pairs of a plant's height in metres and its triangles at full detail, to estimate memory; "
         "null: by height and width. docs/species_triangles.py measures them.",
     )
     modules: PlantType | None = Field(None, description="How it grows as branch modules; null: it does not.")

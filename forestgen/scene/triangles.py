@@ -21,7 +21,6 @@ from forestgen.plants.levels import level_for
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import most_triangles
-from forestgen.recipe.curves import evaluate
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Species
 from forestgen.scene.exemplar_plan import SIZE_STEP
@@ -70,7 +69,7 @@ def _grown_heights_m(species: Species) -> tuple[float, float]:
 def triangles_of(species: Species, height_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """(N,) triangles of plants of heights, at full detail."""
     if species.triangles is not None:
-        return evaluate(species.triangles, height_m)
+        return np.asarray(np.interp(height_m, *np.array(species.triangles).T))
     width_m = np.zeros(len(height_m))
     if GENERATORS.load(species.plant.generator).has_crown:
         law = species.allometry.height_m
