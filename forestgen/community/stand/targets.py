@@ -39,7 +39,7 @@ class Dbh(Section):
     mean_cm: Positive | None = Field(None, le=500, description="Arithmetic mean; null: by the other targets.")
     cv: NonNegative = Field(0.25, le=1, description="Standard deviation over the mean.")
     law: Literal["weibull", "normal"] = Field(
-        "weibull", description="Two-parameter Weibull; or normal, without the trees below a fifth of the mean."
+        "weibull", description="Two-parameter Weibull; or normal, cut at a fifth of the mean; its cv is below 0.8."
     )
 
     def relative(self, uniform: Floats) -> Floats:
@@ -47,10 +47,29 @@ class Dbh(Section):
         if self.cv == 0:
             return np.ones(len(uniform))
         if self.law == "normal":
-            least = ndtr((_SMALLEST - 1.0) / self.cv)
-            return np.asarray(1.0 + self.cv * ndtri(np.maximum(least + (1.0 - least) * uniform, 1e-12)))
+            cut, scale = _cut_normal(self.cv)
+            least = ndtr(cut)
+            return np.asarray(_SMALLEST + scale * (ndtri(np.maximum(least + (1.0 - least) * uniform, 1e-300)) - cut))
         shape = _weibull_shape(self.cv)
         return np.asarray((-np.log1p(-uniform)) ** (1.0 / shape) / gamma(1.0 + 1.0 / shape))
+
+
+def _cut_normal(cv: float) -> tuple[float, float]:
+    """Where a standard normal distribution is cut below, and its scale: the rest, from `_SMALLEST` on, has mean 1 and
+    this coefficient of variation.
+    """
+    from scipy.optimize import brentq  # slow to import
+
+    def scale(cut: float) -> tuple[float, float]:
+        """The scale for the mean, and the standard deviation that follows."""
+        ahead = np.exp(-(cut**2) / 2) / np.sqrt(2 * np.pi) / ndtr(-cut)  # mean of a standard normal number beyond it
+        factor = (1.0 - _SMALLEST) / (ahead - cut)
+        return factor, factor * np.sqrt(1.0 + cut * ahead - ahead**2)
+
+    low, high = -(1.0 - _SMALLEST) / max(cv, 1e-4), 5.0
+    spread = min(cv, scale(high)[1])
+    cut = brentq(lambda one: scale(one)[1] - spread, 1.5 * low, high)
+    return float(cut), float(scale(cut)[0])
 
 
 def _weibull_shape(cv: float) -> float:
