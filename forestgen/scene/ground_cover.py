@@ -32,7 +32,7 @@ from forestgen.plants.bark.texture import with_mean
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.registries import GROUND_LAYERS
 from forestgen.scene.colour import colours_of_surface
-from forestgen.scene.ground_layers.layer import GroundLayerKind, Layer, Places, Request, Thing
+from forestgen.scene.ground_layers.layer import MOST_TILES, GroundLayerKind, Layer, Places, Request, Thing
 from forestgen.scene.plan import Plan
 from forestgen.scene.projection import project, projection_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Terrain
@@ -42,9 +42,8 @@ from forestgen.scene.terrain import HeightField
 GROUND = "(ground)"  # species of the tiles: no species' name has brackets
 TILE_M = 1.0
 COVERS = (0.06, 0.2, 0.4, 0.6, 0.8, 0.92, 0.98)  # of the tiles that are made
-VARIANTS = 5
+VARIANTS = 4
 LEAST_PX = 1.0
-MOST_TILES = 24_000
 FAR_M = 120.0
 _NEAR_M = 3.0  # around a camera, tiles are drawn behind it, too: their light and shadow may be in view
 _MOST_THINGS = 6000  # on a tile

@@ -22,9 +22,11 @@ from forestgen.core.processes import free_bytes
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.plan import PlantPlan, foliage_of, generator_parameters
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
-from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
+from forestgen.recipe.registries import DATASET_FORMATS, GROUND_LAYERS, LABEL_CHANNELS
+from forestgen.recipe.schema import Recipe
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
+from forestgen.scene.ground_layers.layer import MOST_TILES
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.site import check_sun, check_wet_soil, community_site
 from forestgen.scene.triangles import exemplar_triangles
@@ -87,12 +89,17 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     return {
         "community": community,
         "libraries": _LOADED_RENDERER_BYTES,
-        "ground": 2 * across * along * per_triangle,
+        "ground": 2 * across * along * per_triangle + _ground_cover_bytes(recipe, per_triangle, per_plant),
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": math.ceil(grown * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle)),
         "plants": plants * per_plant,
         "clouds": source.estimate_bytes(plan.drawn, stand.model, stand.parameters),
     }
+
+
+def _ground_cover_bytes(recipe: Recipe, per_triangle: int, per_instance: int) -> int:
+    layers = [GROUND_LAYERS.load(keys.what) for keys in recipe.site.ground.layers]
+    return sum(int(one.most_triangles) for one in layers) * per_triangle + bool(layers) * MOST_TILES * per_instance
 
 
 def own_triangles(plan: Plan) -> int:
@@ -207,6 +214,10 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
             errors.attempt(_check_clouds, views)
     if not {"sky", "site"} & stand_ins:
         errors.attempt(check_sun, drawn)
+    if not {"site", "species"} & stand_ins:
+        for index, layer in enumerate(drawn.recipe.site.ground.layers):
+            check = GROUND_LAYERS.load(layer.what).check
+            errors.attempt(check, layer, drawn, ("site", "ground", "layers", index))
     if not {"cameras", "labels", "dataset"} & stand_ins:
         for index, name in enumerate(drawn.recipe.dataset.formats):
             found = errors.attempt(DATASET_FORMATS.load, name, where=drawn.where("dataset", "formats", index))

@@ -16,11 +16,13 @@ from forestgen.geometry.patches import Patch, to_mesh
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.recipe.ground import GroundLayer
 from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.sources import Keys
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Material
 
 KeysT = TypeVar("KeysT", bound=GroundLayer)
 Places = Callable[[Floats, Floats], Floats]
+MOST_TILES = 24_000  # in a scene
 
 
 @dataclass(frozen=True)
@@ -102,11 +104,15 @@ class GroundLayerKind(Generic[KeysT]):
     """A kind of layer."""
 
     Parameters: type[KeysT]
+    most_triangles: int = 400_000  # of its tiles, about: for the estimate of memory
+
+    def check(self, keys: KeysT, drawn: DrawnRecipe, where: Keys) -> None:
+        """Raise `RecipeError` for keys that do not fit the recipe; `where`: of the layer."""
 
     def layers(self, keys: KeysT, request: Request, rng: np.random.Generator) -> Sequence[Layer]:
         """What lies there; several where the kind of thing changes from place to place.
 
-        Raises `RecipeError`: keys that do not fit the recipe.
+        Raises `RecipeError`: things that cannot be made.
         """
         raise NotImplementedError
 

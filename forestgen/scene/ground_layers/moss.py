@@ -33,7 +33,7 @@ from forestgen.scene.ground_layers.layer import (
 _VARIANTS = 4
 _TRAPPED = 0.58
 _SHADES = (0.45, 0.6, 0.8)  # of the green of stems: moss is darker
-_SHOOTS = (60, 160, 420)  # by detail
+_SHOOTS = (40, 100, 260)  # by detail
 _HEIGHT = 0.35  # of a cushion over its radius
 
 
@@ -47,6 +47,7 @@ class Moss(GroundLayerKind[MossKeys]):
     """Moss."""
 
     Parameters = MossKeys
+    most_triangles = 800_000
 
     def layers(self, keys: MossKeys, request: Request, rng: np.random.Generator) -> Sequence[Layer]:
         green = opaque(load_spectra("leaves/green_stem")["reflectance"], roughness=0.7)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from pydantic import Field
@@ -20,8 +21,11 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.plants.build import build_exemplar
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.parameters import with_detail
 from forestgen.recipe.fields import Name, Positive
 from forestgen.recipe.ground import GroundLayer
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import Species
 from forestgen.scene.ground_layers.layer import GroundLayerKind, Layer, Request, Spread, Thing, scaled, shades
 from forestgen.scene.phenology import leaf_states
@@ -32,6 +36,7 @@ _VARIANTS = 4
 _TRAPPED = 0.62
 _SHADES = (1.0,)
 _TALLEST_M = 1.5
+_FINE_M = 0.001  # what a pixel covers where blades get their outline
 
 
 class PlantsKeys(GroundLayer):
@@ -46,23 +51,21 @@ class Plants(GroundLayerKind[PlantsKeys]):
     """Small plants."""
 
     Parameters = PlantsKeys
+    most_triangles = 2_500_000
+
+    def check(self, keys: PlantsKeys, drawn: DrawnRecipe, where: Keys) -> None:
+        if keys.species in drawn.species:
+            return
+        expected, hint = "one of " + ", ".join(drawn.species), f"add `{keys.species}: {keys.species}` to species"
+        problem, at = "a species that the recipe does not have", drawn.where(*where, "species")
+        raise RecipeError(problem, where=at, expected=expected, got=keys.species, hint=hint)
 
     def layers(self, keys: PlantsKeys, request: Request, rng: np.random.Generator) -> Sequence[Layer]:
-        name, known = keys.species, request.drawn.species
-        if name not in known:
-            expected, hint = "one of " + ", ".join(known), f"add `{name}: {name}` to species"
-            where = request.drawn.where(*request.where, "species")
-            raise RecipeError(
-                "a species that the recipe does not have", where=where, expected=expected, got=name, hint=hint
-            )
-        species, state = known[name], leaf_states(request.drawn)[name][0]
-        radius_m = _radius_of(species, keys.height_m)
-        grown = [
-            build_exemplar(
-                name, species, request.generators[name], radius_m, one, pixel_m=request.pixel_m, leaves=state
-            )
-            for one in rng.spawn(_VARIANTS)
-        ]
+        name, species = keys.species, request.drawn.species[keys.species]
+        state, radius_m = leaf_states(request.drawn)[name][0], _radius_of(species, keys.height_m)
+        plant = with_detail(request.generators[name], int(request.pixel_m < _FINE_M))
+        grow = partial(build_exemplar, name, species, plant, radius_m, pixel_m=request.pixel_m, leaves=state)
+        grown = [grow(rng=one) for one in rng.spawn(_VARIANTS)]
         found = materials_of({name: species}, {name: [state]})
         materials: dict[str, Material] = {}
         for _, key in found:

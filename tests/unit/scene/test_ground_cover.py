@@ -29,7 +29,7 @@ from forestgen.scene.ground_cover import (
     tile_numbers,
 )
 from forestgen.scene.ground_layers.fallen_leaves import LAYER as FALLEN
-from forestgen.scene.ground_layers.layer import Layer, Request, Thing
+from forestgen.scene.ground_layers.layer import Layer, Request, Spread, Thing
 from forestgen.scene.ground_layers.stones import LAYER as STONES
 from forestgen.scene.ground_layers.twigs import LAYER as TWIGS
 from forestgen.scene.plan import check_plan
@@ -68,13 +68,14 @@ def squares(side_m: float) -> Layer:
     corner = 0.5 * side_m * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     up = np.tile(np.array([0, 0, 1], dtype=np.float32), (4, 1))
     mesh = Mesh(corner.astype(np.float32), np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32), up)
-    return replace(twigs(), things=(Thing((OrganMesh(Part.LITTER, "twigs-0", mesh),), side_m),))
+    things = (Thing((OrganMesh(Part.LITTER, "twigs-0", mesh),), side_m),)
+    return replace(twigs(), things=things, spread=Spread(size_sigma=0.2))
 
 
 @pytest.mark.parametrize("level", range(len(COVERS)))
 def test_a_tile_hides_its_share_of_the_ground(level: int) -> None:
     """Of points at random on tiles side by side, as many lie under a thing as the cover says."""
-    layer, rng, hidden = squares(0.12), np.random.default_rng(5), []
+    layer, rng, hidden = squares(0.05), np.random.default_rng(5), []
     around = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1]), axis=-1).reshape(-1, 1, 2) * TILE_M
     for variant in range(VARIANTS):
         tile, count = _tile(layer, level * VARIANTS + variant, 3)
