@@ -14,9 +14,10 @@ Environment 183, 226-238; github.com/ashiklom/prospect_bayes). Medians over all 
 Hyytiälä: mean reflectance and transmittance of leaves and needles in midsummer (Hovi et al. 2024,
 doi:10.23729/9a8d90cd-73e2-438d-9230-94e10e61adc9; Rautiainen et al. 2024, Earth System Science Data 16, 5069-5087;
 github.com/mottus/f_art_python), to which PROSPECT-D is fitted from 530 to 2400 nm without 626 to 690 nm, where light
-past the needles makes up most of the transmittance. Järvselja: needles of Picea abies in the bands of RAMI-V (Kuusk et
-al. 2013), fitted in the same way. Warren et al. 2006: Eucalyptus leaves, as AusTraits has them (Falster et al. 2021,
-Scientific Data 8, 254). Moles et al. 2011 (ibid.).
+past the needles makes up most of the transmittance. Leaves of birch have no gaps between them: their table of summer
+is what was measured (`MEASURED`); PROSPECT makes their other seasons. Järvselja: needles of Picea abies in the bands of
+RAMI-V (Kuusk et al. 2013), fitted in the same way. Warren et al. 2006: Eucalyptus leaves, as AusTraits has them
+(Falster et al. 2021, Scientific Data 8, 254). Moles et al. 2011 (ibid.).
 
 What follows from them
 ----------------------
@@ -41,7 +42,7 @@ from __future__ import annotations
 
 import numpy as np
 import prosail
-from tables import GRID_NM, SPECTRA, write
+from tables import GRID_NM, read, write
 
 Leaf = tuple[float, ...]  # N, chlorophyll, carotenoids, anthocyanins (µg/cm²), brown pigments, water (cm), dry (g/cm²)
 NEEDLE_N = 1.9
@@ -249,6 +250,7 @@ VARIATION = {
         "pale": (1.0, 0.85, 0.85, 1.0, 1.0),
     },
 }
+MEASURED = {("birch", "summer"): "standards/birch_leaf"}  # in place of PROSPECT's
 MEAN_LEAVES = {"broad": "maple", "needle": "spruce"}
 SYMBOLS = ("N", "chlorophyll", "carotenoids", "anthocyanins", "brown", "water", "dry matter")
 
@@ -291,8 +293,15 @@ def main() -> None:
         columns = {}
         for season, parameters in seasons.items():
             suffix = f"_{season}" if season else ""
-            columns[f"reflectance{suffix}"], columns[f"transmittance{suffix}"] = prospect(parameters)
-        write(f"leaves/{name}", told(NAMES[name], seasons), GRID_NM, columns)
+            measured = MEASURED.get((name, season))
+            both = prospect(parameters) if measured is None else read(measured)[1:]
+            columns[f"reflectance{suffix}"], columns[f"transmittance{suffix}"] = both
+        lines = told(NAMES[name], seasons)
+        for season in seasons:
+            if (name, season) in MEASURED:
+                lines["source"] += f", but for {season}"
+                lines[season] = f"measured, {MEASURED[name, season]}; PROSPECT-D fitted to it has " + lines[season]
+        write(f"leaves/{name}", lines, GRID_NM, columns)
     reference = (1.5, 40.0, 8.0, 0.0, 0.0, 0.01, 0.009)
     r, t = prospect(reference)
     write("leaves/prospect_reference", told("PROSPECT's own example", {"": reference}), GRID_NM,
@@ -329,9 +338,8 @@ def write_variation() -> None:
 
 def coloured(colour: tuple[float, ...], beyond: np.ndarray, wavelength_nm: np.ndarray) -> np.ndarray:
     """The smooth spectrum of a colour to 690 nm, another spectrum from 740 nm on."""
-    lines = [line for line in (SPECTRA / "standards/mallett_2019.csv").read_text().splitlines() if line[0].isdigit()]
-    basis = np.array([[float(cell) for cell in line.split(",")] for line in lines])
-    visible = sum(one * np.interp(wavelength_nm, basis[:, 0], basis[:, k + 1]) for k, one in enumerate(colour))
+    basis_nm, *basis = read("standards/mallett_2019")
+    visible = sum(one * np.interp(wavelength_nm, basis_nm, primary) for one, primary in zip(colour, basis, strict=True))
     infrared = np.clip((wavelength_nm - 690.0) / 50.0, 0.0, 1.0)
     infrared = infrared**2 * (3 - 2 * infrared)
     return np.asarray(visible + infrared * (beyond - visible))

@@ -1,4 +1,4 @@
-"""What the scripts beside this file share: how a table of scenes/spectra is written."""
+"""What the scripts beside this file share: how a table of scenes/spectra is read and written."""
 
 from __future__ import annotations
 
@@ -24,3 +24,9 @@ def write(
     path = SPECTRA / f"{name}.csv"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+def read(name: str) -> np.ndarray:
+    """The columns of a table of scenes/spectra, wavelength in nm first: (C, W)."""
+    text = (SPECTRA / f"{name}.csv").read_text(encoding="utf-8")
+    return np.array([line.split(",") for line in text.splitlines() if line[0].isdigit()], dtype=float).T

@@ -114,6 +114,7 @@ class StandTable(Reading):
     height_m: Floats  # (M,) of these
     species: NDArray[np.str_]  # (M,) of these
     colours: Mapping[str, str]  # of species on plots, where their files give one
+    notes: tuple[str, ...] = ()  # of the community and the scene: what was asked for and reached, what was left out
 
     @property
     def total(self) -> StandRow:
@@ -134,6 +135,7 @@ class StandTable(Reading):
         yield f"cover: vertical rays that meet a plant above {BREAST_HEIGHT_M} m; one ray may meet several rows"
         if self.standing_dead_per_ha:
             yield f"besides: {self.standing_dead_per_ha:,.0f} standing dead plants/ha"
+        yield from (f"note: {one}" for one in self.notes)
 
     def _shown(self) -> Iterator[StandRow]:
         """Without sums of one."""
@@ -149,6 +151,7 @@ class StandTable(Reading):
             "site_ha": self.site_ha,
             "min_dbh_cm": self.min_dbh_cm,
             "standing_dead_per_ha": self.standing_dead_per_ha,
+            "notes": list(self.notes),
             "rows": [{"species": one.species, "storey": one.storey, **one.figures()} for one in self.rows],
             "profile": {
                 "layer_edges_m": self.layer_edges_m.tolist(),
@@ -213,6 +216,7 @@ def stand_table(
         height_m=plants.height_m[stems],
         species=np.array(plants.names)[plants.species[stems]],
         colours={name: one.map_colour for name, one in scene.drawn.species.items() if one.map_colour},
+        notes=scene.notes,
     )
 
 

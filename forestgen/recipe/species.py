@@ -190,10 +190,16 @@ class Material(Section):
 
 
 class Tissue(Section):
-    """What turns volume and area into mass, dry."""
+    """What turns volume and area into mass, dry; and the size of leaves."""
 
     wood_density_kg_per_m3: Positive = Field(500.0, le=1500, description="Dry wood over its fresh volume, kg/m³.")
     leaf_mass_per_area_kg_per_m2: Positive = Field(0.08, le=2, description="Dry leaf over one side's area, kg/m².")
+    leaf_length_m: Positive | None = Field(
+        None,
+        le=10,
+        description="Length of a full-grown leaf's blade, metres: of those that fall. A crown may be drawn with larger "
+        "leaves, each for several. Default: as drawn.",
+    )
 
 
 class PlantType(Section):
@@ -334,6 +340,13 @@ class Species(Section):
         (), max_length=20, description="Where the proportions come from, one reference each."
     )
     plant: Plant = Field(description="What makes its geometry.")
+    triangles: tuple[tuple[Positive, NonNegative], ...] | None = Field(
+        None,
+        min_length=2,
+        max_length=100,
+        description="Pairs of a plant's height in metres and its triangles at full detail, to estimate memory; "
+        "null: by height and width. docs/species_triangles.py measures them.",
+    )
     modules: PlantType | None = Field(None, description="How it grows as branch modules; null: it does not.")
     modules_plant: Plant | None = Field(
         None,
@@ -348,7 +361,8 @@ class Species(Section):
 
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in handler(self).items() if key != "phenology" or value is not None}
+        rare = ("phenology", "triangles")
+        return {key: value for key, value in handler(self).items() if key not in rare or value is not None}
 
     @model_validator(mode="after")
     def _height_is_a_plants(self) -> Self:

@@ -39,6 +39,7 @@ _VARIABLE_PARTS = [
         (r"127\.0\.0\.1:\d{4,5}\b", "127.0.0.1:<port>"),
         (r"\b([a-z]+)-\d+-[0-9a-f]{12}\b", r"\1-<number>"),
         (r"\b(\d{6})-[0-9a-f]{40}\b", r"\1-<key>"),
+        (r"\b\d+ bytes, sha256 [0-9a-f]{64}\b", "<number> bytes, sha256 <hash>"),  # images differ between processors
         (r"\.\d+\.partial\b", ".<number>.partial"),
         (r"\btime = \w{3} \w{3} [ \d]\d [\d:]{8} \d{4}\b", "time = <time>"),
         (r"\S+/forestgen-(records|log)-\w{8}\b", r"<tmp>/forestgen-\1"),

@@ -83,10 +83,12 @@ def test_an_evergreen_stays_green_with_a_spectrum_of_the_recipes():
 
 
 def test_green_leaves_look_as_leaves_do():
-    """Near the colours that the species had by hand before they had spectra."""
+    """Birch in Hyytiälä: 0.075 to 0.111 reflected from 520 to 560 nm, 0.050 at 665, 0.051 at 450 (Hovi et al. 2024)."""
     leaf = materials_of(species())["birch", "leaf"]
-    np.testing.assert_allclose(leaf.reflectance, (0.070, 0.128, 0.034), atol=0.011)
-    np.testing.assert_allclose(leaf.transmittance, (0.058, 0.120, 0.020), atol=0.021)
+    for red, green, blue in (leaf.reflectance, leaf.transmittance):
+        assert 0.075 < green < 0.13
+        assert 1.2 < green / red < 1.8
+        assert blue < 0.75 * red
 
 
 def test_colours_and_short_tables_are_noted_where_bands_reach_past_them():
