@@ -305,9 +305,10 @@ def species_page() -> str:
         + ", ".join(pictured)
         + ".\n",
         "![Every species close up and from 30 m](pictures/library.jpg)\n",
-        "The numbers describe one mature plant, seed 3. Leaf area is of one side; the index is leaf area divided by",
-        "the crown's projection, π/4 width²; masses are dry. `forestgen plant NAME` grows a plant. Species of the",
-        "generator `branch_modules` have no numbers here: they look best in",
+        "The numbers describe one mature plant, seed 3; a tree is one of a closed stand, which is slender and narrow.",
+        "Leaf area is of one side; the index is leaf area divided by the crown's projection, π/4 width²; masses are",
+        "dry. `forestgen plant NAME --seed 3` grows the plant, `--grown open` a tree as it grows without neighbours.",
+        "Species of the generator `branch_modules` have no numbers here: they look best in",
         "[communities of branch modules](branch_modules.md), which give every plant its own branches. Elsewhere they",
         "have the narrow crowns of a closed stand.\n",
         "| species | generator | height m | width m | triangles | leaf area m² | index | wood kg | leaves kg |",

@@ -23,8 +23,8 @@ PICTURES = ROOT / "docs" / "pictures"
 SIZE_PX = (480, 270)
 GAP_PX, COLUMNS = 4, 3
 SETTINGS = (
-    f"cameras.0.size_px={list(SIZE_PX)}",
-    "cameras.0.path={frames: 2, frames_per_s: 12, position_m: [[60.2, -9.5, 3.2]], look_at_m: [[62, 60, 8]]}",
+    f"cameras.0={{position_m: [60, -34, 14], look_at_m: [60, 60, 10], size_px: {list(SIZE_PX)}, hfov_deg: 62}}",
+    "cameras.0.path={frames: 2, frames_per_s: 12, position_m: [[60.2, -33.5, 14]], look_at_m: [[60, 60, 10]]}",
     "wind.speed_m_per_s=9",
     "render.samples=48",
 )
@@ -53,7 +53,7 @@ def labels(scratch: Path) -> None:
     for j, row in enumerate(rows):
         for i, (title, picture) in enumerate(row):
             sheet.paste(titled(picture, title), (i * (width + GAP_PX), j * (height + GAP_PX)))
-    sheet.save(PICTURES / "labels.jpg", quality=86)
+    sheet.save(PICTURES / "labels.jpg", quality=78, optimize=True)
     sys.stdout.write(f"{PICTURES / 'labels.jpg'}\n")
 
 

@@ -44,8 +44,8 @@ NO_PLANT = ("stalk",)  # a green rod for figures and experiments: nobody would k
 TURNED_DEG = {"log": 62.0}  # about the vertical: a log shows its sawn end
 # Height looked at as a share of the plant's, and the window's height in metres, where `close_up` shows too little.
 CLOSE: dict[str, tuple[float, float]] = {
-    "beech": (0.45, 1.2),
-    "birch": (0.45, 1.1),
+    "beech": (0.62, 1.2),
+    "birch": (0.75, 1.1),
     "bracken": (0.75, 0.5),
     "bramble": (0.6, 0.35),
     "daisy": (0.93, 0.09),
@@ -53,20 +53,20 @@ CLOSE: dict[str, tuple[float, float]] = {
     "grass": (0.75, 0.35),
     "lily": (0.9, 0.3),
     "log": (0.6, 0.75),
-    "maple": (0.45, 1.3),
-    "oak": (0.45, 1.3),
+    "maple": (0.6, 1.3),
+    "oak": (0.78, 1.3),
     "palm": (0.88, 4.5),
-    "pine": (0.66, 1.6),
-    "poplar": (0.5, 1.0),
+    "pine": (0.86, 1.6),
+    "poplar": (0.82, 1.0),
     "shrub": (0.6, 0.6),
     "snag": (0.5, 1.2),
-    "spruce": (0.45, 1.8),
+    "spruce": (0.72, 1.8),
     "stump": (0.7, 0.6),
 }
 
 
 def close_up(name: str, height_m: float, size_m: float) -> PictureSettings:
-    """A window in the lower half of a tree's crown, or on a herb's upper half."""
+    """A window where a tree's crown has many leaves, or on a herb's upper half."""
     share, window_m = CLOSE.get(name, (0.45 if height_m > 2 else 0.7, float(np.clip(0.05 * size_m, 0.12, 0.7))))
     return PictureSettings(VIEW_PX, samples=48, look_at_m=share * height_m, window_m=window_m)
 

@@ -32,7 +32,7 @@ EXTINCTION = 0.25  # of light by leaf area: half of it is seen, of which half ac
 DARKEST = 4.0  # optical depth of a crown, as of a leaf area index of 16; the lowest leaves of denser ones live on
 _LAYERS, _SECTORS = 12, 8  # of the hull's measurement
 _FINER = 6  # times as many for its volume
-_UNEVEN = 0.25  # of points' mean distance, by which they are moved at random
+_UNEVEN = 0.25  # of points' mean distance, standard deviation by which they are moved at random
 _NEAREST = 12  # nodes of branches that a point may be reached from
 TURN_COST = 0.6  # of a way straight back, as a share of its length
 PATH_COST = 0.35  # of the way from the branch to where a twig begins
@@ -126,7 +126,11 @@ class _Hull:
 
     def spread(self, count: int, extinct_m2: float, rng: np.random.Generator) -> tuple[Floats, float]:
         """(count, 3) points, even but for shade, and their distance; `extinct_m2`: leaf area times extinction."""
+        # Moved before the crown's shade and width stretch them: else layers of the even points show where they are few.
         u = (rng.random(3) + np.arange(1, count + 1)[:, None] * _SPREAD) % 1.0
+        u += _UNEVEN * count ** (-1.0 / 3.0) * rng.normal(size=u.shape)
+        u[:, 1] %= 1.0
+        u[:, [0, 2]] = np.abs(1.0 - np.abs(1.0 - np.abs(u[:, [0, 2]])))  # mirrored at 0 and 1
         area = self.radius_m[::-1] ** 2 * (np.pi / self.radius_m.shape[1])  # layers from above
         above = np.append(0.0, np.cumsum(area.sum(axis=1))) / area.sum()
         shade = float(np.clip(extinct_m2 / area.sum(axis=1).max(), 1e-6, DARKEST))
@@ -141,8 +145,6 @@ class _Hull:
         height = self.high_m - (self.high_m - self.low_m) * depth / len(area)
         points = np.stack([away * np.cos(angle), away * np.sin(angle), height], axis=1)
         apart_m = np.cbrt(float(area.sum()) * (self.high_m - self.low_m) / len(area) / count)
-        points += _UNEVEN * apart_m * rng.normal(size=points.shape)
-        points[:, 2] = np.clip(points[:, 2], self.low_m, self.high_m)
         return points, apart_m
 
 

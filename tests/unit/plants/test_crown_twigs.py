@@ -104,6 +104,24 @@ def test_points_are_more_even_than_chance() -> None:
     assert near / (0.554 * apart_m) > 1.05
 
 
+def test_points_of_shaded_crowns_stand_in_no_layers() -> None:
+    """Seen from a side, the sparse lower half has no layers: no wave along the height is above 25 times chance.
+
+    Of random points |sum exp(i k x)|^2 / n is 1 in the mean and above 25 in one case of 10^11.
+    """
+    hull = crown_twigs._Hull(5.0, 19.0, np.full((72, 48), 3.3))
+    points, _ = hull.spread(15_000, 4.0 * np.pi * 3.3**2, np.random.default_rng(1))
+    side = np.abs(np.arctan2(points[:, 1], points[:, 0]) + np.pi / 2) < np.pi / 4
+    seen = points[side & (points[:, 2] < 12.0)]
+    worst = 0.0
+    for layer_m in np.geomspace(0.3, 1.0, 30):
+        for lean_x in np.linspace(-0.2, 0.2, 9):
+            for lean_y in np.linspace(-0.2, 0.2, 9):
+                wave = np.exp(2j * np.pi / layer_m * (seen @ np.array([lean_x, lean_y, 1.0])))
+                worst = max(worst, float(np.abs(wave.sum()) ** 2 / len(seen)))
+    assert worst < 25.0
+
+
 @pytest.mark.parametrize("name", BROAD)
 def test_every_leaf_sits_on_a_twig(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """No leaf's foot is further than 2 cm from its twig: the petiole is part of the leaf."""
