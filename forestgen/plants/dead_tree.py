@@ -21,9 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from forestgen.core.dead_wood import SNAPPED_AT, DeadForm, DeadTree, stem_radius_m, stump_height_m
-from forestgen.geometry.mesh import Bools, Floats, Ints, any_perpendicular, unit
+from forestgen.geometry.mesh import Bools, Floats, Ints, unit
 from forestgen.plants.crown_twigs import TWIG_ORDER, first_stem
 from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.splinters import splinters
 
 # By decay class, 1 to 5. Where no number is in the sources of `core.dead_wood`, they are ours.
 _THINNEST_M = (0.0, 0.005, 0.012, 0.03, 0.05)  # diameter
@@ -36,6 +37,7 @@ _LEAN_DEG, _LEANING, _LEANING_DEG = 2.0, 0.15, (8.0, 22.0)  # of most; share of 
 _STEEP = 0.4  # of a branch's way from the stem, downwards, over the way: below the ground it has broken off
 _LIES = 0.7  # of its radius: how high a branch on the ground is
 _STEP_RADII = 0.8  # between nodes of a stem, over its radius
+_SPLINTER_RADII, _MOST_SPLINTERS = 2.6, 18  # length of the longest over the break's radius
 _BREAK_M = 0.02  # radius of a broken stem that shows splinters
 _ROOTS = 26  # of a root plate
 _THREAD_M = 1e-6  # see `Skeleton.is_thread`
@@ -179,7 +181,7 @@ def _with_axis(skeleton: Skeleton, points: Floats, radius: Floats, bearer: int, 
 
 
 def _splintered(skeleton: Skeleton, rng: np.random.Generator, *, foot: bool = False) -> Skeleton:
-    """Spikes on the rim of the break at the stem's upper end (or its foot), longest on one side, as wood tears."""
+    """With splinters at the stem's upper end, or its foot."""
     nodes = np.flatnonzero(first_stem(skeleton.axis))
     end, inner = (nodes[0], nodes[1]) if foot else (nodes[-1], nodes[-2])
     radius = float(skeleton.radius_m[end])
@@ -187,18 +189,8 @@ def _splintered(skeleton: Skeleton, rng: np.random.Generator, *, foot: bool = Fa
         return skeleton
     place = skeleton.position_m[end].astype(np.float64)
     along = unit(place - skeleton.position_m[inner].astype(np.float64))
-    side = any_perpendicular(along[None])[0]
-    other = np.cross(along, side)
-    worst, count = rng.uniform(0.0, 2.0 * np.pi), int(np.clip(round(radius / 0.012), 7, 18))
-    for k in range(count):
-        turn = 2.0 * np.pi * (k + 0.4 * rng.normal()) / count
-        share = (0.2 + 0.8 * np.cos(0.5 * (turn - worst)) ** 2) * rng.uniform(0.35, 1.0)
-        outward = np.cos(turn) * side + np.sin(turn) * other
-        thick = 0.22 * radius
-        base = place + rng.uniform(0.5, 0.85) * (radius - thick) * outward - 0.5 * thick * along
-        tip = base + 2.6 * radius * share * along
-        points = np.stack([base, 0.5 * (base + tip) + 0.05 * radius * outward, tip])
-        skeleton = _with_axis(skeleton, points, thick * np.array([1.0, 0.7, 0.05]), int(end))
+    for line, thick in splinters(place, along, radius, _SPLINTER_RADII * radius, _MOST_SPLINTERS, rng):
+        skeleton = _with_axis(skeleton, line, thick, int(end))
     return skeleton
 
 

@@ -99,6 +99,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         labelled = recipe.site.surroundings.labelled
         around = surrounded(site, layers, plan.views.height, drawn.image_seed, labelled)
         around = _on_slopes(around, lying, population.height_m, plan.views.height)
+        population = replace(population, position_m=around.population.position_m[: len(population)])
         trunks = Trunks(exemplars, around.plants)
         views = drawn_cameras(drawn, trunks)
         rng = child_rng(drawn.image_seed, "terrain", "colour")
@@ -132,8 +133,11 @@ def _on_slopes(
     around: SurroundedStand, lying: NDArray[np.bool_], length_m: NDArray[np.float64], height: HeightField
 ) -> SurroundedStand:
     """With fallen trees, of the site and near it, on the slope of their ground. `length_m`: (N,) of the site's."""
-    near = around.source[: len(around.plants)]
-    return replace(around, instances=on_the_ground(around.instances, lying[near], length_m[near], height))
+    near, known = around.source[: len(around.plants)], len(around.population)
+    instances = on_the_ground(around.instances, lying[near], length_m[near], height)
+    position_m = around.population.position_m.copy()
+    position_m[:, 2] = np.where(lying[near[:known]], instances.transform[:known, 2, 3], position_m[:, 2])
+    return replace(around, instances=instances, population=replace(around.population, position_m=position_m))
 
 
 def _sway(

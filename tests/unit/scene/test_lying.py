@@ -113,6 +113,12 @@ def test_each_dead_plant_has_an_exemplar_of_its_form_without_a_leaf() -> None:
         assert Part.LEAF in {organ.part for organ in scene.spec.exemplars[instances.exemplar[row]].organs}
 
 
+def test_plants_are_where_their_instances_are() -> None:
+    scene = built()
+    feet_m = scene.spec.instances.transform[: len(scene.population), :, 3]
+    np.testing.assert_array_equal(scene.population.position_m, feet_m)
+
+
 def test_lying_stems_touch_rolling_ground() -> None:
     scene = built()
     population, height = scene.population, scene.plan.views.height
