@@ -97,7 +97,7 @@ def _print_one(one: SinglePlant, say: Printer) -> None:
     parts = ", ".join(f"{number:,} {part}" for part, number in one.triangles.items())
     say(f"  {sum(one.triangles.values()):,} triangles: {parts}")
     index = f"; leaf area index {one.leaf_area_index:.2f}" if one.leaf_area_m2 else ""
-    say(f"  leaf area {one.leaf_area_m2:.3g} m² (one side){index}")
+    say(f"  leaf area {three_digits(one.leaf_area_m2)} m² (one side){index}")
     say(f"  dry mass {_mass(one.wood_kg)} of wood, {_mass(one.leaf_kg)} of leaves")
 
 

@@ -120,6 +120,7 @@ class StandTable(Reading):
     height_m: Floats  # (M,) of these
     species: NDArray[np.str_]  # (M,) of these
     colours: Mapping[str, str]  # of species on plots, where their files give one
+    notes: tuple[str, ...] = ()  # of the community and the scene: what was asked for and reached, what was left out
 
     @property
     def total(self) -> StandRow:
@@ -139,6 +140,7 @@ class StandTable(Reading):
         yield "AGB (dry biomass above the ground), LAI (one side of the leaves): all plants, also those without a DBH"
         yield f"cover: vertical rays that meet a plant above {BREAST_HEIGHT_M} m; one ray may meet several rows"
         yield from self._dead_lines()
+        yield from (f"note: {one}" for one in self.notes)
 
     def _dead_lines(self) -> Iterator[str]:
         found = []
@@ -165,6 +167,7 @@ class StandTable(Reading):
             "site_ha": self.site_ha,
             "min_dbh_cm": self.min_dbh_cm,
             **{name: getattr(self, name) for name in _DEAD},
+            "notes": list(self.notes),
             "rows": [{"species": one.species, "storey": one.storey, **one.figures()} for one in self.rows],
             "profile": {
                 "layer_edges_m": self.layer_edges_m.tolist(),
@@ -229,6 +232,7 @@ def stand_table(
         height_m=plants.height_m[stems],
         species=np.array(plants.names)[plants.species[stems]],
         colours={name: one.map_colour for name, one in scene.drawn.species.items() if one.map_colour},
+        notes=scene.notes,
     )
 
 

@@ -2,7 +2,9 @@
 
 `tests/unit/plants/data/baad_trees.csv` has 3,453 trees of 20 genera from BAAD (Falster et al. 2015, Ecology 96:1445,
 doi:10.1890/14-1889.1; CC0), compiled from its sources. Crown width is 2 sqrt(area / pi) where only the area was
-measured.
+measured. `beech_trees.csv` beside it has heights, diameters and ages of 187 European beeches of nine studies, as
+Wutzler, Wirth and Schumacher compiled them (2008, Canadian Journal of Forest Research 38, 1661-1675; of the R package
+twNlme, github.com/bgctw/twNlme).
 
 Allometries
 -----------
@@ -34,7 +36,8 @@ from forestgen.recipe.tree_sizes import TreeSizes
 
 Floats = NDArray[np.float64]
 
-FILE = Path(__file__).parents[1] / "unit" / "plants" / "data" / "baad_trees.csv"
+_DATA = Path(__file__).parents[1] / "unit" / "plants" / "data"
+FILES = (_DATA / "baad_trees.csv", _DATA / "beech_trees.csv")
 IN_STANDS = ("FW", "PM", "PU")  # growing conditions: natural forests and plantations
 CLASSES_M = (5.0, 10.0, 15.0, 20.0, 25.0, 30.0)  # of height
 _SHORTEST_M = 3.0  # tree that a allometry is fitted to
@@ -49,7 +52,7 @@ RELATIVES: Mapping[str, Sequence[str]] = {
     "spruce": ("Picea abies",),
     "pine": ("Pinus sylvestris",),
     "birch": ("Betula papyrifera", "Betula pendula", "Betula platyphylla", "Betula ermanii"),
-    "beech": ("Fagus crenata",),
+    "beech": ("Fagus sylvatica", "Fagus crenata"),
     "oak": ("Quercus serrata", "Quercus crispula"),
     "maple": ("Acer mono",),
     "poplar": ("Populus tremuloides",),
@@ -62,7 +65,7 @@ RELATIVES: Mapping[str, Sequence[str]] = {
 
 def field_trees(species: Sequence[str] | None = None) -> pd.DataFrame:
     """Trees of stands of at least 2 m whose diameter is known; `species`: Latin names, None: all."""
-    trees = pd.read_csv(FILE)
+    trees = pd.concat([pd.read_csv(file) for file in FILES], ignore_index=True)
     chosen = trees.condition.isin(IN_STANDS) & (trees.height_m >= 2.0) & (trees.dbh_m > 0.0)
     if species is not None:
         chosen &= trees.species.isin(species)

@@ -55,6 +55,7 @@ _NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
 _MARKS = ",;\t"
 _PASSED_OVER = re.compile(r'[\s,;"]*$|\s*#|sep=.\s*$')  # empty, a comment, what spreadsheets write for themselves
 _BLOCK = 100_000  # lines
+_UNITS = {"cm": "centimetres", "m": "metres"}
 _NEAR = 0.7  # likeness of a column's name to a known one, above which it is a slip of the pen
 
 
@@ -178,7 +179,11 @@ def _known_names(names: list[str], columns: Mapping[str, str], where: str) -> di
     for one in names:
         near = difflib.get_close_matches(one.lower(), [c for c in COLUMNS if c not in found], 2, _NEAR)
         if one not in columns and one.lower() not in found and near:
-            hint = f"`columns: {{{one}: {near[0]}}}` says what it is"
+            near.sort(key=lambda column: not column.endswith("_cm"))  # foresters' own unit first
+            unit = _UNITS.get(near[0].rsplit("_", 1)[-1])
+            hint = f"`columns: {{{one}: {near[0]}}}` says what it is" + (f", if in {unit}" if unit else "")
+            if one.lower().endswith("mm"):
+                hint = "no column takes millimetres: write them as dbh_cm, a tenth of the numbers"
             raise RecipeError("unknown column", where=where, expected=" or ".join(near), got=one, hint=hint)
     missing = [one for one in ("species",) if one not in found]
     if ("x_m" in found) != ("y_m" in found):

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import forestgen as fg
-from forestgen.community.population import Status
 from forestgen.core.progress import Silent, Timings
 from forestgen.pipeline import assemble_image
 from forestgen.recipe.load import load_recipe
@@ -40,7 +39,7 @@ def test_a_flagship_recipe_shows_a_closed_forest(name: str) -> None:
     width_m, depth_m = stand.summary.plan.site.size_m
     ha = width_m * depth_m / 1e4
     dbh_m, height_m = np.nan_to_num(stand["dbh_m"]), stand["height_m"]
-    big = (dbh_m >= LEAST_M) & (stand["status"] != Status.DEAD)
+    big = (dbh_m >= LEAST_M) & (stand["status"] != "dead")
     thickest = np.argsort(-dbh_m * big)[: round(100 * ha)]
     figures = (
         big.sum() / ha,
