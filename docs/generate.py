@@ -26,7 +26,7 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.curves import CURVE_SCHEMA
-from forestgen.recipe.registries import BUILDINGS, RIGS
+from forestgen.recipe.registries import BUILDINGS, GROUND_LAYERS, RIGS
 from forestgen.recipe.schema import Recipe
 from forestgen.recipe.species import PlantType
 
@@ -37,6 +37,7 @@ _SECTIONS = {
     "Recipe": "The recipe",
     "Site": "site",
     "Terrain": "site.terrain",
+    "Ground": "site.ground",
     "Surroundings": "site.surroundings",
     "Building": "site.buildings (each)",
     "Community": "community",
@@ -118,6 +119,11 @@ def recipe_page() -> str:
     after_paths = next(k for k, (title, _) in enumerate(sections) if title == "cameras: path") + 1
     sections[after_paths:after_paths] = [
         (f"cameras: rig of kind {name}", RIGS.load(name).Parameters.model_json_schema()) for name in RIGS
+    ]
+    after_ground = next(k for k, (title, _) in enumerate(sections) if title == "site.ground") + 1
+    sections[after_ground:after_ground] = [
+        (f"site.ground.layers: {name}", GROUND_LAYERS.load(name).Parameters.model_json_schema())
+        for name in GROUND_LAYERS
     ]
     for title, definition in sections:
         text += [

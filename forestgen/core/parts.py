@@ -21,3 +21,5 @@ class Part(IntEnum):
     WATER = 10
     STRUCTURE = 11  # what people have built
     SURROUNDINGS = 12  # plants outside of the site that have no plant_id
+    GROUND_PLANTS = 13  # grass, herbs, seedlings and shrubs of the ground cover, which have no plant_id
+    MOSS = 14

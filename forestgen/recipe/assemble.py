@@ -35,6 +35,7 @@ _Files = dict[Path, tuple[dict[str, Any], SourceMap]]  # read once: many species
 
 SHORTHANDS: dict[Keys, str] = {
     ("site", "terrain"): "kind",
+    ("site", "ground"): "kind",
     ("site", "surroundings"): "kind",
     ("sky", "clouds"): "type",
 }

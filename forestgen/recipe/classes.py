@@ -12,7 +12,7 @@ names none has a class for each of its species. A class lists species, parts, or
 - A part's class goes before a species': a spruce's trunk is `wood` here, its needles are `conifer`.
 - `others` stands for all species that no class names. Without it, a species that is in no class is an error, unless
   every part of a plant has a class.
-- litter, rock and water are parts that may have a class as well; otherwise they are ground.
+- litter, rock, ground_plants, moss and water are parts that may have a class as well; otherwise they are ground.
 - A pixel's part is the part mask's: the commonest among the samples of the pixel's winner.
 
 A plant as a whole has a category, in COCO, panoptic and YOLO: the class that lists its species, or `others`. A species

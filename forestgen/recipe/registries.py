@@ -93,6 +93,19 @@ GROUND_COVERS = Registry(
     contract="forestgen.scene.terrain:GroundCover",
 )
 
+_LAYERS = "forestgen.scene.ground_layers"
+GROUND_LAYERS = Registry(
+    "ground layer",
+    {
+        "fallen_leaves": (f"{_LAYERS}.fallen_leaves:LAYER", "fallen leaves and needles of the stand's own species"),
+        "twigs": (f"{_LAYERS}.twigs:LAYER", "dead twigs and small branches"),
+        "stones": (f"{_LAYERS}.stones:LAYER", "stones and boulders"),
+        "moss": (f"{_LAYERS}.moss:LAYER", "cushions and carpets of moss"),
+        "small_plants": (f"{_LAYERS}.small_plants:LAYER", "small plants of a species: grass, herbs, seedlings, dwarf shrubs"),
+    },
+    contract="forestgen.scene.ground_layers.layer:GroundLayerKind",
+)
+
 BUILDINGS = Registry(
     "building",
     {DEFAULT_BUILDING: ("forestgen.scene.buildings.house:BUILDING", "a detached house with a gable roof")},

@@ -26,8 +26,9 @@ from forestgen.recipe import fields
 from forestgen.recipe.cameras import Camera, check_cameras, check_motion, default_view
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
+from forestgen.recipe.ground import Ground
 from forestgen.recipe.phenology import LeafSeason, TimeOfYear
-from forestgen.recipe.registries import DEFAULT_CHANNELS, GROUND_COVERS, LABEL_CHANNELS, TERRAINS
+from forestgen.recipe.registries import DEFAULT_CHANNELS, LABEL_CHANNELS, TERRAINS
 from forestgen.recipe.sampler import Sampling
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Building, Species
@@ -91,7 +92,9 @@ class Site(fields.Section):
     terrain: Annotated[SerializeAsAny[Terrain], *fields.shorthand("kind")] = Field(
         default_factory=lambda: Terrain.model_validate({}), description="Shape of the ground, or just its kind."
     )
-    ground: Annotated[fields.Text, *fields.part_name(GROUND_COVERS)] = Field("litter", description="What covers it.")
+    ground: Annotated[Ground, *fields.shorthand("kind")] = Field(
+        default_factory=lambda: Ground.model_validate({}), description="What covers it, or just its kind."
+    )
     altitude_m: fields.Number = Field(
         0.0,
         ge=-430,

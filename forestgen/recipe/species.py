@@ -190,10 +190,16 @@ class Material(Section):
 
 
 class Tissue(Section):
-    """What turns volume and area into mass, dry."""
+    """What turns volume and area into mass, dry; and the size of leaves."""
 
     wood_density_kg_per_m3: Positive = Field(500.0, le=1500, description="Dry wood over its fresh volume, kg/m³.")
     leaf_mass_per_area_kg_per_m2: Positive = Field(0.08, le=2, description="Dry leaf over one side's area, kg/m².")
+    leaf_length_m: Positive | None = Field(
+        None,
+        le=10,
+        description="Length of a full-grown leaf's blade, metres: of those that fall. A crown may be drawn with larger "
+        "leaves, each for several. Default: as drawn.",
+    )
 
 
 class PlantType(Section):

@@ -40,7 +40,7 @@ SPHERE_DEG = 8.0  # from which an integrating sphere is lit
 LEAST_ROUGHNESS, MOST_ROUGHNESS = 0.2, 0.7  # below, highlights are specks of noise; above, no index fits
 _GRID = 64  # points along each side of the square that is mapped to visible facets
 _RINGS = 12  # of the hemisphere
-LEAFLIKE = (Part.LEAF, Part.FLOWER)
+LEAFLIKE = (Part.LEAF, Part.FLOWER, Part.LITTER, Part.GROUND_PLANTS, Part.MOSS)  # seen from both sides
 Recipe = Callable[[Channels], dict[str, Any]]
 
 

@@ -19,6 +19,7 @@ from forestgen.recipe.phenology import SUMMER, fallen_lately
 from forestgen.scene.building import building_materials
 from forestgen.scene.exemplar_plan import TREE_SIZES
 from forestgen.scene.exemplars import SizeError
+from forestgen.scene.ground_cover import ground_cover
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
 from forestgen.scene.leaf_variation import vary_leaves
 from forestgen.scene.lying import laid_along_y, lying_plants, on_the_ground
@@ -105,7 +106,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         rng = child_rng(drawn.image_seed, "terrain", "colour")
         wetness = wetness_of(stand, population)
         fresh = _fresh_litter(plan, population)
-        terrain = build_terrain(plan.views.height, rng, recipe.site.ground, wetness, around.reach_m, fresh)
+        terrain = build_terrain(plan.views.height, rng, recipe.site.ground.kind, wetness, around.reach_m, fresh)
         plant = np.pad(chosen.first_plant(population.plant_id), (0, len(around.exemplars) - len(exemplars)))
         varied, materials = vary_leaves(around.exemplars, around.materials, plant, drawn.image_seed)
         spec = SceneSpec(
@@ -117,6 +118,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             clouds=clouds,
             cameras=tuple(camera for entry in views for camera in entry),
         )
+        spec = ground_cover(plan, population, spec.cameras).on(spec)
         notes = [
             *(f"image {drawn.image_index}: {note}" for note in simulated.notes),
             *check_trunks(drawn, views, trunks),

@@ -134,8 +134,8 @@ def posed(instances: Instances, sway: Sway, time_s: float) -> Instances:
             [-x * sin, -y * sin, cos],
         ]
     )
-    transform = instances.transform.copy()
-    transform[:, :, :3] = np.einsum("rkn,nkc->nrc", turn, instances.transform[:, :, :3])
+    transform, rows = instances.transform.copy(), slice(0, len(lean))  # the ground cover, which comes last, is still
+    transform[rows, :, :3] = np.einsum("rkn,nkc->nrc", turn, instances.transform[rows, :, :3])
     return replace(instances, transform=transform)
 
 

@@ -60,7 +60,8 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "dataset/report/sections.py": {"sun"},  # a key of the recipe
     "lsystem/parsing.py": {"points"},  # a rule of the grammar
     "lsystem/statements.py": {"points"},  # the same
-    "recipe/schema.py": {"flat", "litter"},  # defaults
+    "recipe/ground.py": {"litter"},  # the default
+    "recipe/schema.py": {"flat"},  # the same
     "recipe/sky.py": {"clear"},  # the default
     "recipe/suggestions.py": {"grass"},  # a species
     "render/views.py": {"clear"},  # a stream of random numbers
@@ -72,7 +73,7 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "community/resume.py": {"flat"},  # a history's word for ground without a height function
 }
 COMMON_WORDS = {"community", "file", "map", "none"}  # which only the comparison with a section's key gives away
-SELECTORS = {"ground", "kind", "type"}
+SELECTORS = {"ground", "kind", "type", "what"}
 
 
 @cache

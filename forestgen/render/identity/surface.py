@@ -63,7 +63,7 @@ def _ids(tracer: SceneTracer, hits: Hits) -> dict[str, Any]:
     """What is hit, by the names of the fields of `Identity` and `Surface`."""
     plant_id = dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid)
     part = dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)
-    is_unlabelled = hits.valid & (hits.instance > 0) & (plant_id == 0)
+    is_unlabelled = hits.valid & (hits.instance > 0) & (plant_id == 0) & (part <= int(Part.DEAD_WOOD))
     return {
         "plant_id": plant_id,
         "part": dr.uint8_array_t(mi.UInt32)(dr.select(is_unlabelled, int(Part.SURROUNDINGS), part)),

@@ -92,7 +92,7 @@ def test_the_legend_names_all_numbers(tmp_path):
     legend = json.loads((tmp_path / "classes.json").read_text())
     assert legend["semantic"] == {"0": "nothing", "1": "ground", "2": "parts", "3": "broad"}
     assert legend["categories"] == {"1": "broad", "2": "poplar", "3": "spruce"}
-    assert (legend["part"]["0"], legend["part"]["12"], len(legend["part"])) == ("nothing", "surroundings", 13)
+    assert (legend["part"]["0"], legend["part"]["12"], len(legend["part"])) == ("nothing", "surroundings", 15)
     with Image.open(tmp_path / "x" / "semantic.png") as image:
         assert json.loads(image.text["classes"]) == legend["semantic"]
         colours = np.asarray(image.convert("RGB"))

@@ -1,0 +1,98 @@
+"""Small plants of a species as ground cover: grass, ferns, herbs, seedlings of trees, dwarf shrubs.
+
+They are background: of the part ground_plants, without a plant_id. The species is one of the recipe's `species`.
+
+Example
+-------
+    species: {grass: grass}
+    site: {ground: {layers: [{what: small_plants, species: grass, height_m: 0.2, cover: 0.3, patch_m: 2}]}}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from forestgen.core.errors import RecipeError
+from forestgen.core.parts import Part
+from forestgen.plants.build import build_exemplar
+from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.recipe.fields import Name, Positive
+from forestgen.recipe.ground import GroundLayer
+from forestgen.recipe.species import Species
+from forestgen.scene.ground_layers.layer import GroundLayerKind, Layer, Request, Spread, Thing, scaled, shades
+from forestgen.scene.phenology import leaf_states
+from forestgen.scene.spec import Material
+from forestgen.scene.surfaces import materials_of
+
+_VARIANTS = 4
+_TRAPPED = 0.62
+_SHADES = (1.0,)
+_TALLEST_M = 1.5
+
+
+class PlantsKeys(GroundLayer):
+    """Small plants."""
+
+    species: Name = Field(description="Which one, of the recipe's species.")
+    height_m: Positive = Field(0.2, ge=0.01, le=_TALLEST_M, description="Their median height, metres.")
+    size_sigma: Positive = Field(0.25, le=1, description="Spread of the logarithm of their height.")
+
+
+class Plants(GroundLayerKind[PlantsKeys]):
+    """Small plants."""
+
+    Parameters = PlantsKeys
+
+    def layers(self, keys: PlantsKeys, request: Request, rng: np.random.Generator) -> Sequence[Layer]:
+        name, known = keys.species, request.drawn.species
+        if name not in known:
+            expected, hint = "one of " + ", ".join(known), f"add `{name}: {name}` to species"
+            where = request.drawn.where(*request.where, "species")
+            raise RecipeError(
+                "a species that the recipe does not have", where=where, expected=expected, got=name, hint=hint
+            )
+        species, state = known[name], leaf_states(request.drawn)[name][0]
+        radius_m = _radius_of(species, keys.height_m)
+        grown = [
+            build_exemplar(
+                name, species, request.generators[name], radius_m, one, pixel_m=request.pixel_m, leaves=state
+            )
+            for one in rng.spawn(_VARIANTS)
+        ]
+        found = materials_of({name: species}, {name: [state]})
+        materials: dict[str, Material] = {}
+        for _, key in found:
+            materials |= shades(found[name, key], _SHADES, f"plants/{name}/{key}")
+        things = tuple(_as_cover(one, name) for one in grown)
+        leafy = max((organ for organ in grown[0].organs), key=lambda organ: organ.mesh.triangles)
+        leaf = scaled(found[name, leafy.material], 1.0)
+        if leaf.reflectance_spectrum is None:
+            raise RecipeError(
+                "a species whose leaves have a colour and no spectrum",
+                where=request.drawn.where(*request.where, "species"),
+                expected="a species whose material names a spectrum",
+                got=name,
+            )
+        spread = Spread(tilt_deg=4.0, size_sigma=keys.size_sigma)
+        return [Layer(f"plants/{name}", things, materials, keys.cover, leaf, _TRAPPED, spread, keys.patch_m)]
+
+
+def _radius_of(species: Species, height_m: float) -> float:
+    """Community radius of a plant of a height: H = A r^c."""
+    law = species.allometry.height_m
+    return float((height_m / law.scale) ** (1.0 / law.exponent))
+
+
+def _as_cover(exemplar: Exemplar, name: str) -> Thing:
+    organs = tuple(
+        OrganMesh(Part.GROUND_PLANTS, f"plants/{name}/{one.material}-0", replace(one.mesh, uv=None))
+        for one in exemplar.organs
+    )
+    return Thing(organs, max(exemplar.height_m, exemplar.crown_width_m), is_bushy=True)
+
+
+LAYER = Plants()
