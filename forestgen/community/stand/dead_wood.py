@@ -45,7 +45,7 @@ _TRIES, _WIND_DEG = 64, 60.0
 _STATION_M, _FEWEST, _CELL_M = 0.3, 9, 0.4
 # What a place of a lying stem costs, by the share of the stem: across another one, off the site or where nothing may
 # stand; and by metre that the ground is off a line.
-_HIT, _OFF, _UNEVEN = 30.0, 10.0, 5.0
+_HIT, _OFF, _UNEVEN = 30.0, 20.0, 5.0
 
 _AMOUNTS: dict[str, dict[str, float]] = {
     "managed_beech": {"standing_m3_per_ha": 3.6, "lying_m3_per_ha": 5.4, "stumps_per_ha": 150},
