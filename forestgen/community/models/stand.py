@@ -104,8 +104,8 @@ Decisions
   over bark, with r(h) in proportion to (H - h)^0.65, of what the decay class has left.
 - height_m of a dead tree is that of what stands, or the length of the stem that lies. Its status is DEAD; columns
   `dead_form` (1 standing, 2 uprooted, 3 snapped, 4 stump) and `decay_class` say more.
-- A stem falls downwind, give or take a standard deviation of 60 degrees; of 64 places it takes the one where it meets
-  no other stem and lies on straight ground. It follows the slope as a whole, and does not bend.
+- A stem falls downwind, give or take a standard deviation of 60 degrees; of up to 64 places it takes the one where it
+  meets no other stem and lies on straight ground. It follows the slope as a whole, and does not bend.
 - What was asked for and reached is in the snapshot's state (`targets`, `reached`) and in a note.
 """
 

@@ -5,8 +5,8 @@ The dead are trees of the stand: species, diameter and height of a living one dr
 what the class has left (`core.dead_wood`). Trees are drawn until a volume is reached, then diameters and heights are
 multiplied by one factor so that it is exact.
 
-Standing dead trees and stumps have places as living stems have. A stem that lies has the best of 64 random places and
-directions: it hits no stem that stands or lies, ends on the site where that has edges, and lies on straight ground.
+Standing dead trees and stumps have places as living stems have. A stem that lies has the best of up to 64 random places
+and directions: it hits no stem that stands or lies, ends on the site where that has edges, and lies on straight ground.
 Directions scatter about that of the wind, by a standard deviation of 60 degrees.
 
 The manual page of the stand model has the sources of the published amounts, `_AMOUNTS`.
@@ -41,7 +41,8 @@ _WHERE = "community.dead_wood"
 _MOST_M3, _MOST_TREES = 3000.0, 1e4  # per hectare
 _LEAST_M3 = 0.1  # of a stem, by which numbers are estimated
 _DRAWN_AT_ONCE = 1000
-_TRIES, _WIND_DEG = 64, 60.0
+_TRIES, _AT_ONCE, _GOOD = 64, 8, 0.15  # places; the cost below which no more are tried
+_WIND_DEG = 60.0
 _STATION_M, _FEWEST, _CELL_M = 0.3, 9, 0.4
 # What a place of a lying stem costs, by the share of the stem: across another one, off the site or where nothing may
 # stand; and by metre that the ground is off a line.
@@ -239,9 +240,22 @@ class _Ground:
 
     def place(self, length_m: float, dbh_m: float, rng: np.random.Generator) -> tuple[Floats, float]:
         """Foot and direction, degrees clockwise from north, of a stem; its own ground is taken then."""
-        foot = rng.random((_TRIES, 2)) * self._size
-        azimuth = (self._site.wind_from_deg + 180.0 + _WIND_DEG * rng.normal(size=_TRIES)) % 360.0
-        angle = np.radians(azimuth)
+        least, found = np.inf, None
+        for _ in range(_TRIES // _AT_ONCE):
+            foot = rng.random((_AT_ONCE, 2)) * self._size
+            azimuth = (self._site.wind_from_deg + 180.0 + _WIND_DEG * rng.normal(size=_AT_ONCE)) % 360.0
+            cost, cell = self._costs(foot, np.radians(azimuth), length_m, dbh_m)
+            best = int(np.argmin(cost))
+            if cost[best] < least:
+                least, found = float(cost[best]), (foot[best], float(azimuth[best]), cell[best])
+            if least < _GOOD:
+                break
+        assert found is not None  # costs are finite
+        self._taken[found[2][:, 0], found[2][:, 1]] = True
+        return found[0], found[1]
+
+    def _costs(self, foot: Floats, angle: Floats, length_m: float, dbh_m: float) -> tuple[Floats, Indices]:
+        """(T,) cost of each place, and (T, K, 2) the cells that a stem would take there."""
         way = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         at = np.linspace(0.0, length_m, max(_FEWEST, math.ceil(length_m / _STATION_M)))
         points = foot[:, None] + at[:, None] * way[:, None]
@@ -256,10 +270,7 @@ class _Ground:
         if not self._periodic:
             off |= ~inside
         cost = _HIT * hit.mean(axis=1) + _OFF * off.mean(axis=1) + _UNEVEN * self._unevenness_m(points)
-        cost += 100.0 * off[:, 0]  # a foot stands where trees may
-        best = int(np.argmin(cost))
-        self._taken[cell[best, :, 0], cell[best, :, 1]] = True
-        return foot[best], float(azimuth[best])
+        return np.asarray(cost + 100.0 * off[:, 0]), cell  # a foot stands where trees may
 
     def _unevenness_m(self, points: Floats) -> Floats:
         """(T,) how far the ground is off a straight line at most, of (T, K, 2) points along lines."""
