@@ -5,7 +5,7 @@ A model has a capability if it has its methods. `parameters` are the model's own
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -87,6 +87,22 @@ class AskedDensities(Protocol):
 
     def densities(self, parameters: Any, site: Site, species: Ecologies, placed: Population) -> Densities:
         """The densities, for pictures and statistics of the plants `placed` in step 0."""
+
+
+@runtime_checkable
+class AskedHeights(Protocol):
+    """Plants of sizes that the recipe asks for."""
+
+    def asked_heights_m(self, parameters: Any, site: Site, species: Ecologies) -> Mapping[str, tuple[float, float]]:
+        """Least and greatest height, metres, of nearly all plants of each species that is placed."""
+
+
+@runtime_checkable
+class OneCohort(Protocol):
+    """Plants that may all be of one age, and so of one size."""
+
+    def is_cohort(self, parameters: Any, site: Site, species: Ecologies) -> bool:
+        """Whether no seedlings are known to follow the first plants."""
 
 
 def capability(model: object, kind: type[Capability]) -> Capability | None:

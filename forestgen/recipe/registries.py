@@ -101,7 +101,10 @@ GROUND_LAYERS = Registry(
         "twigs": (f"{_LAYERS}.twigs:LAYER", "dead twigs and small branches"),
         "stones": (f"{_LAYERS}.stones:LAYER", "stones and boulders"),
         "moss": (f"{_LAYERS}.moss:LAYER", "cushions and carpets of moss"),
-        "small_plants": (f"{_LAYERS}.small_plants:LAYER", "small plants of a species: grass, herbs, seedlings, dwarf shrubs"),
+        "small_plants": (
+            f"{_LAYERS}.small_plants:LAYER",
+            "small plants of a species: grass, herbs, seedlings, dwarf shrubs",
+        ),
     },
     contract="forestgen.scene.ground_layers.layer:GroundLayerKind",
 )

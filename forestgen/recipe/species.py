@@ -340,6 +340,13 @@ class Species(Section):
         (), max_length=20, description="Where the proportions come from, one reference each."
     )
     plant: Plant = Field(description="What makes its geometry.")
+    triangles: tuple[tuple[Positive, NonNegative], ...] | None = Field(
+        None,
+        min_length=2,
+        max_length=100,
+        description="Pairs of a plant's height in metres and its triangles at full detail, to estimate memory; "
+        "null: by height and width. docs/species_triangles.py measures them.",
+    )
     modules: PlantType | None = Field(None, description="How it grows as branch modules; null: it does not.")
     modules_plant: Plant | None = Field(
         None,
@@ -354,7 +361,8 @@ class Species(Section):
 
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in handler(self).items() if key != "phenology" or value is not None}
+        rare = ("phenology", "triangles")
+        return {key: value for key, value in handler(self).items() if key not in rare or value is not None}
 
     @model_validator(mode="after")
     def _height_is_a_plants(self) -> Self:

@@ -21,14 +21,13 @@ from forestgen.core.figures import show_bytes
 from forestgen.core.processes import free_bytes
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.plan import PlantPlan, foliage_of, generator_parameters
-from forestgen.plants.registry import GENERATORS
-from forestgen.plants.skeleton import most_triangles
 from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DATASET_FORMATS, LABEL_CHANNELS
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.site import check_sun, check_wet_soil, community_site
+from forestgen.scene.triangles import exemplar_triangles
 from forestgen.scene.views import Views, place_key
 
 # Kept free for the operating system and for what no estimate sees.
@@ -38,11 +37,10 @@ _LOADED_SIMULATOR_BYTES = 520_000_000
 _LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture and what it was made from
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
 _BYTES_PER_PIXEL = 800  # radiance sums in double precision, buffers, channels on their way to files
-_BYTES_PER_TRIANGLE = 200  # mesh, the scene with its tree, normals' table
+_BYTES_PER_TRIANGLE = 250  # mesh, the scene with its tree, normals' table; 242 measured on 60 spruces of 18 m
 # Of plants with branches of their own: 267 measured on tall spruces.
 _BYTES_PER_OWN_TRIANGLE = 300
 _BYTES_PER_TRIANGLE_UNDER_CLOUDS = 160  # more, where light goes through clouds exactly: they have scenes of their own
-_DETAIL_OF_ALL_LEVELS = 2.0  # a size at every level of detail, over `most_triangles`; measured up to 1.8
 _BYTES_PER_PLANT = 7_000  # an instance in the scene; 500,000 of benchmarks/labels.py take 4 kB each
 _BYTES_PER_PLANT_UNDER_CLOUDS = 27_000  # more, as above
 # Clouds that are so much higher than they must be are surely far: plants differ in height, and the ground in places.
@@ -82,6 +80,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     clouds_per_triangle = exact * _BYTES_PER_TRIANGLE_UNDER_CLOUDS
     per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
     own = own_triangles(plan)
+    grown = exemplar_triangles(plan.drawn, plan.plants, stand, plan.views.all_cameras)
     across, along = (
         min(math.ceil((side + 40) / _GROUND_CELL_M), _MOST_GROUND_CELLS) + _GROUND_BEYOND for side in recipe.site.size_m
     )
@@ -90,7 +89,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "libraries": _LOADED_RENDERER_BYTES,
         "ground": 2 * across * along * per_triangle,
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
-        "exemplars": _exemplar_triangles(plan) * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle),
+        "exemplars": math.ceil(grown * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle)),
         "plants": plants * per_plant,
         "clouds": source.estimate_bytes(plan.drawn, stand.model, stand.parameters),
     }
@@ -127,22 +126,6 @@ def _may_be_exact(views: Views) -> bool:
     tops_m = [float(views.height(x_m, y_m).max()) + max(standing_m, default=0.0)]
     tops_m += [camera.position_m[2] for camera in views.all_cameras]
     return base_m < max(tops_m) + max(LEAST_GAP_M, GAP_OF_SITE * math.hypot(*recipe.site.size_m)) + _SURELY_FAR_M
-
-
-def _exemplar_triangles(plan: Plan) -> int:
-    """Triangles of all exemplars, as if each were a mature plant of its species; see `own_triangles` for the others.
-
-    Stands of trees of all ages have a quarter to a tenth of them. Open-grown ones may have more: see `check_exemplars`.
-    """
-    section = plan.drawn.recipe.plants
-    each = section.exemplars_per_species * section.variants_per_size * (_DETAIL_OF_ALL_LEVELS if section.levels else 1)
-    total, states = 0.0, leaf_states(plan.drawn)
-    for name, species in plan.drawn.species.items():
-        if name not in plan.plants.foliage:
-            has_crown = GENERATORS.load(species.plant.generator).has_crown
-            width_m = float(species.allometry.width(species.ecology.max_radius_m)) if has_crown else 0.0
-            total += len(states[name]) * most_triangles(species.mature_height_m, width_m)
-    return int(each * total)
 
 
 def check_memory(

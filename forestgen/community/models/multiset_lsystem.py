@@ -348,6 +348,10 @@ class MultisetLSystem:
             total = min(parameters.most_plants, _ROOM * total) if total else 0.0
         return min(total, 1e30)
 
+    def is_cohort(self, parameters: MultisetParameters, site: Site, species: Ecologies) -> bool:
+        """Whether the program does not say by its values' names how many seedlings arrive."""
+        return "seedlings_per_ha_per_yr" not in program_of(parameters, site, species)[0].ast.arrays
+
     def empty_reason(self, parameters: MultisetParameters, site: Site, species: Ecologies) -> str | None:
         if self.expected_plants(parameters, site, species) > 0:
             return None

@@ -195,6 +195,19 @@ def radii_at(sizes: Sizes | None, species: SpeciesEcology, uniform: Floats) -> F
     return np.asarray(np.minimum(radii, species.max_radius_m))
 
 
+def heights_asked_m(parameters: PlacementParameters, species: Ecologies) -> dict[str, tuple[float, float]]:
+    """Least and greatest height, metres, of nearly all plants of each species: 98% of the radii."""
+    found = {}
+    for one in species:
+        stand = parameters.plants.get(one.name)
+        if stand is not None:
+            radii = radii_at(stand.radius_m, one, np.array([0.01, 0.99]))
+            scatter = np.exp(2.0 * stand.height_sigma * np.array([-1.0, 1.0]))
+            low, high = (one.height_scale * radii**one.height_exponent * scatter).tolist()
+            found[one.name] = (low, high)
+    return found
+
+
 def draw_heights(stand: Stand | None, species: SpeciesEcology, radius_m: Floats, rng: np.random.Generator) -> Floats:
     """(n,) heights in metres by the species' allometry, with the stand's scatter."""
     heights = species.height_scale * radius_m**species.height_exponent

@@ -26,6 +26,7 @@ from forestgen.community.placement.densities import (
     draw_heights,
     draw_radii,
     grid_shape,
+    heights_asked_m,
     plant_counts,
     species_density,
 )
@@ -297,6 +298,10 @@ class PlacementModel(StaticModel[P]):
         """Bytes for all plants at once; a plan asks this first, so that wrong sizes are refused here."""
         check_sizes(parameters, species)
         return super().estimate_bytes(parameters, site, species)
+
+    def asked_heights_m(self, parameters: P, site: Site, species: Ecologies) -> Mapping[str, tuple[float, float]]:
+        """By the radii that the recipe asks for."""
+        return heights_asked_m(parameters, species)
 
     def densities(self, parameters: P, site: Site, species: Ecologies, placed: Population) -> Densities:
         """What the recipe asks for, for pictures and statistics of the plants `placed` in step 0."""

@@ -22,7 +22,7 @@ from forestgen.community.stand.targets import (
 from forestgen.community.tree_columns import COLUMNS, HIGHEST_BASE, competition_shifts
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import BREAST_HEIGHT_M
-from forestgen.recipe.tree_sizes import NUMBERS, Sizes
+from forestgen.recipe.tree_sizes import NUMBERS, TOP, Sizes
 
 MOST_DEVIATIONS = 3.0  # by which the trees of a stand may differ from their species' allometry in the mean
 MOST_LEAVES = 18.0  # leaf area index: the highest of 1,008 published ones (Asner et al. 2003, Glob. Ecol. Biogeogr. 12)
@@ -33,7 +33,7 @@ _TALLER = 1.05  # a lower storey over the one above it
 
 @dataclass(frozen=True)
 class StandTrees:
-    """Living trees, storey by storey, in each the thickest first."""
+    """Living trees, storey by storey."""
 
     storey: Indices  # (N,)
     species: Indices  # (N,)
@@ -97,9 +97,29 @@ def leaf_areas_m2(species: Sequence[SpeciesEcology], sp: Indices, leaf_kg: Float
     return np.asarray(leaf_kg / np.array([one.leaf_mass_per_area_kg_per_m2 for one in species])[sp])
 
 
-def thickest(count: int, site: Site) -> slice:
-    """Of trees from the thickest on, those whose mean is the dominant height."""
-    return slice(0, min(count, max(1, round(THICKEST_PER_HA * site.area_ha))))
+def thickest(dbh_m: Floats, site: Site) -> Indices:
+    """Indices of the trees of a storey whose mean height is its dominant height: the thickest first."""
+    return np.argsort(-dbh_m, kind="stable")[: max(1, round(THICKEST_PER_HA * site.area_ha))]
+
+
+def level_factors(storey: Storey, species: Ecologies, dbh_m: Floats, shift: Floats) -> Floats:
+    """Factor for each of `species` of heights above 1.3 m, with which those of a storey are equally tall.
+
+    They are so at the diameters of the storey's thickest trees, `dbh_m`, of which `shift` is what competition makes.
+    The common height is the mean of the species' heights by their shares. A species that ends below it stays below it.
+    """
+    index = {one.name: i for i, one in enumerate(species)}
+    none = np.zeros((len(dbh_m), NUMBERS))
+    laws = {name: laws_of(species, name) for name in storey.species}
+    own = {name: float(law.height_of(dbh_m, none, shift).mean()) - BREAST_HEIGHT_M for name, law in laws.items()}
+    common = sum(share * own[name] for name, share in storey.species.items()) / sum(storey.species.values())
+    top = storey.top_height_m
+    taller = 1.0 if top is None else (top - BREAST_HEIGHT_M) / common  # as the whole storey becomes
+    factors = np.ones(len(species))
+    for name, law in laws.items():
+        end = (TOP * law.tallest_m - BREAST_HEIGHT_M) / taller
+        factors[index[name]] = min(common, max(end, own[name])) / own[name]
+    return factors
 
 
 class StandBuilder:
@@ -129,13 +149,13 @@ class StandBuilder:
         storey = np.repeat(np.arange(len(dbh)), [len(one) for one in dbh])
         dbh_m, own = (np.concatenate(one) for one in (dbh, normals))
         sp_all = np.concatenate(sp)
-        zero = np.zeros(len(sp_all))
-        first = self._scaled(heights_of(self._species, sp_all, dbh_m, own, zero), sp_all, dbh_m, storey, check=False)
+        first = self._heights(sp_all, dbh_m, own, np.zeros(len(sp_all)), storey)
         laws = [one.tree for one in self._species]
         shift = competition_shifts(position_m, sp_all, first, laws, self._site, periodic=self._periodic)
         dbh_m = self._with_neighbours(dbh_m, shift, storey)
-        height_m = self._scaled(heights_of(self._species, sp_all, dbh_m, own, shift), sp_all, dbh_m, storey, check=True)
-        self._check_order(height_m, storey)
+        self._check_heights(heights_of(self._species, sp_all, dbh_m, own, shift), sp_all, dbh_m, storey)
+        height_m = self._heights(sp_all, dbh_m, own, shift, storey)
+        self._check_order(height_m, dbh_m, storey)
         made = by_species(self._species, sp_all, height_m, own, dbh_m)
         factor, covered = self._crowns(position_m, 0.5 * made.crown_width_m, sp_all, height_m, canopy_cover)
         leaf_m2 = self._leaves(leaf_areas_m2(self._species, sp_all, made.leaf_kg), sp_all, height_m, leaf_area_index)
@@ -183,16 +203,16 @@ class StandBuilder:
             last = first + placed
             if placed and index + 1 < len(self._storeys):
                 shaded = np.maximum(
-                    shaded, self._shade(grid, slice(first, last), sp[index], normals[index], here.shape)
+                    shaded, self._shade(grid, slice(first, last), sp[index], normals[index], index, here.shape)
                 )
             first = last
         return np.stack([grid.x, grid.y], axis=1)
 
     def _shade(
-        self, grid: spacing.StemGrid, rows: slice, sp: Indices, normals: Floats, shape: tuple[int, ...]
+        self, grid: spacing.StemGrid, rows: slice, sp: Indices, normals: Floats, index: int, shape: tuple[int, ...]
     ) -> Floats:
-        """1 in the cells below the crowns of a storey that has just been placed."""
-        height_m = heights_of(self._species, sp, grid.dbh[rows], normals, np.zeros(len(sp)))
+        """1 in the cells below the crowns of the storey `index`, which has just been placed."""
+        height_m = self._heights(sp, grid.dbh[rows], normals, np.zeros(len(sp)), np.full(len(sp), index))
         width_m = by_species(self._species, sp, height_m, normals, grid.dbh[rows]).crown_width_m
         position_m = np.stack([grid.x[rows], grid.y[rows]], axis=1)
         below = cover.crown_ratios(position_m, 0.5 * width_m, self._site, 1.0, periodic=self._periodic) <= 1.0
@@ -207,33 +227,42 @@ class StandBuilder:
         got = f"{asked / area_ha:,.0f} stems/ha"
         return RecipeError(problem, where=f"community.storeys.{index}", expected=expected, got=got, hint=hint)
 
-    def _scaled(self, height_m: Floats, sp: Indices, dbh_m: Floats, storey: Indices, *, check: bool) -> Floats:
-        """Heights of which each storey's thickest trees have its dominant height."""
-        scaled = height_m.copy()
+    def _heights(self, sp: Indices, dbh_m: Floats, normals: Floats, shift: Floats, storey: Indices) -> Floats:
+        """Heights of which each storey's thickest trees have its dominant height, and its species the same."""
+        height_m = heights_of(self._species, sp, dbh_m, normals, shift)
+        for index, one in enumerate(self._storeys):
+            rows, top = np.flatnonzero(storey == index), one.top_height_m
+            if not len(rows):
+                continue
+            thick = thickest(dbh_m[rows], self._site)
+            above_m = height_m[rows] - BREAST_HEIGHT_M
+            if len(one.species) > 1:
+                tall = rows[thick]
+                above_m *= level_factors(one, self._species, dbh_m[tall], shift[tall])[sp[rows]]
+            if top is not None:
+                above_m *= (top - BREAST_HEIGHT_M) / float(above_m[thick].mean())
+            height_m[rows] = BREAST_HEIGHT_M + above_m
+        return np.maximum(height_m, _LEAST_HEIGHT_M)
+
+    def _check_heights(self, height_m: Floats, sp: Indices, dbh_m: Floats, storey: Indices) -> None:
+        """Raise `RecipeError` for dominant heights that are too far from those by allometry, `height_m`."""
         for index, one in enumerate(self._storeys):
             rows, top = np.flatnonzero(storey == index), one.top_height_m
             if top is None or not len(rows):
                 continue
-            tall = rows[thickest(len(rows), self._site)]
+            tall = rows[thickest(dbh_m[rows], self._site)]
             mean = float(height_m[tall].mean())
             factor = (top - BREAST_HEIGHT_M) / (mean - BREAST_HEIGHT_M)
-            scaled[rows] = np.maximum(BREAST_HEIGHT_M + factor * (height_m[rows] - BREAST_HEIGHT_M), _LEAST_HEIGHT_M)
-            if not check:
-                continue
             deviation = deviation_of(self._species, sp[tall], height_m[tall], "height_m", np.ones(len(tall)))
             most = math.exp(MOST_DEVIATIONS * deviation)
-            if not 1.0 / most <= factor <= most:
-                low, high = (BREAST_HEIGHT_M + f * (mean - BREAST_HEIGHT_M) for f in (1.0 / most, most))
-                problem = "the dominant height and the diameters contradict each other"
-                expected = (
-                    f"{low:.3g} to {high:.3g} m: the thickest trees have {100 * dbh_m[tall].mean():.3g} cm at 1.3 m"
-                )
-                hint = (
-                    f"other stems_per_ha, basal_area_m2_per_ha or dbh; these diameters have {mean:.3g} m by allometry"
-                )
-                where = f"community.storeys.{index}"
-                raise RecipeError(problem, where=where, expected=expected, got=f"{top:.3g} m", hint=hint)
-        return scaled
+            if 1.0 / most <= factor <= most:
+                continue
+            low, high = (BREAST_HEIGHT_M + f * (mean - BREAST_HEIGHT_M) for f in (1.0 / most, most))
+            problem = "the dominant height and the diameters contradict each other"
+            expected = f"{low:.3g} to {high:.3g} m: the thickest trees have {100 * dbh_m[tall].mean():.3g} cm at 1.3 m"
+            hint = f"other stems_per_ha, basal_area_m2_per_ha or dbh; these diameters have {mean:.3g} m by allometry"
+            where = f"community.storeys.{index}"
+            raise RecipeError(problem, where=where, expected=expected, got=f"{top:.3g} m", hint=hint)
 
     def _with_neighbours(self, dbh_m: Floats, shift: Floats, storey: Indices) -> Floats:
         """Diameters that are by heights follow the neighbours too; a storey's basal area stays."""
@@ -247,13 +276,13 @@ class StandBuilder:
                     dbh_m[mine] *= math.sqrt(before / float(np.sum(dbh_m[mine] ** 2)))
         return dbh_m
 
-    def _check_order(self, height_m: Floats, storey: Indices) -> None:
+    def _check_order(self, height_m: Floats, dbh_m: Floats, storey: Indices) -> None:
         above = math.inf
         for index in range(len(self._storeys)):
             rows, where = np.flatnonzero(storey == index), f"community.storeys.{index}"
             if not len(rows):
                 continue
-            top = float(height_m[rows[thickest(len(rows), self._site)]].mean())
+            top = float(height_m[rows[thickest(dbh_m[rows], self._site)]].mean())
             if top > _TALLER * above:
                 problem, expected = "this storey is taller than the one above it", f"at most {above:.3g} m; or first"
                 raise RecipeError(problem, where=where, expected=expected, got=f"a dominant height of {top:.3g} m")
@@ -329,7 +358,7 @@ def measured(trees: StandTrees, storeys: int, site: Site, species: Ecologies, *,
                 "stems_per_ha": len(rows) / site.area_ha,
                 "basal_area_m2_per_ha": float(area.sum()) / site.area_ha,
                 "mean_dbh_cm": 100 * float(trees.dbh_m[rows].mean()),
-                "dominant_height_m": float(trees.height_m[rows[thickest(len(rows), site)]].mean()),
+                "dominant_height_m": float(trees.height_m[rows[thickest(trees.dbh_m[rows], site)]].mean()),
                 "clark_evans": nearest_index(trees.position_m[rows], site, periodic=periodic),
                 "share_of_basal_area": {one.name: float(s) for one, s in zip(species, shares, strict=True) if s},
             }

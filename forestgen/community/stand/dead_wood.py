@@ -15,16 +15,18 @@ The manual page of the stand model has the sources of the published amounts, `_A
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from forestgen.community.population import Floats, Indices, Site
+from forestgen.community.arrivals import radii_m
+from forestgen.community.population import Ecologies, Floats, Indices, Site
 from forestgen.community.stand import spacing
 from forestgen.community.stand.build import StandTrees
+from forestgen.community.static_model import Placement
 from forestgen.core.dead_wood import (
     CLASSES,
     DeadForm,
@@ -281,6 +283,29 @@ class _Ground:
         slope = (ground @ share) / (share @ share)
         off = ground - ground.mean(axis=1, keepdims=True) - slope[:, None] * share
         return np.asarray(np.abs(off).max(axis=1))
+
+
+def with_dead(living: Placement, dead: DeadTrees, species: Ecologies) -> Placement:
+    """The plants of a stand, and its dead after them."""
+    n, more = len(living.species), len(dead.species)
+    assert living.height_m is not None
+    assert living.age_yr is not None
+    unknown = np.full(more, np.nan)
+    known = {"dbh_m": dead.dbh_m}
+    sizes = {name: np.append(values, known.get(name, unknown)) for name, values in living.tree_sizes.items()}
+    return replace(
+        living,
+        species=np.concatenate([living.species, dead.species]),
+        position_m=np.concatenate([living.position_m, dead.position_m]),
+        radius_m=np.concatenate([living.radius_m, radii_m(species, dead.species, dead.height_m)]),
+        height_m=np.concatenate([living.height_m, dead.height_m]),
+        tree_sizes=sizes,
+        age_yr=np.concatenate([living.age_yr, np.zeros(more)]),
+        azimuth_deg=np.concatenate([np.full(n, np.nan), dead.azimuth_deg]),
+        dead=np.arange(n + more) >= n,
+        dead_form=np.concatenate([np.zeros(n, dtype=np.uint8), dead.form]),
+        decay_class=np.concatenate([np.zeros(n, dtype=np.uint8), dead.decay]),
+    )
 
 
 def dead_report(dead: DeadTrees, site: Site) -> dict[str, Any]:

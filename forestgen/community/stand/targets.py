@@ -15,6 +15,7 @@ from forestgen.community.stand.spacing import LEAST_R, MOST_R
 from forestgen.community.stand.tree_list import TALLEST_M
 from forestgen.core.compiled import compiled
 from forestgen.core.errors import RecipeError
+from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.recipe.fields import Name, NonNegative, Number, Positive, Section, violation
 from forestgen.recipe.tree_sizes import NUMBERS, TOP, TreeSizes
 
@@ -24,6 +25,7 @@ THICKEST_PER_HA = 100  # whose mean height is the dominant height
 INDEX_AGE_YR = 100
 _QUANTILES = 1000
 _LEAST_TOP_M = 1.5
+_SCATTER = 1.15  # of heights at one diameter: two standard deviations
 _SMALLEST = 0.2  # diameter of a normal distribution's thinnest tree over the mean
 _CURVES = {  # asymptote in metres, b, c: see `dominant_height_at`
     "spruce": (147.481, 4.64631, 0.29981),
@@ -37,7 +39,7 @@ class Dbh(Section):
     mean_cm: Positive | None = Field(None, le=500, description="Arithmetic mean; null: by the other targets.")
     cv: NonNegative = Field(0.25, le=1, description="Standard deviation over the mean.")
     law: Literal["weibull", "normal"] = Field(
-        "weibull", description="Two-parameter Weibull; or normal, without the trees below a fifth of the mean."
+        "weibull", description="Two-parameter Weibull; or normal, cut at a fifth of the mean; its cv is below 0.8."
     )
 
     def relative(self, uniform: Floats) -> Floats:
@@ -45,10 +47,29 @@ class Dbh(Section):
         if self.cv == 0:
             return np.ones(len(uniform))
         if self.law == "normal":
-            least = ndtr((_SMALLEST - 1.0) / self.cv)
-            return np.asarray(1.0 + self.cv * ndtri(np.maximum(least + (1.0 - least) * uniform, 1e-12)))
+            cut, scale = _cut_normal(self.cv)
+            least = ndtr(cut)
+            return np.asarray(_SMALLEST + scale * (ndtri(np.maximum(least + (1.0 - least) * uniform, 1e-300)) - cut))
         shape = _weibull_shape(self.cv)
         return np.asarray((-np.log1p(-uniform)) ** (1.0 / shape) / gamma(1.0 + 1.0 / shape))
+
+
+def _cut_normal(cv: float) -> tuple[float, float]:
+    """Where a standard normal distribution is cut below, and its scale: the rest, from `_SMALLEST` on, has mean 1 and
+    this coefficient of variation.
+    """
+    from scipy.optimize import brentq  # slow to import
+
+    def scale(cut: float) -> tuple[float, float]:
+        """The scale for the mean, and the standard deviation that follows."""
+        ahead = np.exp(-(cut**2) / 2) / np.sqrt(2 * np.pi) / ndtr(-cut)  # mean of a standard normal number beyond it
+        factor = (1.0 - _SMALLEST) / (ahead - cut)
+        return factor, factor * np.sqrt(1.0 + cut * ahead - ahead**2)
+
+    low, high = -(1.0 - _SMALLEST) / max(cv, 1e-4), 5.0
+    spread = min(cv, scale(high)[1])
+    cut = brentq(lambda one: scale(one)[1] - spread, 1.5 * low, high)
+    return float(cut), float(scale(cut)[0])
 
 
 def _weibull_shape(cv: float) -> float:
@@ -184,9 +205,7 @@ def _mean_by_height(storey: Storey, species: Ecologies, per_stem: float, where: 
     relative = np.sort(storey.dbh.relative(_middles(_QUANTILES)))[::-1]
     stems, mean = storey.stems_per_ha or 500.0, 0.2
     known_m = np.geomspace(1e-4, 50.0, _QUANTILES)
-    none = np.zeros((len(known_m), NUMBERS))
-    heights_m = sum(share * laws_of(species, name).height_of(known_m, none) for name, share in storey.species.items())
-    heights_m = np.asarray(heights_m) / sum(storey.species.values())
+    heights_m = _mean_heights_m(storey, species, known_m)
     if top > TOP * heights_m[-1]:
         problem, expected = "trees of these species are not so tall", f"at most {TOP * heights_m[-1]:.3g} m"
         hint = "give stems_per_ha and a dbh too; or raise tree.tallest_m in the species' files"
@@ -202,6 +221,23 @@ def _mean_by_height(storey: Storey, species: Ecologies, per_stem: float, where: 
             break
         stems = storey.basal_area_m2_per_ha / (per_stem * mean**2)
     return mean
+
+
+def _mean_heights_m(storey: Storey, species: Ecologies, dbh_m: Floats) -> Floats:
+    """(N,) heights of trees of (N,) diameters, the mean of the storey's species by their shares."""
+    none = np.zeros((len(dbh_m), NUMBERS))
+    heights = [share * laws_of(species, name).height_of(dbh_m, none) for name, share in storey.species.items()]
+    return np.asarray(sum(heights)) / sum(storey.species.values())
+
+
+def height_range_m(storey: Storey, species: Ecologies, where: str) -> tuple[float, float]:
+    """Least and greatest height, metres, of nearly all trees of a storey."""
+    found = stocking(storey, species, where)
+    thick = 1.0 - 0.5 * min(1.0, THICKEST_PER_HA / found.stems_per_ha)  # in the middle of the thickest
+    dbh_m = found.mean_dbh_m * storey.dbh.relative(np.array([0.01, thick, 0.99]))
+    low, dominant, high = (_mean_heights_m(storey, species, dbh_m) - BREAST_HEIGHT_M).tolist()
+    scale = 1.0 if storey.top_height_m is None else (storey.top_height_m - BREAST_HEIGHT_M) / dominant
+    return BREAST_HEIGHT_M + scale * low / _SCATTER, BREAST_HEIGHT_M + scale * high * _SCATTER
 
 
 def laws_of(species: Ecologies, name: str) -> TreeSizes:

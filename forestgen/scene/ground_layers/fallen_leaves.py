@@ -34,7 +34,7 @@ from forestgen.scene.ground_layers.layer import (
 )
 from forestgen.scene.surfaces import surface_of
 
-_CURLS_DEG, _FOLDS_DEG = (-55.0, -20.0, 25.0, 70.0), (12.0, 4.0, 28.0, 40.0)
+_CURLS_DEG, _FOLDS_DEG = (-35.0, -8.0, 14.0, 45.0), (12.0, 3.0, 18.0, 30.0)
 _SHADES = (0.3, 0.45, 0.62, 0.85)  # old leaves are half rotten
 _TRAPPED = 0.42
 _LEAST_SHARE = 0.03  # of the leaf area: rarer species leave nothing that one sees
