@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from forestgen.community.population import Population
-from forestgen.community.simulation import counts_of, final_population, lifeless_note, snapshots, standing_dead
+from forestgen.community.simulation import counts_of, dead_plants, final_population, lifeless_note, snapshots
 from forestgen.community.summary import SimulationSummary
 from forestgen.core.progress import Progress, Timings
 from forestgen.dataset.folder import OutputFolder
@@ -193,7 +193,7 @@ class _ImageRenderer:
             "seed": scene.drawn.image_seed,
             "view": scene.drawn.recipe.dataset.view,  # of its previews
             "counts": counts_of(scene.population),
-            "standing_dead": standing_dead(scene.population),
+            "dead": dead_plants(scene.population),
             "visible_plants": visible_plants,
             "stand": None if stand is None else stand.as_dict(),
             "triangles": sum(exemplar.triangles for exemplar in scene.spec.exemplars),
@@ -205,8 +205,8 @@ class _ImageRenderer:
         scene, population = self.scene, self.scene.population
         if not len(population):
             yield f"{name} shows bare ground: {lifeless_note(scene.plan.community, population)}"
-        elif standing_dead(population) == len(population):
-            yield f"{name} shows no living plant: all are standing dead trees"
+        elif dead_plants(population) == len(population):
+            yield f"{name} shows no living plant: all are dead"
         if len(population) and not labelled.views.visible.has_box.any():
             below = labelled.frame.camera.name in scene.plan.views.below_ground
             yield f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}"

@@ -34,6 +34,7 @@ BARKS = {
     "wood/snag": ((0.215, 0.200, 0.178), "wood"),
     "wood/bare": ((0.235, 0.215, 0.190), "wood"),
     "wood/end_grain": ((0.360, 0.260, 0.155), "wood"),
+    "wood/moss": ((0.062, 0.074, 0.022), "stem"),
     "stems/bracken_stipe": ((0.140, 0.135, 0.055), "stem"),
     "stems/bramble_cane": ((0.135, 0.070, 0.050), "stem"),
     "stems/daisy_stalk": ((0.080, 0.120, 0.045), "stem"),

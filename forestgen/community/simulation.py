@@ -233,7 +233,7 @@ def counts_of(population: Population) -> dict[str, int]:
     return {name: int((population.species == index).sum()) for index, name in enumerate(population.species_names)}
 
 
-def standing_dead(population: Population) -> int:
+def dead_plants(population: Population) -> int:
     """How many plants are dead."""
     return int((population.status == Status.DEAD).sum())
 
@@ -242,6 +242,6 @@ def lifeless_note(plan: CommunityPlan, plants: Population) -> str | None:
     """What people should know of a stand in which nothing lives; None: something does."""
     if not len(plants):
         return plan.empty_reason or f"no plant lives on the site at step {plan.steps}"
-    if standing_dead(plants) == len(plants):
-        return f"all plants at step {plan.steps} are standing dead trees: none lives"
+    if dead_plants(plants) == len(plants):
+        return f"all plants at step {plan.steps} are dead trees: none lives"
     return None

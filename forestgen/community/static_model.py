@@ -5,9 +5,9 @@ of `CommunityModel`: steps, snapshots, resuming, disturbances, memory. A step of
 nothing else: plants neither grow, compete, arrive nor die. Only disturbances (`community.disturbances`) add or remove
 plants. A `GrowingModel` also says what a step does to plants (`change`).
 
-A model that knows sizes of its trees, or which of them stand dead, sets `knows_trees` and returns them as `tree_sizes`
-and `dead`. What it does not say follows from a tree's height and neighbours (`tree_columns`), and from its new height
-where a step changed that.
+A model that knows sizes of its trees, or which of them are dead, sets `knows_trees` and returns them as `tree_sizes`
+and `dead`, with `dead_form` and `decay_class`. What it does not say follows from a tree's height and neighbours
+(`tree_columns`), and from its new height where a step changed that.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from forestgen.community.model import CommunityParameters
 from forestgen.community.population import Ecologies, Floats, Population, Site, SpeciesEcology, Status
 from forestgen.community.snapshot_checks import ImpossibleValueError, Limits, check_columns, check_finite
 from forestgen.community.tree_columns import COLUMNS
+from forestgen.core.dead_wood import CLASSES, UNKNOWN_CLASS, DeadForm
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Whole
@@ -43,7 +44,7 @@ class StaticParameters(CommunityParameters):
 P = TypeVar("P", bound=StaticParameters)
 TreeColumns = Mapping[str, Floats]  # name of `tree_columns.COLUMNS` -> (N,), NaN where it is not known
 _RANGES = dict(zip(COLUMNS, ("above 0", "above 0", "from 0 to the height", "of at least 0"), strict=True))
-_OF_TREES = ("dead", "age_yr", "azimuth_deg")
+_OF_TREES = ("dead", "age_yr", "azimuth_deg", "dead_form", "decay_class")
 
 
 @dataclass(frozen=True)
@@ -57,13 +58,15 @@ class Placement:
     notes: tuple[str, ...] = ()  # for users, such as that not all plants found a place
     found: Mapping[str, Any] = field(default_factory=dict)  # what the model worked out, as in JSON; keys: `state_keys`
     tree_sizes: TreeColumns = field(default_factory=dict)  # (N,) each of `tree_columns.COLUMNS` that the model knows
-    dead: NDArray[np.bool_] | None = None  # (N,) standing dead trees; None: all live
+    dead: NDArray[np.bool_] | None = None  # (N,) dead trees; None: all live
     age_yr: Floats | None = None  # (N,) None: 0
-    azimuth_deg: Floats | None = None  # (N,) turn about the vertical; NaN: random
+    azimuth_deg: Floats | None = None  # (N,) turn about the vertical, or where what lies points; NaN: random
+    dead_form: NDArray[np.integer] | None = None  # (N,) `core.dead_wood.DeadForm` of the dead; None: they stand
+    decay_class: NDArray[np.integer] | None = None  # (N,) 1 to 5 of the dead; None: `UNKNOWN_CLASS`
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tree_sizes", {key: np.asarray(one) for key, one in self.tree_sizes.items()})
-        for name in ("species", "position_m", "radius_m", "height_m", "dead", "age_yr", "azimuth_deg"):
+        for name in ("species", "position_m", "radius_m", "height_m", *_OF_TREES):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.asarray(getattr(self, name)))
         n, found = self.species.size, {"position_m": self.position_m, **self.tree_sizes}
@@ -94,7 +97,8 @@ class Plants(CirclePlants):
     azimuth_deg: Floats  # (N,) turn about the vertical, clockwise from above
     first_age_yr: Floats  # (N,) at the step of arrival
     tree_sizes: Floats  # (N, 4) `tree_columns.COLUMNS`, NaN where unknown
-    dead: NDArray[np.bool_]  # (N,)
+    dead_form: NDArray[np.uint8]  # (N,) `core.dead_wood.DeadForm`, 0 of the living
+    decay_class: NDArray[np.uint8]  # (N,) 1 to 5; 0 of the living
 
 
 @dataclass(frozen=True)
@@ -131,6 +135,9 @@ def _plants_of(
         height_m = heights_m(species, placed.species, placed.radius_m)
     if placed.azimuth_deg is not None:
         azimuth_deg = np.where(np.isnan(placed.azimuth_deg), azimuth_deg, placed.azimuth_deg)
+    dead = np.zeros(n, dtype=np.bool_) if placed.dead is None else placed.dead
+    form = DeadForm.STANDING if placed.dead_form is None else placed.dead_form
+    decay = UNKNOWN_CLASS if placed.decay_class is None else placed.decay_class
     return Plants(
         x_m=np.ascontiguousarray(placed.position_m, dtype=np.float64),
         r_m=np.ascontiguousarray(placed.radius_m, dtype=np.float64),
@@ -139,7 +146,8 @@ def _plants_of(
         azimuth_deg=azimuth_deg,
         first_age_yr=np.zeros(n) if placed.age_yr is None else placed.age_yr.astype(np.float64),
         tree_sizes=_sizes_of(placed.tree_sizes, unknown_sizes(n)),
-        dead=np.zeros(n, dtype=np.bool_) if placed.dead is None else placed.dead,
+        dead_form=np.where(dead, form, 0).astype(np.uint8),
+        decay_class=np.where(dead, decay, 0).astype(np.uint8),
         plant_id=ids,
         born=np.full(n, step, dtype=np.int32),
     )
@@ -177,16 +185,18 @@ class FixedPopulation(Generic[P]):
         columns: dict[str, NDArray[Any]] = {"azimuth_deg": turn, "first_age_yr": age, "first_step": plants.born}
         if self.knows_trees:
             columns |= dict(zip(COLUMNS, np.ascontiguousarray(plants.tree_sizes.T), strict=True))
+            columns |= {"dead_form": plants.dead_form, "decay_class": plants.decay_class}
         snapshot = plants.population(
             state.species, state.step, state.parameters.step_yr, state.next_id, None, columns, plants.height_m
         )
         about = {**snapshot.state, "notes": list(state.notes), **state.found}
-        status = np.where(plants.dead, np.uint8(Status.DEAD), snapshot.status)
+        status = np.where(plants.dead_form > 0, np.uint8(Status.DEAD), snapshot.status)
         return replace(snapshot, age_yr=age + snapshot.age_yr, status=status, state=about)
 
     def resume(self, parameters: P, site: Site, species: Ecologies, seed: int, population: Population) -> State:
         """The state of a snapshot."""
         columns, circles = population.columns, CirclePlants.columns_of(population, parameters.step_yr)
+        zeros = np.zeros(len(population), dtype=np.uint8)
         plants = Plants(
             **{**circles, "born": columns["first_step"]},
             height_m=population.height_m,
@@ -197,7 +207,8 @@ class FixedPopulation(Generic[P]):
                 if self.knows_trees
                 else unknown_sizes(len(population))
             ),
-            dead=population.status == Status.DEAD,
+            dead_form=columns.get("dead_form", zeros),
+            decay_class=columns.get("decay_class", zeros),
         )
         found = dict(population.state)
         next_id, notes = int(found.pop("next_id")), tuple(found.pop("notes", ()))
@@ -213,6 +224,7 @@ class FixedPopulation(Generic[P]):
         }
         if self.knows_trees:
             own |= {name: Limits("f8", 0, nan=True) for name in COLUMNS}
+            own |= {"dead_form": Limits("u1", 0, max(DeadForm)), "decay_class": Limits("u1", 0, CLASSES)}
         check_columns(population, own)
         known = ("next_id", "notes", *self.state_keys)
         for key, value in population.state.items():
@@ -365,6 +377,10 @@ def _check_trees(placed: Placement, species: Ecologies, name: str) -> None:
             _refuse(name, expected, f"{values[row]:g} of {species[placed.species[row]].name}, {height_m[row]:g} m tall")
     if placed.dead is not None and placed.dead.dtype != np.bool_:
         _refuse(name, "dead as true or false", str(placed.dead.dtype))
+    for key, most in (("dead_form", max(DeadForm)), ("decay_class", CLASSES)):
+        values, dead = getattr(placed, key), placed.dead
+        if values is not None and (dead is None or not np.all((values[dead] >= 1) & (values[dead] <= most))):
+            _refuse(name, f"{key} from 1 to {most}, of trees that are dead", "others")
     if placed.age_yr is not None and not np.all(np.isfinite(placed.age_yr) & (placed.age_yr >= 0)):
         _refuse(name, "age_yr of at least 0", f"{np.min(placed.age_yr):g}")
     if placed.azimuth_deg is not None and np.isinf(placed.azimuth_deg).any():

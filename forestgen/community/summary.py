@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from forestgen.community.population import Population, count_by_species, stems_by_species
-from forestgen.community.simulation import CommunityPlan, counts_of, standing_dead
+from forestgen.community.simulation import CommunityPlan, counts_of, dead_plants
 from forestgen.core.figures import count, seconds, table_lines
 from forestgen.core.frames import BREAST_HEIGHT_M
 
@@ -44,9 +44,9 @@ class SimulationSummary:
         return len(self._plants)
 
     @property
-    def standing_dead(self) -> int:
+    def dead(self) -> int:
         """How many of the plants are dead."""
-        return standing_dead(self._plants)
+        return dead_plants(self._plants)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -80,7 +80,7 @@ class SimulationSummary:
     def lines(self, *, verbose: bool = False) -> Iterator[str]:
         """For people; `verbose`: with all notes."""
         kinds = ", ".join(f"{number:,} {name}" for name, number in self.counts.items())
-        dead = f", {self.standing_dead:,} of them standing dead" if self.standing_dead else ""
+        dead = f", {self.dead:,} of them dead" if self.dead else ""
         yield f"{count(self.plants, 'plant')} ({kinds}){dead}"
         yield from self._stem_lines()
         if self.biome:

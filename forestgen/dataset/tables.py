@@ -9,9 +9,12 @@ or nothing there. How the image's columns are defined stands in `forestgen.label
 | plant_id | uint32 | the key of all files | |
 | species | string | name in the recipe | |
 | x_m, y_m, z_m | double | where it stands | |
-| height_m, radius_m | double | the community's height and radius of the ecological neighbourhood | |
+| height_m | double | the community's height; of a tree that lies, its length | |
+| radius_m | double | of the ecological neighbourhood | |
 | age_yr | double | | |
 | status | uint8 | `forestgen.community.population.Status`; names are in the file's metadata | |
+| dead_form | uint8 | a dead tree is 1 standing, 2 uprooted, 3 snapped, 4 a stump | alive, or unknown |
+| decay_class | uint8 | of a dead tree, 1 to 5 | alive, or unknown |
 | outside | bool | a copy beyond the site's edge that the image shows; all rows but these are the stand | |
 | adaptation | double | how well climate and soil water suit it, 0 to 1, in its last step | of models without |
 | exemplar | uint32 | which of the modelled plants stands for it | |
@@ -82,6 +85,7 @@ def plants_table(labelled: LabelledFrame) -> Any:
         **{f"{axis}_m": _numbers(population.position_m[:, i]) for i, axis in enumerate("xyz")},
         **_attributes(population, "height_m", "radius_m", "age_yr"),
         "status": _column("uint8", population.status),
+        **{name: _known(population.columns.get(name), len(population)) for name in ("dead_form", "decay_class")},
         "outside": _column("bool", labelled.outside),
         "adaptation": _numbers(np.asarray(adaptation, dtype=np.float64)),
         "exemplar": _column("uint32", labelled.measures.exemplar),
@@ -104,6 +108,12 @@ def plants_table(labelled: LabelledFrame) -> Any:
             columns[f"{name}_{symbol}_px"] = _numbers(views.keypoint_px[:, k, axis])
         columns[f"{name}_state"] = _column("uint8", views.keypoint_state[:, k])
     return pa.table(columns, metadata={"forestgen.status": json.dumps(STATUS_NAMES)})
+
+
+def _known(values: NDArray[np.uint8] | None, count: int) -> Any:
+    """A column of small numbers; 0 is null."""
+    found = np.zeros(count, dtype=np.uint8) if values is None else values
+    return _column("uint8", found, found == 0)
 
 
 def _attributes(of: Any, *names: str) -> dict[str, Any]:

@@ -16,7 +16,8 @@
 Storeys: upper from 2/3 of the mean height of the stand's 100 thickest plants a hectare on, lower below 1/3, middle
 between them (IUFRO; Leibundgut 1956). A stand without a stem at 1.3 m has none. A plant of several stems counts as one
 stem of their basal area. Crowns that reach over the edge of a site that repeats cover its other side. Dead trees are
-counted alone. Foresters' definitions: Pretzsch 2009, Forest Dynamics, Growth and Yield, sections 8.1 to 8.4.
+counted alone: those that stand, those that lie with the volume of their stems on the ground, and stumps. Foresters'
+definitions: Pretzsch 2009, Forest Dynamics, Growth and Yield, sections 8.1 to 8.4.
 
 The profile is leaf area density, m2/m3, by height above the plants' stem bases; what hangs lower counts in the lowest
 layer.
@@ -45,6 +46,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.community.population import Status
+from forestgen.core.dead_wood import DeadForm, are_lying
 from forestgen.core.figures import table_lines, three_digits
 from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.progress import Progress, Timings
@@ -67,6 +69,7 @@ _DOMINANT_PER_HA = 100
 _LEAST_DBH_M = 0.01  # of plants in the picture: tall herbs have stems too
 _RAYS = 16_384  # on the site; where nothing repeats it, those beyond its edges come on top
 _LAYERS_M, _FEWEST_LAYERS = (1.0, 0.5, 0.2, 0.1, 0.05), 15
+_DEAD = ("standing_dead_per_ha", "lying_dead_per_ha", "lying_dead_m3_per_ha", "stumps_per_ha")
 _HEADS = ("stems/ha", "BA m2/ha", "Dq cm", "H m", "Hdom m", "H/D", "V m3/ha", "AGB t/ha", "LAI", "cover %")
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -108,6 +111,9 @@ class StandTable(Reading):
     site_ha: float
     min_dbh_cm: float
     standing_dead_per_ha: float
+    lying_dead_per_ha: float
+    lying_dead_m3_per_ha: float  # of stems, over bark
+    stumps_per_ha: float
     layer_edges_m: Floats  # (K + 1,) above the stem bases
     leaf_area_density: Mapping[str, Floats]  # species -> (K,) m2/m3
     dbh_m: Floats  # (M,) of the living plants of 1 cm and more, whose heights are drawn
@@ -133,9 +139,19 @@ class StandTable(Reading):
         yield f"storeys: from 2/3, 1/3 of the mean height of the {_DOMINANT_PER_HA} thickest plants a hectare on"
         yield "AGB (dry biomass above the ground), LAI (one side of the leaves): all plants, also those without a DBH"
         yield f"cover: vertical rays that meet a plant above {BREAST_HEIGHT_M} m; one ray may meet several rows"
-        if self.standing_dead_per_ha:
-            yield f"besides: {self.standing_dead_per_ha:,.0f} standing dead plants/ha"
+        yield from self._dead_lines()
         yield from (f"note: {one}" for one in self.notes)
+
+    def _dead_lines(self) -> Iterator[str]:
+        found = []
+        if self.standing_dead_per_ha:
+            found.append(f"{self.standing_dead_per_ha:,.0f} standing dead plants/ha")
+        if self.lying_dead_per_ha:
+            found.append(f"{self.lying_dead_per_ha:,.0f} lying/ha, stems of {self.lying_dead_m3_per_ha:.1f} m3/ha")
+        if self.stumps_per_ha:
+            found.append(f"{self.stumps_per_ha:,.0f} stumps/ha")
+        if found:
+            yield f"besides: {'; '.join(found)}"
 
     def _shown(self) -> Iterator[StandRow]:
         """Without sums of one."""
@@ -150,7 +166,7 @@ class StandTable(Reading):
         return {
             "site_ha": self.site_ha,
             "min_dbh_cm": self.min_dbh_cm,
-            "standing_dead_per_ha": self.standing_dead_per_ha,
+            **{name: getattr(self, name) for name in _DEAD},
             "notes": list(self.notes),
             "rows": [{"species": one.species, "storey": one.storey, **one.figures()} for one in self.rows],
             "profile": {
@@ -209,7 +225,7 @@ def stand_table(
         rows=tuple(_rows(plants, met)),
         site_ha=plants.site_ha,
         min_dbh_cm=min_dbh_cm,
-        standing_dead_per_ha=float(plants.dead.sum()) / plants.site_ha,
+        **_dead_amounts(scene, own, plants),
         layer_edges_m=edges_m,
         leaf_area_density=density,
         dbh_m=plants.dbh_m[stems],
@@ -218,6 +234,16 @@ def stand_table(
         colours={name: one.map_colour for name, one in scene.drawn.species.items() if one.map_colour},
         notes=scene.notes,
     )
+
+
+def _dead_amounts(scene: BuiltScene, own: Instances, plants: _Plants) -> dict[str, float]:
+    """Of dead trees, by the names of `_DEAD`; lying stems by the geometry that is rendered."""
+    form = scene.population.columns.get("dead_form", np.where(plants.dead, DeadForm.STANDING, 0))
+    lying_m3 = np.array([one.lying_m3 for one in scene.spec.exemplars])[own.exemplar]
+    volume = float(np.sum(lying_m3 * np.abs(np.linalg.det(own.transform[:, :, :3]))))
+    dead = form[plants.dead]
+    numbers = (np.sum(dead == DeadForm.STANDING), np.sum(are_lying(dead)), volume, np.sum(dead == DeadForm.STUMP))
+    return {name: float(one) / plants.site_ha for name, one in zip(_DEAD, numbers, strict=True)}
 
 
 @dataclass(frozen=True)

@@ -84,9 +84,8 @@ def build_exemplar(
         height_m, width_m = size_m(species, radius_m) if tree is None else (tree.height_m, tree.crown_width_m)
         skeleton, level_rng = _grown(species_name, plant, height_m, width_m, rng, tree)
     else:
-        clothing_rng, level_rng = rng.spawn(2)
         height_m, width_m = max(wood.height_m, 0.01), float(np.ptp(wood.position_m[:, :2], axis=0).max())
-        skeleton = GENERATORS.load(plant.generator).clothe(plant, wood, height_m, clothing_rng)
+        skeleton, level_rng = _clothed(plant, wood, height_m, rng)
     _check_grown(species_name, skeleton)
     templates = plant.templates()
     if tree is None:
@@ -104,8 +103,8 @@ def build_exemplar(
         skeleton = with_leaves(skeleton, plant.shapes, leaves, rng.spawn(1)[0])
     seen = simplified(skeleton, templates, pixel_m, level_rng)
     organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=pixel_m)
-    _check_materials(species_name, organs, species.materials)
-    low, high = _box(organs, species_name)
+    check_materials(species_name, organs, species.materials)
+    low, high = box_of(organs, species_name)
     top_m = max(float(high[2]), in_leaf_m)
     _check_fitted(species_name, plant.fit, top_m, height_m)
     return Exemplar(
@@ -133,6 +132,25 @@ def _grown(
     _check_grown(species_name, skeleton)
     placed = plant.place_foliage(skeleton, height_m, foliage_rng)
     return replace(skeleton, organs=(*skeleton.organs, *placed)), level_rng
+
+
+def _clothed(
+    plant: Any, wood: ModuleWood, height_m: float, rng: np.random.Generator
+) -> tuple[Skeleton, np.random.Generator]:
+    clothing_rng, level_rng = rng.spawn(2)
+    return GENERATORS.load(plant.generator).clothe(plant, wood, height_m, clothing_rng), level_rng
+
+
+def grown_tree(
+    species_name: str, plant: Any, tree: TreeSize, rng: np.random.Generator, wood: ModuleWood | None
+) -> tuple[Skeleton, np.random.Generator]:
+    """A tree in leaf, before the fit; and the generator of its levels of detail. `wood`: see `build_exemplar`."""
+    if wood is None:
+        found = _grown(species_name, plant, tree.height_m, tree.crown_width_m, rng, tree)
+    else:
+        found = _clothed(plant, wood, max(wood.height_m, 0.01), rng)
+    _check_grown(species_name, found[0])
+    return found
 
 
 def estimate_triangles(plant: Any, wood: ModuleWood, rng: np.random.Generator) -> int:
@@ -168,7 +186,7 @@ def leaf_area_m2(organs: Iterable[OrganMesh], shapes: Mapping[str, OrganForm]) -
     return sum(surface_area_m2(one.mesh) for one in blades)
 
 
-def _box(organs: tuple[OrganMesh, ...], species_name: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+def box_of(organs: tuple[OrganMesh, ...], species_name: str) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     if not organs:
         where, hint = f"species {species_name}: plant", "thicker stems or larger organs"
         raise RecipeError("nothing of the plant is large enough to be seen", where=where, hint=hint)
@@ -188,7 +206,7 @@ def _check_fitted(species_name: str, how: Fit, made_m: float, wanted_m: float) -
         raise RecipeError(problem, where=f"species {species_name}: plant", expected=expected, hint=hint)
 
 
-def _check_materials(species_name: str, organs: tuple[OrganMesh, ...], materials: Mapping[str, object]) -> None:
+def check_materials(species_name: str, organs: tuple[OrganMesh, ...], materials: Mapping[str, object]) -> None:
     for organ in organs:
         if organ.material not in materials:
             where, expected = f"species {species_name}: plant", "one of " + ", ".join(materials)

@@ -37,6 +37,7 @@ class Exemplar:
     leaf_area_m2: float  # one side of all blades, petioles of the blade's own material included
     wood_volume_m3: float  # of the skeleton, see `Skeleton.volume_m3`
     is_unique: bool = False  # of one plant alone, with that plant's own branches
+    lying_m3: float = 0.0  # volume of a dead tree's stem that lies on the ground
 
     @property
     def triangles(self) -> int:

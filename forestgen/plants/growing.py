@@ -18,11 +18,13 @@ from typing import Any
 
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import BoundedCache, DiskCache, cache_root, code_hash
+from forestgen.core.dead_wood import DeadTree
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.core.threads import cores
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.build import build_exemplar, size_m
+from forestgen.plants.dead_exemplar import build_dead
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood, wood_key
 from forestgen.plants.registry import GENERATORS, clothes_modules
@@ -53,6 +55,7 @@ class ExemplarRequest:
     wood: ModuleWood | None = None  # branches that its community grew; None: the generator grows it by the radius
     tree: TreeSize | None = None  # its sizes; None: height and width by the radius
     leaves: LeafState = SUMMER  # that it has; their colour is its materials'
+    dead: DeadTree | None = None  # what is left of the tree, whose sizes are those of when it lived; None: it lives
     is_kept: bool = True  # on disk: other runs may ask for the same
     is_shared: bool = False  # in memory: this process' next images may ask for the same
 
@@ -75,6 +78,7 @@ class ExemplarRequest:
             "level": {"pixel_m": self.pixel_m},
             "wood": None if self.wood is None else wood_key(self.wood),
             "tree": None if self.tree is None else [repr(one) for one in astuple(self.tree)],
+            "dead": None if self.dead is None else [int(self.dead.form), self.dead.decay],
             "leaves": [self.leaves.share, self.leaves.size, self.leaves.flowers],
             "code": code_hash(_SOURCES, _COMPUTE_WITH),
         }
@@ -111,6 +115,9 @@ def grow_exemplar(request: ExemplarRequest) -> Exemplar:
         wood = GENERATORS.load(plant.generator).wood_alone(name, species, size, seed)
         plant = plant.model_copy(update={"fit": "scale_all"})  # leaves reach beyond the wood
     rng = child_rng(request.seed, *request.identity)
+    if request.dead is not None and request.tree is not None:
+        own: dict[str, Any] = {"radius_m": request.radius_m, "pixel_m": request.pixel_m, "wood": wood}
+        return build_dead(name, species, plant, request.dead, request.tree, rng, **own)
     how: dict[str, Any] = {"pixel_m": request.pixel_m, "wood": wood, "leaves": request.leaves, "tree": request.tree}
     return build_exemplar(name, species, plant, request.radius_m, rng, **how)
 

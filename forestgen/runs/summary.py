@@ -102,7 +102,7 @@ def _image_lines(summary: RunSummary, last: JobRecord) -> Iterator[str]:
     if summary.made > 1:
         yield f"image {last.image}:"
     kinds = ", ".join(f"{number:,} {name}" for name, number in counts.items())
-    dead = f", {report['standing_dead']:,} of them standing dead" if report.get("standing_dead") else ""
+    dead = f", {report['dead']:,} of them dead" if report.get("dead") else ""
     seen = f"; {report.get('visible_plants', 0):,} of them in view"
     yield f"{count(sum(counts.values()), 'plant')} ({kinds}){dead}{seen}"
     errors = [row.get("relative_error") for row in last.rows]

@@ -22,6 +22,7 @@ from forestgen.scene.exemplars import SizeError
 from forestgen.scene.ground_cover import ground_cover
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
 from forestgen.scene.leaf_variation import vary_leaves
+from forestgen.scene.lying import laid_along_y, lying_plants, on_the_ground
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, wetness_of
@@ -84,12 +85,13 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
     with timer("clouds"):
         clouds = cloud_source_of(drawn).grid(CloudRequest(drawn, plan.views.lowest_m, progress, stand, simulated))
     with timer("scene"):
+        lying = lying_plants(population)
         instances = place_instances(
             stand.obstacles.turned(population),
             chosen.exemplar_of_plant,
             exemplars,
             drawn.image_seed,
-            stands_for_m=chosen.stands_for(population.height_m),
+            stands_for_m=np.where(chosen.dead > 0, chosen.tree[:, 0], chosen.stands_for(population.height_m)),
             tree=chosen.tree,
             is_unique=chosen.is_unique,
         )
@@ -97,6 +99,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         site = SurroundedStand.of(population, instances, exemplars, base_materials)
         labelled = recipe.site.surroundings.labelled
         around = surrounded(site, layers, plan.views.height, drawn.image_seed, labelled)
+        around = _on_slopes(around, lying, population.height_m, plan.views.height)
+        population = replace(population, position_m=around.population.position_m[: len(population)])
         trunks = Trunks(exemplars, around.plants)
         views = drawn_cameras(drawn, trunks)
         rng = child_rng(drawn.image_seed, "terrain", "colour")
@@ -125,6 +129,17 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
     errors = errors_of_sizes(plan, population, chosen, exemplars)
     repeated = around.source[: len(around.plants)] if recipe.site.surroundings.kind == "repeat" else None
     return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population, repeated)
+
+
+def _on_slopes(
+    around: SurroundedStand, lying: NDArray[np.bool_], length_m: NDArray[np.float64], height: HeightField
+) -> SurroundedStand:
+    """With fallen trees, of the site and near it, on the slope of their ground. `length_m`: (N,) of the site's."""
+    near, known = around.source[: len(around.plants)], len(around.population)
+    instances = on_the_ground(around.instances, lying[near], length_m[near], height)
+    position_m = around.population.position_m.copy()
+    position_m[:, 2] = np.where(lying[near[:known]], instances.transform[:known, 2, 3], position_m[:, 2])
+    return replace(around, instances=instances, population=replace(around.population, position_m=position_m))
 
 
 def _sway(
@@ -199,12 +214,13 @@ def place_instances(
     plant's own angle.
 
     The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it; a community
-    that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not.
+    that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not. A
+    tree that lies points there.
 
     Parameters
     ----------
-    stands_for_m : (E,) height of the plant whose own branches an exemplar has; NaN or None: the exemplar's height is
-        that of its plants.
+    stands_for_m : (E,) height of the plant whose own branches an exemplar has, or of the dead tree that it is; NaN or
+        None: the exemplar's height is that of its plants.
     tree : (E, 5) sizes that trees were built to, see `ExemplarPlan.tree`; None: there are none.
     is_unique : (E,) exemplars of one plant alone, whose branches know their neighbours: neither turned nor scaled.
     """
@@ -227,5 +243,7 @@ def place_instances(
     transform[:, :, :3] = np.array([[cos, -sin, zero], [sin, cos, zero], [zero, zero, scale]]).transpose(2, 0, 1)
     transform[:, :, 3] = population.position_m
     return Instances(
-        exemplar=exemplar_of_plant.astype(np.uint32), transform=transform, plant_id=population.plant_id.copy()
+        exemplar=exemplar_of_plant.astype(np.uint32),
+        transform=laid_along_y(transform, lying_plants(population)),
+        plant_id=population.plant_id.copy(),
     )

@@ -25,6 +25,7 @@ class ExemplarPlan:
     rank: Ints  # (E,) of its cluster among the species', by radius: 0, 1, ...; of a library, its rung
     variant: Ints  # (E,) which of the plants of that size
     level: Ints  # (E,) index of its level of detail, see plants/levels.py: 0 is all detail
+    dead: Ints  # (E,) form and decay class, see `core.dead_wood.dead_codes`; 0: it lives
     leaves: Ints  # (E,) index of its leaves among the species' `phenology.leaf_states`
     exemplar_of_plant: NDArray[np.uint32]  # (N,) index into the exemplars
     plant: Ints  # (E,) row of the plant whose own branches it has; -1: its species' generator grows it by its radius
@@ -43,6 +44,7 @@ class ExemplarPlan:
         rank: Ints | None = None,
         plant: Ints | None = None,
         tree: Floats | None = None,
+        dead: Ints | None = None,
         unique: int = 0,
     ) -> ExemplarPlan:
         """Exemplars of one species, variant 0 with all detail; the first `unique` are of one plant alone."""
@@ -55,6 +57,7 @@ class ExemplarPlan:
             rank=np.arange(count) if rank is None else rank,
             variant=zeros,
             level=zeros,
+            dead=zeros if dead is None else dead,
             leaves=zeros,
             exemplar_of_plant=exemplar_of_plant.astype(np.uint32),
             plant=zeros - 1 if plant is None else plant,
@@ -86,7 +89,7 @@ class ExemplarPlan:
         return ExemplarPlan(**columns, exemplar_of_plant=chosen.reshape(-1).astype(np.uint32))
 
 
-OF_EXEMPLARS = ("species", "radius_m", "tree", "rank", "variant", "level", "leaves", "plant", "is_unique")
+OF_EXEMPLARS = ("species", "radius_m", "tree", "rank", "variant", "level", "dead", "leaves", "plant", "is_unique")
 
 
 def cluster(features: Floats, clusters: int, seed: int) -> tuple[Floats, Ints]:

@@ -47,6 +47,7 @@ from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Species
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplar_plan import OF_EXEMPLARS, SIZE_STEP, ExemplarPlan, cluster, rung_of, rungs_of
+from forestgen.scene.lying import dead_codes_of
 from forestgen.scene.tree_exemplars import (
     LibraryTree,
     instance_dbh_m,
@@ -124,7 +125,7 @@ def plan_exemplars(
         np.asarray(getattr(population, trait) if trait in _OWN_TRAITS else population.columns[trait], dtype=np.float64)
         for trait in traits
     ]
-    sizes, radius_m = tree_sizes_of(population), population.radius_m
+    sizes, radius_m, dead = tree_sizes_of(population), population.radius_m, dead_codes_of(population)
     own = np.array([child_seed(seed, "variant", int(i)) % variants for i in population.plant_id], dtype=np.int64)
     parts: list[ExemplarPlan] = []
     for index, name in enumerate(population.species_names):
@@ -134,11 +135,12 @@ def plan_exemplars(
         if given is not None and index in given:
             part = given[index]
         elif library is not None and library_tree is not None and np.isfinite(sizes[rows, 0]).all():
-            part = plan_library_trees(index, name, sizes[rows], per_species, seed, (library, variants), library_tree)
+            shown_of = library, variants
+            part = plan_library_trees(index, name, sizes[rows], dead[rows], per_species, seed, shown_of, library_tree)
         elif np.isfinite(sizes[rows, 0]).all():
             own_traits = _features(radius_m[rows], [column[rows] for column in columns])[:, 1:]
             trees = sizes[rows], radius_m[rows], own_traits
-            part = plan_trees(index, *trees, per_species, child_seed(seed, "k-means", name))
+            part = plan_trees(index, *trees, dead[rows], per_species, child_seed(seed, "k-means", name))
             part = part.split("variant", own[rows])
         elif library is not None:
             rungs, label = np.unique(rungs_of(population.radius_m[rows], per_species), return_inverse=True)
@@ -186,12 +188,12 @@ def size_errors(
     exemplar_width_m: NDArray[np.float64],
     plant_width_m: NDArray[np.float64],
 ) -> list[SizeError]:
-    """Error of the approximation for each species that has plants.
+    """Error of the approximation for each species that has plants: of those that live.
 
     `exemplar_height_m`, `exemplar_width_m`: (E,) measured on the geometry. `plant_width_m`: (N,) crown width that each
     plant should have by its species' allometry; NaN where it has no crown.
     """
-    errors, sizes = [], tree_sizes_of(population)
+    errors, sizes, lives = [], tree_sizes_of(population), dead_codes_of(population) == 0
 
     def rms(ratio: Floats) -> float:
         return float(np.sqrt(np.mean((ratio - 1.0) ** 2)))
@@ -206,14 +208,16 @@ def size_errors(
         width = built[mine] * across / plant_width_m[rows]
         dbh_m = instance_dbh_m(population.height_m[rows], mine, across, plan.tree)
         trees = np.isfinite(sizes[rows, 0]) & (plan.plant[mine] < 0)
-        thick = trees & np.isfinite(sizes[rows, 2]) & np.isfinite(plan.tree[mine, 2])
+        crowned = lives[rows]
+        thick = crowned & trees & np.isfinite(sizes[rows, 2]) & np.isfinite(plan.tree[mine, 2])
+        no_crown = np.isnan(plant_width_m[rows]).any() or not crowned.any()
         errors.append(
             SizeError(
                 species=name,
                 plants=int(rows.sum()),
                 exemplars=len(np.unique(mine)),
                 radius_rms=None if trees.any() else rms(plan.radius_m[mine] / population.radius_m[rows]),
-                crown_width_rms=None if np.isnan(plant_width_m[rows]).any() else rms(width),
+                crown_width_rms=None if no_crown else rms(width[crowned]),
                 dbh_rms=rms((dbh_m / sizes[rows, 2])[thick]) if thick.any() else None,
             )
         )

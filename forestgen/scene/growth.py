@@ -1,8 +1,10 @@
 """Plants -> exemplars: which an image needs, and growing them.
 
+Dead trees are the living ones of their species, less what decay has taken (`plants.dead_tree`).
+
 Plants that grew branches of their own are meshed as themselves or stand for others of their kind. Their dead stand with
-the branches that they died with, bare, of grey weathered wood: a species' material `dead_wood`, or that of the shipped
-snag. Leaves, flowers and fruits are gone; twigs go with the years. Fresh snags are as grey as old ones.
+the branches that they died with, bare, of grey weathered wood: a species' material `dead_wood`, or that of all dead
+wood. Leaves, flowers and fruits are gone; twigs go with the years. Fresh snags are as grey as old ones.
 """
 
 from __future__ import annotations
@@ -19,10 +21,12 @@ from numpy.typing import NDArray
 from forestgen.architecture.prototypes import Tables
 from forestgen.community.capabilities import OwnSkeletons, capability
 from forestgen.community.population import Population, Status
+from forestgen.core.dead_wood import DeadTree
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng, child_root
 from forestgen.plants.bark.texture import with_bark_tiles
 from forestgen.plants.build import estimate_triangles, size_m, tree_size
+from forestgen.plants.dead_exemplar import bare_parameters, with_dead_wood
 from forestgen.plants.exemplar import Exemplar, as_solids
 from forestgen.plants.growing import LIBRARY_BYTES, MOST_BYTES, ExemplarRequest, exemplar_store, grow_exemplars
 from forestgen.plants.grown import woods_of
@@ -31,9 +35,10 @@ from forestgen.plants.parameters import CrownProfile, ShapesTrees
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.tree_size import TreeSize
 from forestgen.recipe.schema import MOST_LIBRARY
-from forestgen.recipe.species import Building, Material, Species
+from forestgen.recipe.species import Building, Species
 from forestgen.recipe.tree_sizes import NUMBERS, own_normals
 from forestgen.scene.building import exemplar_of, plan_buildings
+from forestgen.scene.dead_trees import dead_library_tree, of_dead
 from forestgen.scene.exemplar_plan import SIZE_STEP, ExemplarPlan
 from forestgen.scene.exemplars import (
     SizeError,
@@ -45,6 +50,7 @@ from forestgen.scene.exemplars import (
     size_errors,
     unique_plants,
 )
+from forestgen.scene.lying import lying_plants
 from forestgen.scene.phenology import leaf_class_of_plant, leaf_states
 from forestgen.scene.plan import Plan, check_exemplars, check_own_triangles
 from forestgen.scene.projection import projection_of
@@ -55,15 +61,6 @@ from forestgen.scene.tree_exemplars import tree_sizes_of
 
 MOST_CACHED_IMAGES = 16  # a data set of many images would only wash the cache out
 Floats = NDArray[np.float64]
-
-MATERIAL = "dead_wood"
-_WEATHERED = Material.model_validate(
-    {
-        "spectrum": "wood/snag",
-        "roughness": 0.9,
-        "bark": {"pattern": "fibrous", "tile_m": [0.3, 0.6], "dark": [0.05, 0.045, 0.04], "lichen": 0.06},
-    }
-)
 
 
 def choose_exemplars(
@@ -78,6 +75,8 @@ def choose_exemplars(
     pixel_m, given, own = None, {}, has_branches(plan, population)
     if len(population) and (section.levels or plan.community.obstacles.entries or own.any()):
         width_m = _widths_m(plan, population)
+        lying = lying_plants(population)
+        width_m[lying] = 2.0 * population.height_m[lying]  # their length, to any side
         pixel_m = pixel_size_m(cameras, population.position_m, population.height_m, width_m)
         for one in around if section.levels else ():
             seen = pixel_size_m(cameras, one.position_m, population.height_m[one.source], width_m[one.source])
@@ -105,8 +104,10 @@ def choose_exemplars(
     return chosen.split("level", level_for(pixel_m / scale))
 
 
-def _library_tree(plan: Plan, name: str, rung: int, variant: int) -> Floats:
+def _library_tree(plan: Plan, name: str, rung: int, variant: int, code: int) -> Floats:
     """(5,) sizes of a library's tree, in the order of `TreeSize`: of a stand, with numbers of its own.
+
+    `code`: of the dead, whose height is that of what is left.
 
     The fewer of a size an image shows, the nearer are they to the median tree, for which one alone must stand. Their
     leaf area is the mean of trees of their height, not the median.
@@ -114,6 +115,9 @@ def _library_tree(plan: Plan, name: str, rung: int, variant: int) -> Floats:
     species, drawn = plan.drawn.species[name], plan.drawn
     assert species.tree is not None  # its plants have sizes
     root, height_m = child_root(drawn.recipe.seed, "library", drawn.split, name, rung), SIZE_STEP**rung
+    dead = DeadTree.of(code)
+    if dead is not None:
+        return dead_library_tree(species.tree, dead, height_m)
     many = own_normals(root, np.arange(MOST_LIBRARY, dtype=np.uint64))
     left = 1.0 / drawn.recipe.plants.variants_per_size  # of the variance, which the image's trees do not show
     normals = np.concatenate([np.sqrt(1.0 - left) * many[variant : variant + 1], np.zeros((1, NUMBERS)), many])
@@ -291,6 +295,7 @@ def exemplar_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Popul
             leaves=states[name][exemplar_plan.leaves[index]],
             is_shared=plan.drawn.recipe.plants.library is not None,
         )
+        requests[index] = of_dead(requests[index], DeadTree.of(int(exemplar_plan.dead[index])))
     return [requests[index] for index in sorted(requests)]
 
 
@@ -318,9 +323,8 @@ def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Populatio
         name = names[population.species[row]]
         species, parameters = plan.drawn.species[name], plan.plants.foliage[name]
         if population.status[row] == Status.DEAD:
-            species = _with_dead_wood(species)
-            wood = parameters.wood.model_copy(update={"material": MATERIAL, "branch_material": None, "dead": True})
-            bare = parameters.model_copy(update={"wood": wood, "foliage": ()})
+            species = with_dead_wood(species)
+            bare = bare_parameters(parameters).model_copy(update={"foliage": ()})
             parameters = with_bark_tiles(bare, species.materials)
         requests[index] = ExemplarRequest(
             species_name=name,
@@ -337,18 +341,11 @@ def _own_requests(plan: Plan, exemplar_plan: ExemplarPlan, population: Populatio
     return requests
 
 
-def _with_dead_wood(species: Species) -> Species:
-    """The species with a material for its dead trees."""
-    if MATERIAL in species.materials:
-        return species
-    return species.model_copy(update={"materials": {**species.materials, MATERIAL: _WEATHERED}})
-
-
 def species_seen(species: Mapping[str, Species], population: Population) -> dict[str, Species]:
     """The species, those with dead trees among their plants with a material for them."""
     dead = np.unique(population.species[population.status == Status.DEAD])
     names = {population.species_names[index] for index in dead.tolist()}
-    return {name: _with_dead_wood(one) if name in names else one for name, one in species.items()}
+    return {name: with_dead_wood(one) if name in names else one for name, one in species.items()}
 
 
 def errors_of_sizes(

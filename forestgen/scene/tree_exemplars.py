@@ -1,7 +1,8 @@
 """Exemplars of trees: by height, crown width, diameter, crown base and leaf area.
 
-Living and dead trees, and those above and below breast height, have exemplars of their own: at least one each, even
-where that is more than a recipe asks for; the others go where trees differ most. Leaf-out and leaf fall split exemplars
+Trees above and below breast height have exemplars of their own: at least one each, even where that is more than a
+recipe asks for; the others go where trees differ most. So have the dead, of each form and decay class, half as many as
+the living. Leaf-out and leaf fall split exemplars
 later (`ExemplarPlan.split`), so that a stand keeps its stems and branches through the year.
 
 An instance has its tree's height. Its width goes by the tree's crown width and diameter, half each: with one scale for
@@ -25,7 +26,7 @@ from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.randomness import child_rng
 from forestgen.scene.exemplar_plan import TREE_SIZES, ExemplarPlan, Floats, Ints, cluster_groups, rungs_of
 
-LibraryTree = Callable[[str, int, int], Floats]  # species, rung, variant -> (5,) sizes
+LibraryTree = Callable[[str, int, int, int], Floats]  # species, rung, variant, code of the dead -> (5,) sizes
 
 # What k-means tells trees apart by: errors of diameter and width (each is half of what is left), of the crown's base
 # as a share of the height and of leaf area count by the first three, scales of height and of width over height by the
@@ -45,14 +46,21 @@ def tree_sizes_of(population: Population) -> Floats:
     return sizes
 
 
-def plan_trees(index: int, sizes: Floats, radius_m: Floats, traits: Floats, clusters: int, seed: int) -> ExemplarPlan:
+def plan_trees(
+    index: int, sizes: Floats, radius_m: Floats, traits: Floats, dead: Ints, clusters: int, seed: int
+) -> ExemplarPlan:
     """Exemplars of a species' trees: each cluster's is built to the sizes in its middle.
 
     `sizes`: (n, 5) of the trees. `radius_m`: (n,) of their neighbourhoods. `traits`: (n, K) what else tells them apart,
-    weighted.
+    weighted. `dead`: (n,) codes, see `ExemplarPlan.dead`.
     """
     features = np.concatenate([_tree_features(sizes), _HEIGHT_WEIGHT * traits], axis=1)
-    label = cluster_groups(features, _groups(sizes), clusters, seed)
+    label = np.zeros(len(sizes), dtype=np.int64)
+    first = 0
+    for many, rows in ((clusters, dead == 0), (max(1, clusters // 2), dead > 0)):
+        if rows.any():
+            label[rows] = first + cluster_groups(features[rows], _groups(sizes[rows], dead[rows]), many, seed)
+            first = int(label[rows].max()) + 1
     height_m, width_m, _, base_m, leaf_m2 = sizes.T
     count = np.bincount(label)
 
@@ -65,12 +73,15 @@ def plan_trees(index: int, sizes: Floats, radius_m: Floats, traits: Floats, clus
     base = height * np.bincount(label, base_m / height_m) / count
     dbh = np.where(np.bincount(label, np.isnan(sizes[:, 2])), np.nan, foot * _cone(height))
     leaf = np.bincount(label, leaf_m2) / np.bincount(label, grown)
-    return ExemplarPlan.of_species(index, radius, label, tree=np.stack([height, width, dbh, base, leaf], axis=1))
+    code = np.zeros(len(height), dtype=np.int64)
+    code[label] = dead
+    tree = np.stack([height, width, dbh, base, leaf], axis=1)
+    return ExemplarPlan.of_species(index, radius, label, tree=tree, dead=code)
 
 
-def _groups(sizes: Floats) -> Ints:
-    """(n,) which trees never share an exemplar: living above and below breast height, then the dead."""
-    return np.asarray(2 * (sizes[:, 4] == 0.0) + np.isnan(sizes[:, 2]), dtype=np.int64)
+def _groups(sizes: Floats, dead: Ints) -> Ints:
+    """(n,) which trees never share an exemplar: by form and class of the dead, above and below breast height."""
+    return np.asarray(4 * dead + 2 * (sizes[:, 4] == 0.0) + np.isnan(sizes[:, 2]), dtype=np.int64)
 
 
 def _cone(height_m: Floats) -> Floats:
@@ -103,6 +114,7 @@ def plan_library_trees(
     index: int,
     name: str,
     sizes: Floats,
+    dead: Ints,
     per_species: int,
     seed: int,
     counts: tuple[int, int],
@@ -115,27 +127,26 @@ def plan_library_trees(
     rungs, label = np.unique(rungs_of(sizes[:, 0], per_species), return_inverse=True)
     variants, shown = counts
     features = _tree_features(sizes)[:, 1:]
-    parts: list[tuple[int, int, Floats]] = []
+    parts: list[tuple[int, int, Floats, int]] = []
     exemplar = np.zeros(len(sizes), dtype=np.int64)
-    bare = sizes[:, 4] == 0.0  # dead
-    for rung, dead in sorted(set(zip(rungs[label.reshape(-1)].tolist(), bare.tolist(), strict=True))):
+    for rung, code in sorted(set(zip(rungs[label.reshape(-1)].tolist(), dead.tolist(), strict=True))):
         chosen = np.sort(child_rng(seed, "library", name, rung).permutation(variants)[:shown])
-        made = np.array([library_tree(name, rung, int(variant)) for variant in chosen])
-        made[:, 4] *= not dead
-        rows = np.flatnonzero((rungs[label.reshape(-1)] == rung) & (bare == dead))
+        made = np.array([library_tree(name, rung, int(variant), code) for variant in chosen])
+        rows = np.flatnonzero((rungs[label.reshape(-1)] == rung) & (dead == code))
         away = np.sum((features[rows, None] - _tree_features(made)[None, :, 1:]) ** 2, axis=2)
         used, place = np.unique(np.argmin(away, axis=1), return_inverse=True)
         exemplar[rows] = len(parts) + place.reshape(-1)
-        parts += [(rung, int(chosen[k]), made[k]) for k in used.tolist()]
-    radius = np.array([0.5 * made[1] for *_, made in parts])  # of the library alone: images share its exemplars
+        parts += [(rung, int(chosen[k]), made[k], code) for k in used.tolist()]
+    radius = np.array([0.5 * made[1] for _, _, made, _ in parts])  # of the library alone: images share its exemplars
     plan = ExemplarPlan.of_species(
         index,
         radius,
         exemplar,
-        rank=np.array([rung for rung, _, _ in parts]),
-        tree=np.array([made for _, _, made in parts]),
+        rank=np.array([rung for rung, *_ in parts]),
+        tree=np.array([made for _, _, made, _ in parts]),
+        dead=np.array([code for *_, code in parts], dtype=np.int64),
     )
-    return replace(plan, variant=np.array([variant for _, variant, _ in parts], dtype=np.int64))
+    return replace(plan, variant=np.array([variant for _, variant, *_ in parts], dtype=np.int64))
 
 
 def instance_scales(
@@ -144,10 +155,12 @@ def instance_scales(
     """(N,) vertical and (N,) horizontal scale of the instances of plants; one and the same but of trees.
 
     `sizes`: (N, 5), see `tree_sizes_of`. `exemplar`: (N,) of the (E,) exemplars. `tree`: (E, 5) sizes of these. A
-    tree's scales differ by at most `_MOST_STRETCH`.
+    tree's scales differ by at most `_MOST_STRETCH`. Of the dead the diameter counts, not the crown.
     """
     upright, made = height_m / exemplar_height_m[exemplar], tree[exemplar]
     wide, stout = sizes[:, 1] / made[:, 1], _foot_m(sizes) / _foot_m(made)
+    bare = (made[:, 4] == 0.0) & np.isfinite(sizes[:, 2] + made[:, 2])
+    wide, stout = (np.where(bare, sizes[:, 2] / made[:, 2], one) for one in (wide, stout))
     stout = np.where(np.isnan(sizes[:, 2] + made[:, 2]), wide, stout)
     stretch = np.clip(np.sqrt(wide * stout) / upright, 1.0 / _MOST_STRETCH, _MOST_STRETCH)
     return upright, upright * np.where(np.isnan(stretch), 1.0, stretch)

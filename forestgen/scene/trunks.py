@@ -41,6 +41,7 @@ class Trunks:
 
     def __init__(self, exemplars: Sequence[Exemplar], instances: Instances) -> None:
         self._corners = [_corners(one) for one in exemplars]
+        self._lies = [one.lying_m3 > 0.0 for one in exemplars]
         self._mine = instances.exemplar.astype(np.intp)
         self._transform = instances.transform
         self._plant_id = instances.plant_id
@@ -70,11 +71,11 @@ class Trunks:
         return nearest, plant
 
     def circles_m(self, height_m: float) -> tuple[Floats, Floats]:
-        """(T, 2) middles and (T,) radii of circles that hold the stems from the plants' feet up to a height."""
+        """(T, 2) middles and (T,) radii of circles that hold standing stems, from the feet up to a height."""
         middles, radii = [], []
         for index, corners in enumerate(self._corners):
             rows = np.flatnonzero(self._mine == index)
-            if not len(rows) or not len(corners):
+            if not len(rows) or not len(corners) or self._lies[index]:  # people step over what lies
                 continue
             top = height_m / float(self._upright[rows].min())  # as far up as the smallest of its plants needs
             points = _clipped(corners, top)

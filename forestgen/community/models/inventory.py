@@ -13,7 +13,8 @@ dbh_cm or dbh_m           diameter at 1.3 m; this or a height is needed
 height_m                  height
 crown_radius_m            or crown_width_m, its double
 crown_base_m              height of the crown's base
-status                    alive or dead; empty: alive
+status                    alive; dead, lying_dead (uprooted) or snapped; empty: alive
+decay_class               of a dead tree, 1 to 5
 age_yr, azimuth_deg       age, turn about the vertical clockwise from above
 stems_per_ha or count     how many trees a line stands for, where there are no places; count is that of the plot
 ========================  ==========================================================================================
@@ -62,7 +63,9 @@ Decisions
 - Columns of other names mean nothing, and a note says so; a name that is nearly one of these is refused.
 - plant_id counts the lines from 1. Of a list without places each line becomes as many trees as it stands for on this
   site, rounded so that the sum is right; the thickest are placed first, as `stand` places trees.
-- Dead trees stand without leaves, and no living neighbour counts them; they themselves grew among all trees.
+- Dead trees have no leaves, and no living neighbour counts them; they themselves grew among all trees. A height_m is
+  that of what stands, or the length of what lies. A dead tree's decay class is 2 if nothing is said; where its height
+  is less than 0.72 of that by its diameter it has broken, and its class is 4 or 5.
 - Two trees of one species on one spot are refused; stems may overlap otherwise.
 - Plants of species without `tree` need a height_m, which their species' largest plant bounds.
 """
@@ -83,6 +86,7 @@ from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.population import Ecologies, Floats, Indices, Site, ecology_of
 from forestgen.community.stand import spacing
 from forestgen.community.stand.build import by_species, heights_of
+from forestgen.community.stand.dead_list import decayed
 from forestgen.community.stand.tree_checks import are_trees, check_proportions, check_sizes, refuse, species_index
 from forestgen.community.stand.tree_list import COLUMNS as KNOWN
 from forestgen.community.stand.tree_list import MOST_ROWS, TreeList, read_trees
@@ -222,6 +226,8 @@ class Inventory(StaticModel[InventoryParameters]):
         normals = own_rng.standard_normal((len(rows), NUMBERS))
         height_m = _heights(trees, rows, sp[rows], normals, position_m, parameters, site, species)
         check_proportions(trees, rows, height_m)
+        form = trees.form[rows]
+        height_m, decay = decayed(trees, rows, sp[rows], species, height_m)
         is_tree = are_trees(species, sp[rows])
         sizes = {name: np.where(is_tree, trees.number(name)[rows], np.nan) for name in COLUMNS[:3]}
         return Placement(
@@ -230,7 +236,9 @@ class Inventory(StaticModel[InventoryParameters]):
             radii_m(species, sp[rows], height_m),
             height_m,
             tree_sizes=sizes,
-            dead=trees.dead[rows],
+            dead=form > 0,
+            dead_form=form,
+            decay_class=decay,
             age_yr=np.nan_to_num(trees.number("age_yr")[rows]),
             azimuth_deg=trees.number("azimuth_deg")[rows],
             notes=tuple(_notes(trees, sp, species)),

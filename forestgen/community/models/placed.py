@@ -145,7 +145,8 @@ class Placed(FixedPopulation[PlacedParameters]):
             azimuth_deg=np.array(azimuth, dtype=np.float64),
             first_age_yr=np.array([plant.age_yr for plant in everyone], dtype=np.float64),
             tree_sizes=unknown_sizes(n),
-            dead=np.zeros(n, dtype=np.bool_),
+            dead_form=np.zeros(n, dtype=np.uint8),
+            decay_class=np.zeros(n, dtype=np.uint8),
             plant_id=ids,
             born=np.zeros(n, dtype=np.int32),
         )

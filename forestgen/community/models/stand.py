@@ -16,11 +16,29 @@ heights of a storey are scaled to its dominant height, by which crowns become lo
 factor of its own, so that at the diameters of the storey's thickest trees all its species are equally tall. Widths of
 all crowns are multiplied by one factor to meet `canopy_cover`, leaf areas by another to meet `leaf_area_index`.
 
-References: Clark and Evans 1954, Ecology 35 (pattern); Bailey and Dell 1973, Forest Science 19 (diameters by Weibull's
-law); Gustavsen 1980, Folia Forestalia 454 (height by age and site index); Runkle 1982, Ecology 63 (gaps, from stem to
-stem); Donnelly 1978 (edges). Trees of one storey: those of a Finnish stand of about 50 years measured by Machacova et
-al. 2019, Nature Communications 10:4989, table 1, are 22.1 m (birch), 21.2 m (spruce) and 20.6 m (pine) tall and have
-21, 24 and 19 cm at breast height. The allometries have the sources that the species say.
+`dead_wood` adds dead trees of the stand's own species and sizes: standing, lying (uprooted with a root plate, or
+snapped off a high stump) and stumps, each of a decay class from 1, fresh, to 5, rotten. They have the skeleton of a
+living tree of their species without its leaves; with each class twigs, branches, bark and the top go. Amounts are trees
+or m³ of stems per hectare, or published ones by name:
+
+| type | standing, m³/ha | lying, m³/ha | stumps/ha | source |
+|---|---|---|---|---|
+| managed_beech | 3.6 | 5.4 | 150 | Meyer and Schmidt 2011: 9 m³/ha when management ended, 40% standing |
+| beech_reserve | 33 | 97 | 0 | Christensen et al. 2005: 86 reserves, 130 m³/ha, in lowlands 25% standing |
+| boreal_managed | 3.2 | 7.3 | 200 | Siitonen et al. 2000: 14 m³/ha, 25% of it cut stumps and residues |
+| boreal_old_growth | 33 | 78 | 0 | Siitonen et al. 2000: 111 m³/ha, 70% logs |
+
+The numbers of stumps, and the share that stands in the managed boreal forest, which is that of the old one, are ours.
+Decay classes: Domke et al. 2011, Carbon Balance and Management 6:14, table 1 (standing, USDA Forest Service); Maser et
+al. 1979, Agriculture Handbook 553, and Woodall and Monleon 2008, USDA Forest Service GTR NRS-22 (lying).
+
+References: Christensen et al. 2005, Forest Ecology and Management 210, 267; Meyer and Schmidt 2011, ibid. 261, 342;
+Siitonen et al. 2000, ibid. 128, 211 (dead wood); Clark and Evans 1954, Ecology 35 (pattern); Bailey and Dell 1973,
+Forest Science 19 (diameters by Weibull's law); Gustavsen 1980, Folia Forestalia 454 (height by age and site index);
+Runkle 1982, Ecology 63 (gaps, from stem to stem); Donnelly 1978 (edges). Trees of one storey: those of a Finnish stand
+of about 50 years measured by Machacova et al. 2019, Nature Communications 10:4989, table 1, are 22.1 m (birch), 21.2 m
+(spruce) and 20.6 m (pine) tall and have 21, 24 and 19 cm at breast height. The allometries have the sources that the
+species say.
 
 Parameters: see below.
 
@@ -45,6 +63,18 @@ Recipe::
       model: stand
       storeys:
         - {species: {pine: 1}, stems_per_ha: 900, age_yr: 60, site_index_m: 24, height_curve: pine, clark_evans: 1.3}
+
+    community:                           # an old beech forest with dead trees
+      model: stand
+      storeys:
+        - {species: {beech: 0.9, spruce: 0.1}, stems_per_ha: 250, basal_area_m2_per_ha: 34}
+      dead_wood: {standing_per_ha: 20, lying_m3_per_ha: 60, decay: [0.1, 0.3, 0.3, 0.2, 0.1]}
+
+    community:                           # a managed one
+      model: stand
+      storeys:
+        - {species: {beech: 1}, stems_per_ha: 250, basal_area_m2_per_ha: 30}
+      dead_wood: managed_beech
 
     community:                           # an open birch wood over bracken
       model: stand
@@ -75,6 +105,13 @@ Decisions
 - Trees may be taller than their species' height_m; radius_m, the neighbourhood of other models, is then its largest.
 - Plants of `ground` are placed independently; their cover is that of discs of radius_m. Trees among them are seedlings:
   of the sizes that their allometry and their neighbours give.
+- A dead tree's species, diameter and height are those of a living tree of at least min_dbh_cm, drawn at random. For a
+  volume trees are drawn until it is reached; one factor of diameters and heights makes it exact. Volumes are of stems
+  over bark, with r(h) in proportion to (H - h)^0.65, of what the decay class has left.
+- height_m of a dead tree is that of what stands, or the length of the stem that lies. Its status is DEAD; columns
+  `dead_form` (1 standing, 2 uprooted, 3 snapped, 4 stump) and `decay_class` say more.
+- A stem falls downwind, give or take a standard deviation of 60 degrees; of up to 64 places it takes the one where it
+  meets no other stem and lies on straight ground. It follows the slope as a whole, and does not bend.
 - What was asked for and reached is in the snapshot's state (`targets`, `reached`) and in a note.
 """
 
@@ -106,11 +143,12 @@ from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.population import Ecologies, Floats, Site, SpeciesEcology, ecology_of
 from forestgen.community.stand import spacing
 from forestgen.community.stand.build import MOST_LEAVES, StandBuilder, StandTrees, measured
+from forestgen.community.stand.dead_wood import DeadTrees, DeadWood, dead_report, dead_trees, with_dead
 from forestgen.community.stand.targets import TOLERANCE, Storey, check_trees, height_range_m, stocking
 from forestgen.community.static_model import Placement, StaticModel, StaticParameters
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
-from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, violation
+from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, shorthand, violation
 from forestgen.recipe.sources import Keys
 
 if TYPE_CHECKING:
@@ -176,13 +214,21 @@ class StandParameters(StaticParameters):
     leaf_area_index: Positive | None = Field(None, le=MOST_LEAVES, description="one side of all leaves over the ground")
     gaps: Gaps | None = Field(None, description="openings of the first storey")
     ground: Annotated[dict[Name, GroundPlants], none_is({})] = Field({}, description="herbs, shrubs and seedlings")
+    dead_wood: Annotated[DeadWood | None, *shorthand("type")] = Field(None, description="dead trees; null: none")
     map: DensityMap | None = Field(None, description="relative density of trees over the site")
     keep_out: DensityMap | None = Field(None, description="where no plant may stand: any value above 0 bars")
     periodic: Flag = Field(True, description="the site is a torus, without edges; false: a bounded site")
 
+    @model_validator(mode="after")
+    def _dead_of_trees(self) -> Self:
+        if self.dead_wood is not None and not self.storeys:
+            raise violation("storeys, of whose trees the dead are", problem="dead wood of no trees", at="dead_wood")
+        return self
+
     def for_trial(self) -> Self:
         """Without plants: all have the same columns."""
-        return self.model_copy(update={"storeys": (), "ground": {}, "canopy_cover": None, "leaf_area_index": None})
+        none = dict.fromkeys(("canopy_cover", "leaf_area_index", "dead_wood"))
+        return self.model_copy(update={"storeys": (), "ground": {}, **none})
 
     def named_species(self) -> Iterator[tuple[Keys, str]]:
         yield from super().named_species()
@@ -205,8 +251,8 @@ class StandModel(StaticModel[StandParameters]):
 
     def place(self, parameters: StandParameters, site: Site, species: Ecologies, rng: np.random.Generator) -> Placement:
         """The trees, then the plants of the ground."""
-        tree_rng, gap_rng, ground_rng = rng.spawn(3)
-        trees, found = None, {}
+        tree_rng, gap_rng, ground_rng, dead_rng = rng.spawn(4)
+        trees, dead, found = None, None, {}
         if parameters.storeys:
             for index, storey in enumerate(parameters.storeys):
                 check_trees(storey, species, f"community.storeys.{index}")
@@ -214,8 +260,12 @@ class StandModel(StaticModel[StandParameters]):
             builder = StandBuilder(parameters.storeys, site, species, tree_rng, periodic=parameters.periodic)
             trees = builder.trees(opened, gap, parameters.canopy_cover, parameters.leaf_area_index)
             found = _report(parameters, trees, site, species)
+            if parameters.dead_wood is not None:
+                own = parameters.dead_wood, trees, site, opened, dead_rng
+                dead = dead_trees(*own, periodic=parameters.periodic)
+                found["reached"]["dead_wood"] = dead_report(dead, site)
         ground = uniform.MODEL.place(parameters.ground_parameters(species), site, species, ground_rng)
-        return _joined(trees, ground, species, parameters, found)
+        return _joined(trees, dead, ground, species, parameters, found)
 
     def most_plants(self, parameters: StandParameters, site: Site, species: Ecologies) -> float:
         """The trees and the ground's plants."""
@@ -227,6 +277,8 @@ class StandModel(StaticModel[StandParameters]):
             where = f"community.storeys.{index}"
             check_trees(storey, species, where)
             trees += round(stocking(storey, species, where).stems_per_ha * site.area_ha)
+        if parameters.dead_wood is not None:
+            trees += math.ceil(parameters.dead_wood.most_trees(site))
         ground = parameters.ground_parameters(species)
         check_sizes(ground, species)
         return float(trees), float(plant_counts(ground, site, species).sum())
@@ -305,18 +357,19 @@ def _gaps(gaps: Gaps, site: Site, periodic: bool, rng: np.random.Generator) -> t
 
 def _joined(
     trees: StandTrees | None,
+    dead: DeadTrees | None,
     ground: Placement,
     species: Ecologies,
     parameters: StandParameters,
     found: dict[str, Any],
 ) -> Placement:
-    """Trees first, then the ground's plants."""
+    """Trees first, then the ground's plants, then the dead."""
     n = len(ground.species)
     assert ground.height_m is not None
     if trees is None:
         return Placement(ground.species, ground.position_m, ground.radius_m, ground.height_m, notes=ground.notes)
     age = np.array([storey.age_yr or 0.0 for storey in parameters.storeys])[trees.storey]
-    return Placement(
+    living = Placement(
         np.concatenate([trees.species, ground.species]),
         np.concatenate([trees.position_m, ground.position_m]),
         np.concatenate([radii_m(species, trees.species, trees.height_m), ground.radius_m]),
@@ -326,6 +379,7 @@ def _joined(
         notes=(*_notes(found), *ground.notes),
         found=found,
     )
+    return living if dead is None else with_dead(living, dead, species)
 
 
 def _report(parameters: StandParameters, trees: StandTrees, site: Site, species: Ecologies) -> dict[str, Any]:
@@ -352,6 +406,11 @@ def _notes(found: dict[str, Any]) -> Iterator[str]:
     ]
     parts.append(f"cover {reached['canopy_cover']:.2f}, leaf area index {reached['leaf_area_index']:.1f}")
     yield f"placed: {'; '.join(parts)}"
+    if "dead_wood" in reached:
+        dead = reached["dead_wood"]
+        standing, lying = (f"{dead[f'{kind}_per_ha']:,.0f} {kind}" for kind in ("standing", "lying"))
+        volumes = f"{dead['standing_m3_per_ha']:.1f} and {dead['lying_m3_per_ha']:.1f} m³/ha"
+        yield f"dead trees: {standing} and {lying} per hectare, {volumes}; {dead['stumps_per_ha']:,.0f} stumps/ha"
     if reached["leaf_area_index"] > MOST_LEAVES:
         yield f"no forest has a leaf area index above {MOST_LEAVES:g}: ask for a leaf_area_index, or for fewer stems"
     pairs = [

@@ -148,6 +148,16 @@ def empty_grid(stems: int, widest_m: float, size_m: tuple[float, float], *, peri
     return StemGrid(x, y, dbh, apart, storey, np.full(n[0] * n[1], -1, dtype=np.int64), before, n, size_m, periodic)
 
 
+def insert(grid: StemGrid, position_m: Floats, dbh_m: Floats) -> None:
+    """Put the first stems of a grid at (N, 2) places that are known."""
+    count = len(dbh_m)
+    grid.x[:count], grid.y[:count] = position_m.T
+    grid.dbh[:count], grid.apart[:count] = dbh_m, 0.0
+    at = np.minimum((position_m / grid.size_m * grid.n).astype(np.int64), np.array(grid.n) - 1)
+    for one, cell in enumerate((at[:, 1] * grid.n[0] + at[:, 0]).tolist()):
+        grid.next[one], grid.head[cell] = grid.head[cell], one
+
+
 def own_distance_m(dbh_m: Floats, area_m2: float, clark_evans: float) -> Floats:
     """(N,) s of a storey's trees: 0 unless their pattern is regular."""
     delta = np.interp(clark_evans, *_REGULAR)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.community.population import Floats
+from forestgen.core.dead_wood import CLASSES, DeadForm
 from forestgen.core.errors import RecipeError
 
 MOST_ROWS = 5_000_000
@@ -36,6 +37,7 @@ NUMBERS = {  # column: what its values are
     "crown_radius_m": (0.0, 40.0, "a radius above 0, at most 40 m"),
     "crown_width_m": (0.0, 80.0, "a width above 0, at most 80 m"),
     "crown_base_m": (-1e-9, TALLEST_M, "a height of at least 0, at most 130 m"),
+    "decay_class": (0.0, float(CLASSES), "a decay class of a dead tree, 1 to 5"),
     "age_yr": (-1e-9, 1e4, "years, at least 0"),
     "azimuth_deg": (-360.000001, 360.0, "degrees from -360 to 360"),
     "stems_per_ha": (0.0, 1e7, "a number above 0"),
@@ -43,7 +45,12 @@ NUMBERS = {  # column: what its values are
 }
 COLUMNS = ("species", "status", *NUMBERS)
 _EXCLUSIVE = (("dbh_cm", "dbh_m"), ("crown_radius_m", "crown_width_m"), ("stems_per_ha", "count"))
-_DEAD = {"": False, "alive": False, "living": False, "live": False, "dead": True, "standing_dead": True}
+_FORMS = {
+    **dict.fromkeys(("", "alive", "living", "live"), DeadForm.NONE),
+    **dict.fromkeys(("dead", "standing_dead"), DeadForm.STANDING),
+    **dict.fromkeys(("lying_dead", "uprooted"), DeadForm.UPROOTED),
+    "snapped": DeadForm.SNAPPED,
+}
 _NUMBER = r"^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$"
 _MARKS = ",;\t"
 _PASSED_OVER = re.compile(r'[\s,;"]*$|\s*#|sep=.\s*$')  # empty, a comment, what spreadsheets write for themselves
@@ -61,7 +68,7 @@ class TreeList:
     line: NDArray[np.int64]  # (N,) line of the file
     species: NDArray[np.int32]  # (N,) index in `species_names`
     species_names: tuple[str, ...]  # as in the file
-    dead: NDArray[np.bool_]  # (N,)
+    form: NDArray[np.uint8]  # (N,) `core.dead_wood.DeadForm`
     numbers: Mapping[str, Floats]  # (N,) each, dbh as dbh_m and crowns as crown_radius_m
     names: tuple[str, ...]  # of all columns, as in the file
     ignored: tuple[str, ...]  # names of columns that mean nothing here
@@ -70,8 +77,13 @@ class TreeList:
         return len(self.line)
 
     @property
+    def dead(self) -> NDArray[np.bool_]:
+        """(N,) whether a tree is dead."""
+        return self.form > 0
+
+    @property
     def nbytes(self) -> int:
-        own = self.line.nbytes + self.species.nbytes + self.dead.nbytes
+        own = self.line.nbytes + self.species.nbytes + self.form.nbytes
         return own + sum(one.nbytes for one in self.numbers.values())
 
     def number(self, name: str) -> Floats:
@@ -231,17 +243,17 @@ def _typed(
     if "" in called:
         row = int(np.flatnonzero(code == called.index(""))[0])
         raise RecipeError("no species", where=f"{name}, line {line[row]}", expected="a species' name", got="nothing")
-    dead = np.zeros(len(line), dtype=np.bool_)
+    form = np.zeros(len(line), dtype=np.uint8)
     if "status" in table:
         status = pc.utf8_lower(table["status"]).combine_chunks().dictionary_encode()
         words, which = status.dictionary.to_pylist(), status.indices.to_numpy(zero_copy_only=False)
         for index, word in enumerate(words):
-            if word not in _DEAD and word != "na":
+            if word not in _FORMS and word != "na":
                 row = int(np.flatnonzero(which == index)[0])
-                expected, where = "alive, dead or nothing, which is alive", f"{name}, line {line[row]}"
+                expected, where = "alive, dead, lying_dead, snapped, or nothing: alive", f"{name}, line {line[row]}"
                 hint = "write these words for the list's codes"
                 raise RecipeError("unknown status", where=where, expected=expected, got=repr(word), hint=hint)
-        dead = np.array([_DEAD.get(word, False) for word in words])[which]
+        form = np.array([_FORMS.get(word, 0) for word in words], dtype=np.uint8)[which]
     numbers = {
         one: _numbers(table[one], one, name, line, decimal_comma=decimal_comma) for one in NUMBERS if one in table
     }
@@ -249,7 +261,7 @@ def _typed(
         numbers["dbh_m"] = numbers.pop("dbh_cm") / 100.0
     if "crown_width_m" in numbers:
         numbers["crown_radius_m"] = numbers.pop("crown_width_m") / 2.0
-    return TreeList(name, head, line, code, called, dead, numbers, *names)
+    return TreeList(name, head, line, code, called, form, numbers, *names)
 
 
 def _numbers(cells: Any, column: str, name: str, line: NDArray[np.int64], *, decimal_comma: bool) -> Floats:

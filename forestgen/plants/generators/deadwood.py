@@ -48,11 +48,12 @@ from forestgen.geometry.mesh import Floats, any_perpendicular, unit
 from forestgen.plants.branching import around
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.splinters import splinters
 from forestgen.recipe.curves import PositiveCurve, evaluate_one
 
 _STEP_M = 0.12  # between nodes of a stem
 _MOST_STEPS = 400
-_SPLINTER_SHARE = 0.16  # of the break's radius
+_MOST_SPLINTERS = 22
 _MOST_STUBS = 400
 
 
@@ -159,28 +160,11 @@ def _stem(parameters: Parameters, length_m: float, radius_m: float, rng: np.rand
 
 
 def _splinters(axes: _Axes, points: Floats, radius: Floats, end: int, tip_m: float, rng: np.random.Generator) -> None:
-    """Spikes on the rim of a break, longest on one side, as wood tears."""
-    inner = 1 if end == 0 else -2
-    along = unit(points[end] - points[inner])
-    side = any_perpendicular(along[None])[0]
-    other = np.cross(along, side)
-    count = int(np.clip(round(radius[end] / 0.012), 7, 22))
-    worst = rng.uniform(0.0, 2.0 * np.pi)
+    """Spikes on the rim of a break."""
+    along = unit(points[end] - points[1 if end == 0 else -2])
     bearer = 0 if end == 0 else len(points) - 1
-    longest = 0.0
-    spikes = []
-    for k in range(count):
-        turn = 2.0 * np.pi * (k + 0.4 * rng.normal()) / count
-        share = (0.25 + 0.75 * np.cos(0.5 * (turn - worst)) ** 2) * rng.uniform(0.35, 1.0)
-        longest = max(longest, share)
-        spikes.append((turn, share, rng.uniform(0.55, 0.9)))
-    for turn, share, reach in spikes:
-        outward = np.cos(turn) * side + np.sin(turn) * other
-        thick = _SPLINTER_SHARE * radius[end] * 1.4
-        foot = points[end] + reach * (radius[end] - thick) * outward - 0.5 * thick * along
-        tip = foot + along * (tip_m * share / longest + 0.5 * thick)
-        middle = 0.5 * (foot + tip) + 0.03 * tip_m * outward
-        axes.add(np.stack([foot, middle, tip]), np.array([thick, 0.7 * thick, 0.05 * thick]), 1, bearer)
+    for line, thick in splinters(points[end], along, float(radius[end]), tip_m, _MOST_SPLINTERS, rng):
+        axes.add(line, thick, 1, bearer)
 
 
 def _stubs(axes: _Axes, parameters: Parameters, points: Floats, radius: Floats, rng: np.random.Generator) -> None:

@@ -17,6 +17,7 @@ from forestgen.community.population import Site, Status
 from forestgen.community.snapshot_checks import check_snapshot
 from forestgen.community.static_model import Change, GrowingModel, Placement, StaticModel, StaticParameters
 from forestgen.community.tree_columns import with_tree_sizes
+from forestgen.core.dead_wood import UNKNOWN_CLASS, DeadForm
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.tree_sizes import TreeSizes
 from support.error_messages import raises_error
@@ -189,6 +190,8 @@ def test_sizes_of_trees_and_dead_trees_are_in_the_snapshot(trees):
     model = Knowing(one)
     found = model.population(model.init(StaticParameters(), SITE, trees, 0))
     assert {name: values[0] for name, values in found.columns.items() if not np.isnan(values[0])} == {
+        "dead_form": DeadForm.STANDING,
+        "decay_class": UNKNOWN_CLASS,
         "azimuth_deg": 15.0, "first_age_yr": 40.0, "first_step": 0, "dbh_m": 0.2, "crown_base_m": 3.0
     }  # fmt: skip
     assert (found.status[0], found.age_yr[0]) == (Status.DEAD, 40)

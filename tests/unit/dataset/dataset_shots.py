@@ -110,7 +110,11 @@ def make_population(plants, rng):
         height_m=rng.random(n) * 20,
         age_yr=rng.random(n) * 30,
         status=(np.arange(n) % 4).astype(np.uint8),
-        columns={"adaptation": np.linspace(0, 1, n, dtype=np.float32)},
+        columns={
+            "adaptation": np.linspace(0, 1, n, dtype=np.float32),
+            "dead_form": np.where(np.arange(n) % 4 == 3, np.uint8(1), np.uint8(0)),
+            "decay_class": np.where(np.arange(n) % 4 == 3, np.uint8(5), np.uint8(0)),
+        },
     )
 
 

@@ -114,6 +114,8 @@ def test_every_column_of_the_plants(tmp_path, shot):
         nulls = [None if np.isnan(value) else value for value in values.tolist()]
         assert table.column(name).to_pylist() == nulls, name
     assert None in table.column("dbh_m").to_pylist()
+    for name, value in (("dead_form", 1), ("decay_class", 5)):
+        assert table.column(name).to_pylist() == [value if dead else None for dead in (population.status == 3).tolist()]
     for name, box, known in [
         ("box", seen.box_px, seen.has_box),
         ("amodal_box", views.amodal_box_px, views.amodal_pixels > 0),

@@ -39,8 +39,8 @@ def test_a_flagship_recipe_shows_a_closed_forest(name: str) -> None:
     width_m, depth_m = stand.summary.plan.site.size_m
     ha = width_m * depth_m / 1e4
     dbh_m, height_m = np.nan_to_num(stand["dbh_m"]), stand["height_m"]
-    big = dbh_m >= LEAST_M
-    thickest = np.argsort(-dbh_m)[: round(100 * ha)]
+    big = (dbh_m >= LEAST_M) & (stand["status"] != "dead")
+    thickest = np.argsort(-dbh_m * big)[: round(100 * ha)]
     figures = (
         big.sum() / ha,
         np.sum(0.25 * np.pi * dbh_m[big] ** 2) / ha,

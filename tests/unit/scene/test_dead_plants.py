@@ -10,13 +10,14 @@ import pytest
 from test_explicit_plants import cameras, grown, planned
 
 from forestgen.community.population import Population, Status
-from forestgen.community.simulation import standing_dead
+from forestgen.community.simulation import dead_plants
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
+from forestgen.plants.dead_exemplar import WEATHERED
 from forestgen.plants.growing import grow_exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import growth
-from forestgen.scene.growth import MATERIAL, species_seen
+from forestgen.scene.growth import species_seen
 from forestgen.scene.plan import check_plan
 from forestgen.scene.surfaces import materials_of
 from support.error_messages import raises_error
@@ -47,7 +48,7 @@ def test_the_dead_are_bare_dead_wood_and_the_living_are_as_they_were(unique: str
         parts = {organ.part for organ in plant.organs}
         if dead[chosen.plant[index]]:
             assert parts == {Part.DEAD_WOOD}
-            assert {organ.material for organ in plant.organs} == {MATERIAL}
+            assert {organ.material for organ in plant.organs} == {WEATHERED}
             assert plant.leaf_area_m2 == 0
             assert request.key() not in before
         else:
@@ -61,11 +62,11 @@ def test_a_species_may_have_dead_wood_of_its_own() -> None:
     plants, plan = dying(), planned(houses=False)
     oak = plan.drawn.species["oak"]
     own = oak.materials["bark"]
-    with_own = oak.model_copy(update={"materials": {**oak.materials, MATERIAL: own}})
+    with_own = oak.model_copy(update={"materials": {**oak.materials, WEATHERED: own}})
     seen = species_seen({**plan.drawn.species, "oak": with_own}, plants)
-    assert seen["oak"].materials[MATERIAL] is own
-    assert MATERIAL in seen["spruce"].materials
-    assert all(MATERIAL not in one.materials for one in species_seen(plan.drawn.species, grown(houses=False)).values())
+    assert seen["oak"].materials[WEATHERED] is own
+    assert WEATHERED in seen["spruce"].materials
+    assert all(WEATHERED not in one.materials for one in species_seen(plan.drawn.species, grown(houses=False)).values())
 
 
 def test_dead_trees_that_would_bear_leaves_are_refused_before_anything_grows() -> None:
@@ -86,6 +87,6 @@ def test_dead_trees_that_would_bear_leaves_are_refused_before_anything_grows() -
 def test_a_stand_of_nothing_but_dead_trees_is_told_from_one_that_lives() -> None:
     plants = dying()
     dead = replace(plants, status=np.full_like(plants.status, Status.DEAD))
-    assert standing_dead(dead) == len(dead) > 0
-    assert 0 < standing_dead(plants) < len(plants)
-    assert standing_dead(grown(houses=False)) == 0
+    assert dead_plants(dead) == len(dead) > 0
+    assert 0 < dead_plants(plants) < len(plants)
+    assert dead_plants(grown(houses=False)) == 0

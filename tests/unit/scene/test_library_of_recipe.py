@@ -172,7 +172,7 @@ def test_the_fewer_trees_an_image_shows_the_nearer_they_are_to_the_median(recipe
     logs = []
     for shown in (1, 4, 60):
         plan = planned(recipe, 0, f"plants.variants_per_size={shown}")
-        trees = np.array([growth._library_tree(plan, "grass", 10, variant) for variant in range(60)])
+        trees = np.array([growth._library_tree(plan, "grass", 10, variant, 0) for variant in range(60)])
         logs.append(np.log(trees[:, [1, 2, 4]]))
     species = plan.drawn.species["grass"]
     assert species.tree is not None

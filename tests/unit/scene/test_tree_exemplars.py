@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 import pytest
 from scene_plants import population
 
 from forestgen.api.plant_requests import drawn_of
+from forestgen.community.population import Status
+from forestgen.core.dead_wood import dead_codes
 from forestgen.plants.build import tree_size
 from forestgen.recipe.tree_sizes import own_normals
 from forestgen.scene.exemplars import plan_exemplars
@@ -102,7 +104,7 @@ def test_living_and_dead_low_and_tall_trees_have_exemplars_of_their_own(clusters
 def test_a_library_shows_each_tree_the_variant_most_like_it() -> None:
     species, plants = trees(300)
 
-    def made(name: str, rung: int, variant: int) -> np.ndarray:
+    def made(name: str, rung: int, variant: int, code: int) -> np.ndarray:
         height_m = np.array([1.25**rung])
         sizes = species.tree.sizes(height_m, own_normals(1000 + rung, np.array([variant], dtype=np.uint64)))
         return np.array(astuple(tree_size(species, float(height_m[0]), sizes)))
@@ -123,11 +125,12 @@ def test_dead_trees_have_exemplars_without_leaves_and_a_librarys_size_is_no_imag
     species, plants = trees(200)
     dead = np.arange(200) % 7 == 0
     plants.columns["leaf_area_m2"][dead] = 0.0  # type: ignore[index]
+    plants.status[dead] = Status.DEAD
 
-    def made(name: str, rung: int, variant: int) -> np.ndarray:
+    def made(name: str, rung: int, variant: int, code: int) -> np.ndarray:
         height_m = np.array([1.25**rung])
         sizes = species.tree.sizes(height_m, own_normals(1000 + rung, np.array([variant], dtype=np.uint64)))
-        return np.array(astuple(tree_size(species, float(height_m[0]), sizes)))
+        return np.array(astuple(tree_size(species, float(height_m[0]), sizes))) * [1, 1, 1, 1, code == 0]
 
     for keys in ({}, {"library": 4, "variants": 2, "library_tree": made}):
         plan = plan_exemplars(plants, 12, 1, **keys)  # type: ignore[arg-type]
@@ -139,6 +142,23 @@ def test_dead_trees_have_exemplars_without_leaves_and_a_librarys_size_is_no_imag
     for one in (plants, few):
         plan = plan_exemplars(one, 12, 1, library=4, variants=4, library_tree=made)
         np.testing.assert_allclose(plan.radius_m, 0.5 * plan.tree[:, 1])
+
+
+def test_each_form_and_class_of_the_dead_has_exemplars_and_the_living_keep_theirs() -> None:
+    _, plants = trees(200)
+    alone = plan_exemplars(plants, 6, 1)
+    form, decay = np.zeros((2, 200), dtype=np.uint8)
+    dead = np.arange(200) % 4 == 0
+    form[dead], decay[dead] = 1 + np.arange(50) % 4, 1 + np.arange(50) % 5
+    plants.columns["leaf_area_m2"][dead] = 0.0  # type: ignore[index]
+    plants.status[dead] = Status.DEAD
+    columns = {**plants.columns, "dead_form": form, "decay_class": decay}
+    plan = plan_exemplars(replace(plants, columns=columns), 6, 1)
+    np.testing.assert_array_equal(plan.dead[plan.exemplar_of_plant], dead_codes(form, decay))
+    assert np.sum(plan.dead == 0) == 6 == len(alone)
+    assert len(np.unique(plan.dead)) == 21
+    again = plan_exemplars(plants.at(~dead), 6, 1)
+    np.testing.assert_array_equal(plan.tree[:6], again.tree)
 
 
 def test_traits_count_for_trees_too() -> None:

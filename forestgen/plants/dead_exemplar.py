@@ -1,0 +1,229 @@
+"""One exemplar of a dead tree: the living tree of its species, what death leaves of it (`dead_tree`), and its surface.
+
+Bark falls off the stem in patches, more with every decay class; below it is grey wood. Branches lose theirs first.
+Moss grows on what lies, on its upper side. A patch is some of the mesh's triangles: noise along and around the stem
+says which, the same for all classes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from forestgen.core.dead_wood import DeadForm, DeadTree
+from forestgen.core.parts import Part
+from forestgen.geometry.mesh import Floats, Mesh, instance, part_of, triangle_areas, vertex_normals
+from forestgen.plants.build import box_of, check_materials, grown_tree
+from forestgen.plants.dead_tree import DeadSkeleton, dead_skeleton
+from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.grown import ModuleWood
+from forestgen.plants.levels import simplified
+from forestgen.plants.meshing import organ_meshes
+from forestgen.plants.organs.flowers import Disc
+from forestgen.plants.parameters import PlantParameters
+from forestgen.plants.tree_fit import fit_tree
+from forestgen.plants.tree_size import TreeSize
+from forestgen.recipe.species import Material, Species
+
+WEATHERED, MOSS, END_GRAIN, SOIL = "dead_wood", "dead_wood_moss", "dead_wood_end_grain", "dead_wood_soil"
+_MATERIALS: Mapping[str, dict[str, Any]] = {
+    WEATHERED: {
+        "spectrum": "wood/snag",
+        "roughness": 0.9,
+        "bark": {"pattern": "fibrous", "tile_m": [0.3, 0.6], "dark": [0.05, 0.045, 0.04], "lichen": 0.06},
+    },
+    MOSS: {
+        "spectrum": "wood/moss",
+        "roughness": 0.9,
+        "bark": {"pattern": "scaly", "tile_m": [0.2, 0.2], "scale_m": 0.01, "depth_m": 0.006},
+    },
+    END_GRAIN: {
+        "spectrum": "wood/end_grain",
+        "bark": {"pattern": "end_grain", "tile_m": [0.4, 0.4], "dark": [0.10, 0.06, 0.03]},
+    },
+    SOIL: {
+        "spectrum": "ground/litter",
+        "roughness": 0.9,
+        "bark": {"pattern": "scaly", "tile_m": [0.5, 0.5], "scale_m": 0.04, "depth_m": 0.02},
+    },
+}
+# By decay class: share of the stem's surface without bark; of the upper half of what lies, or of a stump, under moss.
+_BARE = (0.0, 0.15, 0.5, 0.85, 1.0)
+_MOSSY = (0.0, 0.03, 0.25, 0.55, 0.8)
+_GREY_BRANCHES = 2  # the class from which branches have no bark
+_ROTTEN = 4  # the class from which a sawn face is as grey as the rest
+_TWIGS = 0.7  # of the tree's leaf area, by which twigs are counted: the finest are gone
+_UPPER = 0.1  # least z of a normal of the upper side
+_PLATE_SIDES, _PLATE_RINGS, _PLATE_DEEP = 48, 9, 0.12
+
+
+def with_dead_wood(species: Species) -> Species:
+    """The species with the materials of its dead trees; a species' own `dead_wood` stays."""
+    own = {key: Material.model_validate(one) for key, one in _MATERIALS.items() if key not in species.materials}
+    return species.model_copy(update={"materials": {**species.materials, **own}}) if own else species
+
+
+def bare_parameters(plant: PlantParameters, dead: DeadTree | None = None) -> PlantParameters:
+    """The plant's parameters for dead wood: of a dead tree's class; None: all of it grey."""
+    has_bark = dead is not None and _BARE[dead.decay - 1] < 1.0
+    grey = dead is None or dead.decay >= _GREY_BRANCHES
+    changed: dict[str, Any] = {"dead": True}
+    if not has_bark:
+        changed["material"] = WEATHERED
+    if grey:
+        changed |= {"branch_material": WEATHERED if has_bark else None, "thick_branch_m": None}
+    return plant.model_copy(update={"wood": plant.wood.model_copy(update=changed)})
+
+
+def build_dead(
+    species_name: str,
+    species: Species,
+    plant: Any,
+    dead: DeadTree,
+    tree: TreeSize,
+    rng: np.random.Generator,
+    *,
+    radius_m: float,
+    pixel_m: float = 0.0,
+    wood: ModuleWood | None = None,
+) -> Exemplar:
+    """Grow, kill and mesh one tree.
+
+    `species`: with the materials of dead wood. `plant`: parameters of its generator, see `bare_parameters`. `tree`:
+    sizes of the whole tree when it lived. Others as for `build.build_exemplar`.
+    """
+    grown, level_rng = grown_tree(species_name, plant, tree, rng, wood)
+    fit_rng, dead_rng, patch_rng = rng.spawn(3)
+    leafless = replace(tree, leaf_area_m2=_TWIGS * tree.leaf_area_m2)
+    living = fit_tree(grown, plant, plant.templates(), leafless, fit_rng).skeleton
+    left = dead_skeleton(living, dead, tree.height_m, tree.dbh_m, dead_rng)
+    seen = simplified(left.skeleton, {}, pixel_m, level_rng)
+    organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=pixel_m)
+    organs = (*_patched(organs, plant, dead, patch_rng), *_faces(left, dead, patch_rng))
+    check_materials(species_name, organs, species.materials)
+    low, high = box_of(organs, species_name)
+    return Exemplar(
+        species=species_name,
+        organs=organs,
+        radius_m=radius_m,
+        height_m=float(high[2]),
+        crown_width_m=float(np.mean((high - low)[:2])),
+        leaf_area_m2=0.0,
+        wood_volume_m3=left.skeleton.volume_m3(),
+        lying_m3=left.lying_m3,
+    )
+
+
+class _Patch(NamedTuple):
+    """Triangles that have another material."""
+
+    material: str
+    share: float  # of the area
+
+
+def _patched(
+    organs: tuple[OrganMesh, ...], plant: PlantParameters, dead: DeadTree, rng: np.random.Generator
+) -> tuple[OrganMesh, ...]:
+    """The surfaces with moss, and the stem's with patches of bare wood."""
+    bare_waves, moss_waves = (_Waves.of(one) for one in rng.spawn(2))
+    bare, moss = _Patch(WEATHERED, _BARE[dead.decay - 1]), _Patch(MOSS, _MOSSY[dead.decay - 1])
+    mossy = dead.lies or dead.form == DeadForm.STUMP
+    made: list[OrganMesh] = []
+    for organ in organs:
+        mesh, pieces = organ.mesh, [organ]
+        if mossy and moss.share > 0.0:
+            assert mesh.normals is not None  # wood has
+            up = mesh.normals[mesh.faces].mean(axis=1)[:, 2].astype(np.float64)
+            upper = up > _UPPER
+            score = np.where(upper, -up - 0.6 * moss_waves.at(mesh), np.inf)
+            pieces = _split(organ, score, moss, upper)
+        if organ.material == plant.wood.material and bare.share < 1.0:
+            rest = pieces[0]
+            pieces = [*_split(rest, bare_waves.at(rest.mesh), bare), *pieces[1:]]
+        made += pieces
+    return tuple(made)
+
+
+class _Waves(NamedTuple):
+    """Smooth noise: waves of 0.3 to 3 m."""
+
+    way: Floats  # (W, 3) radians a metre
+    phase: Floats  # (W,)
+
+    @classmethod
+    def of(cls, rng: np.random.Generator) -> _Waves:
+        length_m = np.repeat([3.0, 1.4, 0.7, 0.3], 3)[:, None]
+        return cls(2.0 * np.pi / length_m * rng.normal(size=(12, 3)), rng.uniform(0.0, 2.0 * np.pi, 12))
+
+    def at(self, mesh: Mesh) -> Floats:
+        """(F,) at the middles of a mesh's triangles, about -1 to 1."""
+        middle = mesh.vertices_m.astype(np.float64)[mesh.faces].mean(axis=1)
+        return np.asarray(np.sin(middle @ self.way.T + self.phase).sum(axis=1) / 3.0)
+
+
+def _split(organ: OrganMesh, score: Floats, patch: _Patch, among: Any = None) -> list[OrganMesh]:
+    """The surface, and as a second one the triangles of least score, of a patch's share of the area."""
+    mesh = organ.mesh
+    area = triangle_areas(mesh.vertices_m, mesh.faces)
+    if among is not None:
+        area = np.where(among, area, 0.0)
+    order = np.argsort(score, kind="stable")
+    chosen = np.zeros(len(area), dtype=bool)
+    chosen[order] = np.cumsum(area[order]) <= patch.share * area.sum()
+    if among is not None:
+        chosen &= among
+    parts = ((~chosen, organ.material), (chosen, patch.material))
+    return [replace(organ, mesh=part_of(mesh, mesh.faces[own]), material=key) for own, key in parts if own.any()]
+
+
+def _faces(left: DeadSkeleton, dead: DeadTree, rng: np.random.Generator) -> list[OrganMesh]:
+    """A stump's sawn face, an uprooted tree's root plate."""
+    made = []
+    if left.sawn is not None:
+        place, diameter_m = left.sawn
+        frame = np.column_stack([diameter_m * np.eye(3), place + np.array([0.0, 0.0, 0.002])])
+        face = Disc(form="disc", part="dead_wood", material=END_GRAIN, diameter_m=1.0, sides=32).template()
+        material = WEATHERED if dead.decay >= _ROTTEN else END_GRAIN
+        made.append(OrganMesh(Part.DEAD_WOOD, material, instance(face, frame[None].astype(np.float32))))
+    if left.plate_m > 0.0:
+        foot_m = float(left.skeleton.position_m[0, 2])
+        made.append(OrganMesh(Part.DEAD_WOOD, SOIL, _root_plate(left.plate_m, foot_m, rng)))
+    return made
+
+
+def _root_plate(radius_m: float, middle_m: float, rng: np.random.Generator) -> Mesh:
+    """A lens of soil that stands on its edge, its middle at a height, bulging away from the tree."""
+    turn = np.arange(_PLATE_SIDES) * (2.0 * np.pi / _PLATE_SIDES)
+    waves = ((k, rng.normal(), rng.uniform(0.0, 2.0 * np.pi)) for k in (2, 3, 5, 8, 13, 21))
+    rim = 1.0 + sum(0.2 / np.sqrt(k) * size * np.cos(k * turn + phase) for k, size, phase in waves)
+    share = (np.arange(_PLATE_RINGS) + 1.0) / _PLATE_RINGS
+    out = radius_m * share[:, None] * np.clip(rim, 0.55, 1.45)
+    out *= 1.0 + 0.25 / _PLATE_RINGS * rng.normal(size=out.shape)
+    rough = 1.0 + 0.6 * rng.normal(size=(2, _PLATE_RINGS, _PLATE_SIDES))
+    deep = _PLATE_DEEP * radius_m * (0.25 + 0.75 * np.sqrt(1.0 - share**2))[:, None] * np.clip(rough, 0.2, 1.8)
+    x, z = out * np.cos(turn), middle_m + out * np.sin(turn)
+    shell = [np.stack([x, y, z], axis=2) for y in (-deep[0], 0.25 * deep[1])]
+    ends = np.array([[0.0, -_PLATE_DEEP * radius_m, middle_m], [0.0, 0.25 * _PLATE_DEEP * radius_m, middle_m]])
+    points = np.concatenate([*(one.reshape(-1, 3) for one in shell), ends])
+    k, nxt, ring = np.arange(_PLATE_SIDES), (np.arange(_PLATE_SIDES) + 1) % _PLATE_SIDES, _PLATE_SIDES
+    count, faces = _PLATE_RINGS * ring, []
+    for side in (0, 1):
+        base = side * count
+        strips = [np.column_stack([np.full(ring, 2 * count + side), base + k, base + nxt])]
+        for row in range(_PLATE_RINGS - 1):
+            low, high = base + row * ring, base + (row + 1) * ring
+            strips += [
+                np.column_stack([low + k, high + k, high + nxt]),
+                np.column_stack([low + k, high + nxt, low + nxt]),
+            ]
+        faces += [one if side == 0 else one[:, ::-1] for one in strips]
+    outer = count - ring
+    faces += [np.column_stack([outer + nxt, outer + k, count + outer + k]),
+              np.column_stack([outer + nxt, count + outer + k, count + outer + nxt])]  # fmt: skip
+    triangles = np.concatenate(faces)
+    normals = vertex_normals(points, triangles)
+    uv = points[:, [0, 2]].astype(np.float32)
+    return Mesh(points.astype(np.float32), triangles.astype(np.uint32), normals.astype(np.float32), uv)
