@@ -33,6 +33,7 @@ from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import haze_notes, noise_notes, render_frame
 from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.far_mesh import SPECIES as FAR_SPECIES
+from forestgen.scene.ground_tiles import GROUND
 from forestgen.scene.plan import Plan, check_memory, check_plan
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import Camera
@@ -157,7 +158,7 @@ class _ImageRenderer:
         classes = class_map(scene.drawn)
         plants = scene.labelled or scene.population
         with timings("measures"):
-            meter = PlantMeter([one for one in scene.spec.exemplars if one.species != FAR_SPECIES])
+            meter = PlantMeter([one for one in scene.spec.exemplars if one.species not in (FAR_SPECIES, GROUND)])
         tracer: SceneTracer | None = None
         stand: StandTable | None = None
         for camera in scene.spec.cameras:

@@ -6,12 +6,8 @@ Balance and Management 6:14, table 1). Down: 1 intact; 2 fine twigs gone, bark l
 stubs, no bark, settled on the ground; 5 no limbs, sunk in (after Maser et al. 1979, Agriculture Handbook 553, and
 Woodall and Monleon 2008, USDA Forest Service GTR NRS-22).
 
-The stem of a dead tree of height H has the radius
-
-    r(h) = D / 2 ((H - h) / (H - 1.3 m))^p,    p = 0.65
-
-at a height h, which gives trees of 16 to 30 m form factors of 0.49 to 0.46 at breast height. What is left of it ends at
-a share of H by form and class, so that the height of what is left gives that of the whole tree.
+Stems taper as those of living trees (`forestgen.core.stem_form`). What is left of one ends at a share of the whole
+tree's height by form and class, so that the height of what is left gives that of the whole tree.
 """
 
 from __future__ import annotations
@@ -23,15 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.frames import BREAST_HEIGHT_M
+from forestgen.core.stem_form import LEAST_ABOVE_M, TAPER
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.integer]
 
 CLASSES = 5
 UNKNOWN_CLASS = 2  # of dead trees of which nobody says the class
-TAPER = 0.65  # p
 SNAPPED_AT = 0.2  # share of its height at which a stem snaps
-_LEAST_ABOVE_M = 0.3  # of the top over breast height, where radii are worked out
 _STEP = 8  # between the codes of forms
 
 
@@ -103,12 +98,6 @@ def dbh_of_stump_m(height_m: float) -> float:
     return 3.0 * height_m
 
 
-def stem_radius_m(at_m: Floats, whole_m: float, dbh_m: float) -> Floats:
-    """(K,) radii of the stem of a tree at (K,) heights."""
-    above = max(whole_m - BREAST_HEIGHT_M, _LEAST_ABOVE_M)
-    return 0.5 * dbh_m * np.maximum((whole_m - at_m) / above, 0.0) ** TAPER
-
-
 def lying_volume_m3(form: Codes, decay: Codes, height_m: Floats, dbh_m: Floats) -> Floats:
     """(N,) volume of the stem that lies on the ground, over bark; 0 of standing trees and stumps.
 
@@ -126,7 +115,7 @@ def standing_volume_m3(form: Codes, decay: Codes, height_m: Floats, dbh_m: Float
 def _volume_m3(begins: Floats, left: Floats, height_m: Floats, dbh_m: Floats) -> Floats:
     """(N,) volume of a stem between two shares of the whole tree's height; `height_m`: at the second."""
     whole = height_m / left
-    above = np.maximum(whole - BREAST_HEIGHT_M, _LEAST_ABOVE_M)
+    above = np.maximum(whole - BREAST_HEIGHT_M, LEAST_ABOVE_M)
     power = 2.0 * TAPER + 1.0
     foot_m2 = 0.25 * np.pi * dbh_m**2 * (whole / above) ** (2.0 * TAPER)
     return np.asarray(foot_m2 * whole * ((1.0 - begins) ** power - (1.0 - left) ** power) / power)

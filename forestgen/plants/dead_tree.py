@@ -7,7 +7,7 @@ class has lost the next one has lost too:
 - Branches break off at a share of their length, by the same number; short stubs are left.
 - The stem ends at `DeadTree.left` of the height, in splinters; a felled one's stump at a sawn face.
 
-The radius of the stem follows `core.dead_wood.stem_radius_m`, so that volumes are those of forestry.
+The radius of the stem follows `core.stem_form`, so that volumes are those of forestry.
 
 A stem that lies along +y touches the ground all along: its axis is as high as its radius, less what has sunk in. What
 of its branches points steeply down has broken off; others that would be below the ground lie on it. An uprooted tree's
@@ -20,11 +20,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from forestgen.core.dead_wood import SNAPPED_AT, DeadForm, DeadTree, stem_radius_m, stump_height_m
+from forestgen.core.dead_wood import SNAPPED_AT, DeadForm, DeadTree, stump_height_m
 from forestgen.geometry.mesh import Bools, Floats, Ints, unit
 from forestgen.plants.crown_twigs import TWIG_ORDER, first_stem
 from forestgen.plants.skeleton import Skeleton
 from forestgen.plants.splinters import splinters
+from forestgen.plants.tree_fit import with_taper
 
 # By decay class, 1 to 5. Where no number is in the sources of `core.dead_wood`, they are ours.
 _THINNEST_M = (0.0, 0.005, 0.012, 0.03, 0.05)  # diameter
@@ -67,7 +68,7 @@ def dead_skeleton(
     own = axis_rng.random(int(turned.axis.max()) + 1)  # of each axis
     fine = _finer(turned, _STEP_RADII * 0.5 * dbh_m)
     stem = first_stem(fine.axis)
-    tapered = _tapered(fine, stem, whole_m, dbh_m)
+    tapered = with_taper(fine, whole_m, dbh_m)
     top_m = float(stump_height_m(np.array(dbh_m))) if dead.form == DeadForm.STUMP else dead.left * whole_m
     bare = _cut(tapered, _ends(tapered, stem, own, dead.decay, top_m))
     match dead.form:
@@ -104,17 +105,6 @@ def _finer(skeleton: Skeleton, step_m: float) -> Skeleton:
         skeleton.order[node],
         skeleton.axis[node],
     )
-
-
-def _tapered(skeleton: Skeleton, stem: Bools, whole_m: float, dbh_m: float) -> Skeleton:
-    """The stem with the taper of forestry; no branch is thicker than 0.8 times what bears it."""
-    radius = skeleton.radius_m.astype(np.float64)
-    radius[stem] = np.maximum(stem_radius_m(skeleton.position_m[stem, 2].astype(np.float64), whole_m, dbh_m), 0.002)
-    parents, onward = skeleton.parent.tolist(), skeleton.axis[np.maximum(skeleton.parent, 0)] == skeleton.axis
-    for node in np.flatnonzero(~stem).tolist():
-        most = radius[parents[node]] * (1.0 if onward[node] else 0.8)
-        radius[node] = min(radius[node], most)
-    return replace(skeleton, radius_m=radius.astype(np.float32))
 
 
 def _ends(skeleton: Skeleton, stem: Bools, own: Floats, decay: int, top_m: float) -> Floats:

@@ -18,8 +18,8 @@ _THREAD_M = 2e-5  # axes no thicker than this join pieces that do not touch, and
 _THREAD_SHARE = 1e-4  # the same as a share of the plant's greatest radius
 LARGEST_PLANT = 50_000_000  # nodes or organs: no plant needs more, whatever the machine has
 _SHARE_OF_FREE = 0.5
-_OF_A_SMALL_PLANT, _OF_A_SLENDER_PLANT_PER_M3, _OF_A_WIDE_PLANT_PER_M3 = 20_000, 520, 60_000  # triangles
-_OF_A_LARGE_PLANT, _OF_A_LARGE_PLANT_PER_M2, _OF_A_LARGE_SLENDER_PLANT_PER_M2 = 240_000, 800, 1100
+_OF_A_SMALL_PLANT, _OF_A_SLENDER_PLANT_PER_M3, _OF_A_WIDE_PLANT_PER_M3 = 20_000, 800, 60_000  # triangles
+_OF_A_LARGE_PLANT, _OF_A_LARGE_PLANT_PER_M2, _OF_A_LARGE_SLENDER_PLANT_PER_M2 = 240_000, 900, 2300
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def check_budget(what: str, count: float, bytes_each: int, hint: str) -> None:
 def most_triangles(height_m: float, width_m: float) -> float:
     """Upper estimate of a plant's triangles at full detail, from its height and the width of its crown, if it has one.
 
-    It holds for all shipped species (docs/species.md; a birch's seeds differ by a tenth). Slender plants have up to 510
+    It holds for all shipped species (docs/species.md; a birch's seeds differ by a tenth). Slender plants have up to 630
     triangles a cubic metre, `height_m` times the square of `width_m`: birch. Low and wide ones have up to 50,000:
     bracken and bramble, whose leaves are divided. Of either kind large ones have fewer: beech 100.
     """

@@ -11,7 +11,7 @@ A generator grows a plant of about the right height and width. Here it gets the 
 - Where the species has `crown_twigs`, they take the place of the thin wood and its leaves, and what has moved is fitted
   once more.
 - Wood is made thinner or thicker by a power of its radius, so that the stem has its diameter 1.3 m above the ground,
-  flare included, and the finest twigs stay as they are.
+  flare included, and the finest twigs stay as they are. Then the stem gets its taper (`forestgen.core.stem_form`).
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import numpy as np
 from forestgen.community.tree_columns import HIGHEST_BASE
 from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
+from forestgen.core.stem_form import stem_radius_m
 from forestgen.geometry.mesh import Floats, Ints, Mesh, surface_area_m2
 from forestgen.plants.crown_twigs import DARKEST, EXTINCTION, Leaves, fill_crown, first_stem, rules_of_twigs
 from forestgen.plants.organs.base import OrganForm
@@ -43,6 +44,7 @@ _STRAIGHTENED = 0.7  # of a stem's way aside, as it grew
 _EVEN = 0.4  # mean of (r / R)² of points in an ellipsoid, r from the axis and R its greatest
 _MOST_FILLED = 1.5  # the stretch of what is next to the axis, over that of the farthest, less 1
 _TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
+_BRANCH = 0.8
 _MEASURED_M = 2.0  # lower trees keep their thickness: breast height is among their tips
 _POWER = (0.3, 3.0)  # of the radius
 _LOWEST_BASE = 0.02  # of the crown, over the height, where heights are stretched apart
@@ -327,4 +329,24 @@ def fit_wood(skeleton: Skeleton, flare: float, dbh_m: float) -> Skeleton:
         low, high = (middle, high) if diameter(middle) < dbh_m else (low, middle)
     made = powered(low)
     thin = np.minimum(1.0, dbh_m / diameter(low))  # where no power is small enough
-    return replace(skeleton, radius_m=(made * thin).astype(np.float32))
+    branched = replace(skeleton, radius_m=(made * thin).astype(np.float32))
+    top_m, inner_m = float(heights[-1]), dbh_m
+    for _ in range(_ROUNDS):  # the diameter without the flare, which goes by the foot
+        foot_m = float(stem_radius_m(np.zeros(1), top_m, inner_m)[0])
+        inner_m = dbh_m / slant / (1.0 + flare * np.exp(-BREAST_HEIGHT_M / (3.5 * foot_m)))
+    return with_taper(branched, top_m, inner_m)
+
+
+def with_taper(skeleton: Skeleton, top_m: float, dbh_m: float) -> Skeleton:
+    """The skeleton with the taper of a tree's first stem; no branch is thicker than `_BRANCH` times what bears it.
+
+    `top_m`: of the whole tree, of which this may be a part. `dbh_m`: without a flare.
+    """
+    stem, radius = first_stem(skeleton.axis), skeleton.radius_m.astype(np.float64)
+    heights = np.maximum.accumulate(skeleton.position_m[stem, 2].astype(np.float64))
+    radius[stem] = np.maximum(stem_radius_m(heights, top_m, dbh_m), min(_TWIG_RADIUS_M, 0.1 * dbh_m))
+    onward = skeleton.axis[np.maximum(skeleton.parent, 0)] == skeleton.axis
+    most, parents, thick = np.where(onward, 1.0, _BRANCH).tolist(), skeleton.parent.tolist(), radius.tolist()
+    for node in np.flatnonzero(~stem).tolist():
+        thick[node] = min(thick[node], most[node] * thick[parents[node]])
+    return replace(skeleton, radius_m=np.array(thick, dtype=np.float32))

@@ -118,9 +118,10 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             clouds=clouds,
             cameras=tuple(camera for entry in views for camera in entry),
         )
-        spec = ground_cover(plan, population, spec.cameras).on(spec)
+        ground = ground_cover(plan, population, spec.cameras)
+        spec = ground.on(spec)
         notes = [
-            *(f"image {drawn.image_index}: {note}" for note in simulated.notes),
+            *(f"image {drawn.image_index}: {note}" for note in (*simulated.notes, *ground.notes)),
             *check_trunks(drawn, views, trunks),
             *plan.views.check_outside_of_buildings(),
             *infrared_notes(base_materials, plan.views.all_cameras),

@@ -2,12 +2,14 @@
 
 A layer's things (`site.ground.layers`; scene/ground_layers) are laid at random on a few tiles, of several densities. A
 tile is one mesh, instanced where the layer's cover asks for its density, turned by right angles and sheared to the
-ground. N things a square metre, each hiding a area a of it, hide 1 - exp(-N a) together: so a tile has Poisson's number
-of things for its cover. The cover itself is uneven by a field of random waves (`patch_m`), and by where a layer grows.
+ground. N things a square metre, each hiding an area a of it, hide 1 - exp(-N a) together: so a tile has Poisson's
+number of things for its cover. Large things, of which a tile would have less than `_FEWEST`, are instanced one by one.
+The cover itself is uneven by a field of random waves (`patch_m`), and by where a layer grows.
 
-Tiles are drawn where a thing of the layer is as long as `LEAST_PX` pixels of the camera that sees it best, in or near
-some camera's view, up to `MOST_TILES` and `FAR_M`. Elsewhere the ground is painted, with the mean reflectance of the
-ground and the layers on it: so both look alike where one gives way to the other.
+Tiles are drawn where a thing of the layer is as long as `ground_view.LEAST_PX` pixels of the camera that sees it best,
+in or near some camera's view, up to `MOST_TILES` and `FAR_M`. All of the ground is painted with the mean reflectance of
+the ground and of the layers on it, so that it looks alike where geometry gives way to paint: ground that shows between
+things has that colour, too.
 
 Reference
 ---------
@@ -19,34 +21,33 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from forestgen.community.population import Population
-from forestgen.core.parts import Part
+from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import SPLIT_MIX_STEP, child_rng, child_root, mixed
 from forestgen.core.spectrum import Spectrum
-from forestgen.geometry.mesh import Floats, concatenate, instance
+from forestgen.geometry.mesh import Floats
 from forestgen.plants.bark.texture import with_mean
-from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.registries import GROUND_LAYERS
 from forestgen.scene.colour import colours_of_surface
-from forestgen.scene.ground_layers.layer import MOST_TILES, GroundLayerKind, Layer, Places, Request, Thing
+from forestgen.scene.ground_layers.layer import Layer, Places, Request
+from forestgen.scene.ground_tiles import COVERS, GROUND, MOST_THINGS, VARIANTS, number_per_m2, single, tile
+from forestgen.scene.ground_view import MOST_TILES, TILE_M, best_pixel_m, nearest, seen_tiles
 from forestgen.scene.plan import Plan
-from forestgen.scene.projection import project, projection_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.surfaces import wet_spectrum
 from forestgen.scene.terrain import HeightField
 
-GROUND = "(ground)"  # species of the tiles: no species' name has brackets
-TILE_M = 1.0
-COVERS = (0.06, 0.2, 0.4, 0.6, 0.8, 0.92, 0.98)  # of the tiles that are made
-VARIANTS = 4
-LEAST_PX = 1.0
-FAR_M = 120.0
-_NEAR_M = 3.0  # around a camera, tiles are drawn behind it, too: their light and shadow may be in view
-_MOST_THINGS = 6000  # on a tile
+_FEWEST = 4.0  # things on a tile, in the mean
+_MOST_SINGLE = 40  # large things on a square metre: at a mean of 4 none has as many
+_NUMBERS = 6  # of a thing that lies by itself
 _WAVES = 24  # of a field of patches
 _REACH_M = 2.5  # standard deviation of where leaves fall
 _SPREAD = 0.35  # of the logistic curve that makes patches of waves
@@ -55,15 +56,15 @@ Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class GroundCover:
-    """Tiles on the ground."""
+class LaidGround:
+    """What lies on the ground."""
 
     exemplars: tuple[Exemplar, ...]
     materials: Mapping[tuple[str, str], Material]
     exemplar: NDArray[np.uint32]  # (K,) of each tile, among `exemplars`
     transform: Floats  # (K, 3, 4)
     layers: tuple[Layer, ...]
-    things: int = 0  # on all tiles
+    notes: tuple[str, ...] = ()  # for people: what is not as the recipe says
 
     def on(self, spec: SceneSpec) -> SceneSpec:
         """The scene with its tiles, and paint of their colour where there are none."""
@@ -85,173 +86,103 @@ class GroundCover:
         )
 
 
-def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) -> GroundCover:
-    """The layers of a recipe's ground; `population`: of the site, its feet on the ground."""
+def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) -> LaidGround:
+    """The layers of a recipe's ground; `population`: of the site, its feet on the ground.
+
+    Raises `RecipeError`: a thing that cannot be made, with the layer's line.
+    """
     sections, height = plan.drawn.recipe.site.ground.layers, plan.views.height
-    best_m = _best_pixel_m(cameras, height)
-    shares = leaf_shares(population, height.size_m)
+    finest_m = best_pixel_m(cameras, height) if sections else 0.0
+    shares = leaf_shares(population, height.size_m) if sections else {}
     layers: list[Layer] = []
+    notes: list[str] = []
     for index, keys in enumerate(sections):
-        kind: GroundLayerKind[object] = GROUND_LAYERS.load(keys.what)  # type: ignore[type-var]
-        request = Request(plan.drawn, plan.plants.generators, shares, best_m, ("site", "ground", "layers", index))
-        rng = child_rng(plan.drawn.image_seed, "ground", index)
-        layers += [replace(one, name=f"{index}/{one.name}") for one in kind.layers(keys, request, rng)]
-    return _laid(layers, cameras, height, plan.drawn.image_seed)
+        kind: Any = GROUND_LAYERS.load(keys.what)
+        where = ("site", "ground", "layers", index)
+        request = Request(plan.drawn, plan.plants.generators, shares, finest_m, where)
+        try:
+            found = kind.layers(keys, request, child_rng(plan.drawn.image_seed, "ground", index))
+        except RecipeError as cause:
+            raise cause.at(plan.drawn.where(*where)) from cause
+        layers += [replace(one, name=f"{index}/{one.name}") for one in found]
+        notes += _notes(f"site.ground.layers.{index}: {keys.what}", found)
+    return replace(_laid(layers, cameras, height, plan.drawn.image_seed), notes=tuple(notes))
 
 
-def _laid(layers: Sequence[Layer], cameras: Sequence[Camera], height: HeightField, seed: int) -> GroundCover:
+def _notes(name: str, layers: Sequence[Layer]) -> list[str]:
+    """What of a layer is not as the recipe says."""
+    if not layers:
+        return [f"{name}: nothing lies there, for no plant that sheds it stands on the site"]
+    notes = []
+    for one in layers:
+        fully = float(number_per_m2(one, np.array(1.0 - np.exp(-1.0)))) * TILE_M**2  # on a tile that they cover once
+        most = 1.0 - float(np.exp(-MOST_THINGS / fully))
+        if most < one.cover:
+            notes.append(f"{name}: things so small hide at most {most:.2f} of the ground, not {one.cover:.2f}")
+    return notes
+
+
+def _laid(layers: Sequence[Layer], cameras: Sequence[Camera], height: HeightField, seed: int) -> LaidGround:
     exemplars: list[Exemplar] = []
-    which, places, things = [], [], 0
-    seen = [_seen_tiles(cameras, height, max(one.length_m for one in layer.things)) for layer in layers]
-    most = _fitting(seen)
-    for layer, (at, apart) in zip(layers, seen, strict=True):
-        at = at[apart <= most]
-        middle = np.asarray((at + 0.5) * TILE_M, dtype=np.float64)
-        chosen, turn = _chosen(layer, middle, at, seed)
-        kept = chosen >= 0
-        used, index = np.unique(chosen[kept], return_inverse=True)
-        made = [_tile(layer, int(one), seed) for one in used]
+    which, places = [np.zeros(0, np.intp)], [np.zeros((0, 3, 4))]
+    seen = [seen_tiles(cameras, height, max(one.length_m for one in layer.things)) for layer in layers]
+    kept = nearest([apart for _, apart in seen], MOST_TILES)
+    for layer, (at, _), near in zip(layers, seen, kept, strict=True):
+        mean = float(number_per_m2(layer, np.array(layer.cover))) * TILE_M**2
+        lay = _lay_singly if mean < _FEWEST else _lay_tiles
+        made, index, transform = lay(layer, at[near], height, seed)
         which.append(index + len(exemplars))
-        places.append(_sheared(height, middle[kept], turn[kept]))
-        exemplars += [tile for tile, _ in made]
-        things += int(np.array([count for _, count in made], dtype=np.int64)[index].sum()) if len(made) else 0
+        places.append(transform)
+        exemplars += made
     materials = {(GROUND, key): one for layer in layers for key, one in layer.materials.items()}
-    return GroundCover(
-        tuple(exemplars),
-        materials,
-        np.concatenate([np.zeros(0, np.intp), *which]).astype(np.uint32),
-        np.concatenate([np.zeros((0, 3, 4)), *places]),
-        tuple(layers),
-        things,
+    return LaidGround(
+        tuple(exemplars), materials, np.concatenate(which).astype(np.uint32), np.concatenate(places), tuple(layers)
     )
 
 
-# ---------------------------------------------------------------------------------------------------------- what lies
+_Lying = tuple[list[Exemplar], Ints, Floats]  # exemplars, (K,) which, (K, 3, 4) where
 
 
-def _tile(layer: Layer, index: int, seed: int) -> tuple[Exemplar, int]:
-    """One tile with the things of a layer, its middle in the origin, and their number; `index`: cover and variant."""
-    cover, rng = COVERS[index // VARIANTS], child_rng(seed, "tile", layer.name, index)
-    share = np.array([one.share for one in layer.things])
-    share = share / share.sum()
-    growth = np.exp(2.0 * layer.spread.size_sigma**2)  # mean square of sizes of median 1
-    hidden = float(share @ np.array([one.hidden_m2 for one in layer.things])) * growth
-    count = min(int(rng.poisson(-np.log(1.0 - cover) / hidden * TILE_M**2)), _MOST_THINGS)
-    kind = rng.choice(len(share), count, p=share)
-    frames = _frames(layer, count, rng)
-    meshes: dict[tuple[Part, str], list[OrganMesh]] = {}
-    for number, thing in enumerate(layer.things):
-        mine = frames[kind == number]
-        if not len(mine):
-            continue
-        mine = _sunk(mine, thing, layer.spread.sunk)
-        for organ in thing.organs:
-            laid = replace(organ, mesh=instance(organ.mesh, mine.astype(np.float32)))
-            meshes.setdefault((organ.part, organ.material), []).append(laid)
-    organs = tuple(
-        OrganMesh(part, material, replace(concatenate([one.mesh for one in group]), uv=None))
-        for (part, material), group in meshes.items()
-    )
-    if not organs:  # a tile needs a surface
-        first = layer.things[0].organs[0]
-        buried = instance(first.mesh, np.hstack([0.01 * np.eye(3), [[0.0], [0.0], [-1.0]]])[None].astype(np.float32))
-        organs = (OrganMesh(first.part, first.material, replace(buried, uv=None)),)
-    top_m = max(float(one.mesh.vertices_m[:, 2].max()) for one in organs)
-    return Exemplar(GROUND, organs, 0.5 * TILE_M, max(top_m, 1e-3), TILE_M, 0.0, 0.0), count
+def _lay_tiles(layer: Layer, at: Ints, height: HeightField, seed: int) -> _Lying:
+    middle = np.asarray((at + 0.5) * TILE_M, dtype=np.float64)
+    chosen, turn = _chosen(layer, middle, at, seed)
+    some = chosen >= 0
+    used, index = np.unique(chosen[some], return_inverse=True)
+    return [tile(layer, int(one), seed)[0] for one in used], index, _sheared(height, middle[some], turn[some])
 
 
-def _frames(layer: Layer, count: int, rng: np.random.Generator) -> Floats:
-    """(N, 3, 4) of things anywhere on a tile, turned, leaning, of random sizes, lying on each other."""
-    spread = layer.spread
-    turn, way = rng.random((2, count)) * 2.0 * np.pi
-    lean = np.abs(rng.normal(0.0, np.radians(spread.tilt_deg), count))
-    size = np.exp(rng.normal(0.0, spread.size_sigma, count))
-    cos, sin, zero, one = np.cos(turn), np.sin(turn), np.zeros(count), np.ones(count)
-    turned = np.array([[cos, -sin, zero], [sin, cos, zero], [zero, zero, one]]).transpose(2, 0, 1)
-    x, y, c, s = np.cos(way), np.sin(way), np.cos(lean), np.sin(lean)  # lean about the level axis (x, y)
-    leant = np.array(
-        [
-            [c + x * x * (1 - c), x * y * (1 - c), y * s],
-            [x * y * (1 - c), c + y * y * (1 - c), -x * s],
-            [-y * s, x * s, c],
-        ]
-    ).transpose(2, 0, 1)
-    frames = np.zeros((count, 3, 4))
-    frames[:, :, :3] = size[:, None, None] * leant @ turned
-    frames[:, :2, 3] = (rng.random((count, 2)) - 0.5) * TILE_M
-    frames[:, 2, 3] = rng.random(count) * spread.depth_m
-    return frames
+def _lay_singly(layer: Layer, at: Ints, height: HeightField, seed: int) -> _Lying:
+    """Things one by one: on each square metre Poisson's number of them."""
+    middle = np.asarray((at + 0.5) * TILE_M, dtype=np.float64)
+    mean = number_per_m2(layer, local_cover(layer, middle, seed)) * TILE_M**2
+    count = _poisson(tile_numbers(at, child_root(seed, "number", layer.name))[:, 0], mean)
+    tiles = np.repeat(np.arange(len(at)), count)
+    order = np.arange(len(tiles)) - np.repeat(np.cumsum(count) - count, count)
+    own = np.zeros((len(tiles), _NUMBERS))
+    for number in range(int(count.max(initial=0))):
+        rows, roots = order == number, (child_root(seed, "single", layer.name, number, part) for part in range(2))
+        own[rows] = np.concatenate([tile_numbers(at[tiles[rows]], root) for root in roots], axis=1)
+    place = (at[tiles] + own[:, :2]) * TILE_M
+    angle = 2.0 * np.pi * own[:, 2]
+    size = np.exp(layer.spread.size_sigma * ndtri(np.clip(own[:, 3], 1e-6, 1.0 - 1e-6)))
+    transform = np.zeros((len(tiles), 3, 4))
+    cos, sin = size * np.cos(angle), size * np.sin(angle)
+    transform[:, 0, 0], transform[:, 0, 1], transform[:, 1, 0], transform[:, 1, 1] = cos, -sin, sin, cos
+    transform[:, 2, 2] = size
+    transform[:, :2, 3], transform[:, 2, 3] = place, height(*place.T)
+    which = np.minimum((own[:, 4] * len(layer.things)).astype(np.intp), len(layer.things) - 1)
+    return [single(layer, number) for number in range(len(layer.things))], which, transform
 
 
-def _sunk(frames: Floats, thing: Thing, share: float) -> Floats:
-    """The frames lowered by a share of the thing's height."""
-    if share <= 0.0:
-        return frames
-    top_m = max(float(one.mesh.vertices_m[:, 2].max()) for one in thing.organs)
-    lowered = frames.copy()
-    lowered[:, 2, 3] -= share * top_m * frames[:, 2, 2]
-    return lowered
-
-
-# -------------------------------------------------------------------------------------------------------------- where
-
-
-def _best_pixel_m(cameras: Sequence[Camera], height: HeightField) -> float:
-    """The least that a pixel of any camera covers of the ground, metres."""
-    best = np.inf
-    for camera in cameras:
-        x, y, z = camera.position_m
-        above = max(z - float(height(np.array([x]), np.array([y]))[0]), 0.3)
-        best = min(best, float(projection_of(camera).finest_pixel_m(camera, np.array([above]))[0]))
-    return best
-
-
-def _seen_tiles(cameras: Sequence[Camera], height: HeightField, length_m: float) -> tuple[Ints, Floats]:
-    """(K, 2) columns and rows of the tiles where a thing of a length is seen, and (K,) metres to the nearest camera."""
-    found, apart = [np.zeros((0, 2), np.intp)], [np.zeros(0)]
-    for camera in cameras:
-        at, away = _tiles_before(camera, height, length_m)
-        found.append(at)
-        apart.append(away)
-    every, distance = np.concatenate(found), np.concatenate(apart)
-    order = np.lexsort((distance, every[:, 1], every[:, 0]))
-    every, distance = every[order], distance[order]
-    first = np.ones(len(every), dtype=bool)
-    first[1:] = (every[1:] != every[:-1]).any(axis=1)
-    return every[first], distance[first]
-
-
-def _tiles_before(camera: Camera, height: HeightField, length_m: float) -> tuple[Ints, Floats]:
-    """The tiles that one camera sees."""
-    projection, place = projection_of(camera), np.asarray(camera.position_m)
-    reach_m = FAR_M
-    if not projection.is_parallel:
-        reach_m = min(FAR_M, length_m / LEAST_PX / float(projection.finest_pixel_m(camera, np.array([1.0]))[0]))
-    elif float(projection.finest_pixel_m(camera, np.array([1.0]))[0]) * LEAST_PX > length_m:
-        return np.zeros((0, 2), np.intp), np.zeros(0)
-    half_m = reach_m if not projection.is_parallel else camera.width_m
-    low, high = np.floor((place[:2] - half_m) / TILE_M), np.ceil((place[:2] + half_m) / TILE_M)
-    columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
-    at = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.intp)
-    middle = (at + 0.5) * TILE_M
-    at = at[np.hypot(*(middle - place[:2]).T) < half_m]
-    middle = (at + 0.5) * TILE_M
-    points = np.column_stack([middle, height(*middle.T)])
-    away = np.linalg.norm(points - place, axis=1) if not projection.is_parallel else np.zeros(len(points))
-    image = project(camera, (points - place) @ camera.world_from_camera)
-    pixel_m = np.maximum(projection.finest_pixel_m(camera, np.maximum(away, 1e-3)), 1e-9)
-    margin = TILE_M / pixel_m
-    width, tall = camera.size_px
-    inside = (image.x_px > -margin) & (image.x_px < width + margin)
-    inside &= (image.y_px > -margin) & (image.y_px < tall + margin)
-    kept = (away < reach_m) & ((image.in_front & inside) | (away < _NEAR_M))
-    return at[kept], away[kept]
-
-
-def _fitting(seen: Sequence[tuple[Ints, Floats]]) -> float:
-    """Distance within which at most `MOST_TILES` tiles lie."""
-    every = np.sort(np.concatenate([np.zeros(0), *(apart for _, apart in seen)]))
-    return float("inf") if len(every) <= MOST_TILES else float(every[MOST_TILES])
+def _poisson(uniform: Floats, mean: Floats) -> Ints:
+    """(K,) Poisson's numbers of small means, by their inverse distribution."""
+    chance = np.exp(-mean)
+    below, count = chance.copy(), np.zeros(len(mean), dtype=np.intp)
+    for number in range(1, _MOST_SINGLE):
+        count += uniform > below
+        chance = chance * mean / number
+        below += chance
+    return count
 
 
 def _chosen(layer: Layer, middle: Floats, at: Ints, seed: int) -> tuple[Ints, Ints]:
@@ -367,10 +298,13 @@ def painted(terrain: Terrain, layers: Sequence[Layer]) -> Terrain:
     spectrum = terrain.spectrum
     if spectrum is None or not layers:
         return terrain
-    for layer in layers:
-        grid = np.union1d(spectrum.wavelength_nm, layer.spectrum.wavelength_nm)
-        below = spectrum.at(grid)
-        spectrum = Spectrum(grid, below + layer.cover * (layer.spectrum.at(grid) - below))
+    for _, group in groupby(layers, key=lambda layer: layer.name.split("/")[0]):
+        mixed_up = list(group)  # things of one layer of the recipe lie among each other
+        number = np.array([-np.log1p(-one.cover) for one in mixed_up])
+        cover = 1.0 - float(np.exp(-number.sum()))
+        grid = np.unique(np.concatenate([spectrum.wavelength_nm, *(one.spectrum.wavelength_nm for one in mixed_up)]))
+        own = np.average([one.spectrum.at(grid) for one in mixed_up], axis=0, weights=number)
+        spectrum = Spectrum(grid, (1.0 - cover) * spectrum.at(grid) + cover * own)
     colour = colours_of_surface(spectrum, None)[0]
     wet = terrain.wet
     if wet is not None:

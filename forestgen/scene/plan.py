@@ -26,7 +26,7 @@ from forestgen.recipe.registries import DATASET_FORMATS, GROUND_LAYERS, LABEL_CH
 from forestgen.recipe.schema import Recipe
 from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
-from forestgen.scene.ground_layers.layer import MOST_TILES
+from forestgen.scene.ground_view import MOST_TILES
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.site import check_sun, check_wet_soil, community_site
 from forestgen.scene.triangles import exemplar_triangles

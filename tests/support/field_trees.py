@@ -2,9 +2,9 @@
 
 `tests/unit/plants/data/baad_trees.csv` has 3,453 trees of 20 genera from BAAD (Falster et al. 2015, Ecology 96:1445,
 doi:10.1890/14-1889.1; CC0), compiled from its sources. Crown width is 2 sqrt(area / pi) where only the area was
-measured. `beech_trees.csv` beside it has heights, diameters and ages of 187 European beeches of nine studies, as
-Wutzler, Wirth and Schumacher compiled them (2008, Canadian Journal of Forest Research 38, 1661-1675; of the R package
-twNlme, github.com/bgctw/twNlme).
+measured. `beech_trees.csv` beside it has heights, diameters, ages and stem mass of 187 European beeches of nine
+studies, as Wutzler, Wirth and Schumacher compiled them (2008, Canadian Journal of Forest Research 38, 1661-1675; of the
+R package twNlme, github.com/bgctw/twNlme).
 
 Allometries
 -----------

@@ -22,7 +22,6 @@ from forestgen.scene.spec import Material
 
 KeysT = TypeVar("KeysT", bound=GroundLayer)
 Places = Callable[[Floats, Floats], Floats]
-MOST_TILES = 24_000  # in a scene
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,6 @@ class Thing:
 
     organs: tuple[OrganMesh, ...]
     length_m: float
-    share: float = 1.0  # of the layer's things, by number
     closed: bool = False  # its meshes are surfaces of bodies, not sheets
     is_bushy: bool = False  # its sheets lie above one another
 
@@ -62,7 +60,7 @@ class Layer:
     """Things of one kind, and where they lie."""
 
     name: str  # unique in the recipe's ground
-    things: tuple[Thing, ...]
+    things: tuple[Thing, ...]  # each as frequent as the others
     materials: Mapping[str, Material]  # of their meshes, by name
     cover: float  # share of the ground that it hides, mean
     leaf: Material  # its things' mean surface

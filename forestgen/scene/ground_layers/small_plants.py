@@ -22,6 +22,7 @@ from forestgen.core.parts import Part
 from forestgen.plants.build import build_exemplar
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.parameters import with_detail
+from forestgen.plants.registry import clothes_modules
 from forestgen.recipe.fields import Name, Positive
 from forestgen.recipe.ground import GroundLayer
 from forestgen.recipe.load import DrawnRecipe
@@ -51,10 +52,15 @@ class Plants(GroundLayerKind[PlantsKeys]):
     """Small plants."""
 
     Parameters = PlantsKeys
-    most_triangles = 2_500_000
+    most_triangles = 1_500_000
 
     def check(self, keys: PlantsKeys, drawn: DrawnRecipe, where: Keys) -> None:
-        if keys.species in drawn.species:
+        known = drawn.species.get(keys.species)
+        if known is not None and clothes_modules(known.plant.generator):
+            problem, expected = "plants of branch modules grow in communities alone", "a species of another generator"
+            at = drawn.where(*where, "species")
+            raise RecipeError(problem, where=at, expected=expected, got=f"{keys.species}: {known.plant.generator}")
+        if known is not None:
             return
         expected, hint = "one of " + ", ".join(drawn.species), f"add `{keys.species}: {keys.species}` to species"
         problem, at = "a species that the recipe does not have", drawn.where(*where, "species")

@@ -15,11 +15,11 @@ from forestgen.core.dead_wood import (
     DeadTree,
     lying_volume_m3,
     standing_volume_m3,
-    stem_radius_m,
     stump_height_m,
 )
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
+from forestgen.core.stem_form import stem_radius_m
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.plants.build import grown_tree
 from forestgen.plants.crown_twigs import first_stem

@@ -1,0 +1,28 @@
+"""The taper of trees' stems.
+
+The stem of a tree of height H and diameter D at breast height has the radius
+
+    r(h) = D / 2 ((H - h) / (H - 1.3 m))^p,    p = 0.65
+
+at a height h. Its volume over that of a cylinder of D and H, the form factor, is (H / (H - 1.3 m))^(2 p) / (2 p + 1):
+0.50 at 12 m, 0.46 at 30 m. European beeches have 0.53 from 10 to 15 m, 0.49 from 15 to 25 m and 0.46 above 30 m
+(Wutzler, Wirth and Schumacher 2008, Canadian Journal of Forest Research 38, 1661-1675: stem mass of 177 trees, at 570
+kg/m3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.frames import BREAST_HEIGHT_M
+
+Floats = NDArray[np.float64]
+TAPER = 0.65  # p
+LEAST_ABOVE_M = 0.3  # of the top over breast height, where radii are worked out
+
+
+def stem_radius_m(at_m: Floats, whole_m: float, dbh_m: float) -> Floats:
+    """(K,) radii of the stem of a tree at (K,) heights."""
+    above = max(whole_m - BREAST_HEIGHT_M, LEAST_ABOVE_M)
+    return 0.5 * dbh_m * np.maximum((whole_m - at_m) / above, 0.0) ** TAPER

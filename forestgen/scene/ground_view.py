@@ -1,0 +1,100 @@
+"""Which tiles of the ground cameras see, and how well."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.geometry.mesh import Floats
+from forestgen.scene.projection import project, projection_of
+from forestgen.scene.spec import Camera
+from forestgen.scene.terrain import HeightField
+
+TILE_M = 1.0
+LEAST_PX = 1.0  # length of a thing that is drawn
+FAR_M = 120.0
+MOST_TILES = 24_000  # in a scene
+_NEAR_M = 3.0  # around a camera, tiles are drawn behind it, too: their light and shadow may be in view
+_WIDEST_M = 400.0  # of what a camera of parallel rays may have as tiles
+
+Ints = NDArray[np.intp]
+
+
+def best_pixel_m(cameras: Sequence[Camera], height: HeightField) -> float:
+    """The least that a pixel of any camera covers of the ground, metres."""
+    best = np.inf
+    for camera in cameras:
+        x, y, z = camera.position_m
+        above = max(z - float(height(np.array([x]), np.array([y]))[0]), 0.3)
+        best = min(best, float(projection_of(camera).finest_pixel_m(camera, np.array([above]))[0]))
+    return best
+
+
+def seen_tiles(cameras: Sequence[Camera], height: HeightField, length_m: float) -> tuple[Ints, Floats]:
+    """(K, 2) columns and rows of the tiles where a thing of a length is seen, and (K,) metres to the nearest camera, of
+    parallel rays to the middle of what it sees.
+    """
+    pairs = [tiles_before(camera, height, length_m) for camera in cameras]
+    every = np.concatenate([np.zeros((0, 2), np.intp), *(at for at, _ in pairs)])
+    distance = np.concatenate([np.zeros(0), *(apart for _, apart in pairs)])
+    order = np.lexsort((distance, every[:, 1], every[:, 0]))
+    every, distance = every[order], distance[order]
+    first = np.ones(len(every), dtype=bool)
+    first[1:] = (every[1:] != every[:-1]).any(axis=1)
+    return every[first], distance[first]
+
+
+def tiles_before(camera: Camera, height: HeightField, length_m: float) -> tuple[Ints, Floats]:
+    """The tiles that one camera sees, in no order, and their distance as above."""
+    projection, place = projection_of(camera), np.asarray(camera.position_m)
+    pixel_at_1_m = float(projection.finest_pixel_m(camera, np.array([1.0]))[0])
+    if projection.is_parallel:
+        if length_m < LEAST_PX * pixel_at_1_m:
+            return np.zeros((0, 2), np.intp), np.zeros(0)
+        middle_m, half_m = _footprint(camera, height)
+        reach_m = np.inf
+    else:
+        reach_m = min(FAR_M, length_m / LEAST_PX / pixel_at_1_m)
+        middle_m, half_m = place[:2], np.full(2, reach_m)
+    low, high = np.floor((middle_m - half_m) / TILE_M), np.ceil((middle_m + half_m) / TILE_M)
+    columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
+    at = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.intp)
+    ground = (at + 0.5) * TILE_M
+    points = np.column_stack([ground, height(*ground.T)])
+    away = np.linalg.norm(points - place, axis=1)
+    image = project(camera, (points - place) @ camera.world_from_camera)
+    margin = TILE_M / np.maximum(projection.finest_pixel_m(camera, np.maximum(away, 1e-3)), 1e-9)
+    width, tall = camera.size_px
+    seen = image.in_front & (image.x_px > -margin) & (image.x_px < width + margin)
+    seen &= (image.y_px > -margin) & (image.y_px < tall + margin)
+    if projection.is_parallel:
+        return at[seen], np.hypot(*(ground - middle_m).T)[seen]
+    kept = (away < reach_m) & (seen | (away < _NEAR_M))
+    return at[kept], away[kept]
+
+
+def _footprint(camera: Camera, height: HeightField) -> tuple[Floats, Floats]:
+    """(2,) middle and (2,) half sides, metres, of what a camera of parallel rays sees of the ground, at most
+    `_WIDEST_M` wide.
+    """
+    right, down, forward = np.asarray(camera.world_from_camera, dtype=np.float64).T
+    half = 0.5 * camera.width_m * np.array([1.0, camera.size_px[1] / camera.size_px[0]])
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]]) * half
+    start = np.asarray(camera.position_m) + corners[:, :1] * right + corners[:, 1:] * down
+    ground = float(np.median(height(start[:, 0], start[:, 1])))
+    falls = max(-float(forward[2]), 0.05)
+    reached = start + np.clip((start[:, 2:] - ground) / falls, 0.0, None) * forward
+    low, high = reached[:, :2].min(axis=0) - TILE_M, reached[:, :2].max(axis=0) + TILE_M
+    return reached[-1, :2], np.minimum(np.maximum(high - reached[-1, :2], reached[-1, :2] - low), 0.5 * _WIDEST_M)
+
+
+def nearest(apart: Sequence[Floats], most: int) -> list[NDArray[np.bool_]]:
+    """Which of several lists' distances are among the `most` nearest; of equal ones the first."""
+    if not apart:
+        return []
+    every = np.concatenate(apart)
+    kept = np.zeros(len(every), dtype=bool)
+    kept[np.argsort(every, kind="stable")[:most]] = True
+    return np.split(kept, np.cumsum([len(one) for one in apart])[:-1])
