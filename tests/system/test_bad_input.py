@@ -81,10 +81,14 @@ def test_a_recipe_that_is_none(tmp_path: Path) -> None:
 
 
 _NO_COHORT = "{model: multiset_lsystem, program: self_thinning, parameters: {initial_plants_per_ha: 0}}"
+_FOREST = "{model: stand, storeys: [{species: {spruce: 1}, stems_per_ha: 800, dominant_height_m: 24}]}"
 _SEEDLINGS = "species.fireweed.ecology.seedlings_per_ha_per_yr"
 TOO_LARGE = {
     "seedlings": (["site.size_m=[5000,5000]", f"{_SEEDLINGS}=1000000", "community.steps=300"], "community"),
-    "exemplars": (["plants.exemplars_per_species=1000", "species.poplar=poplar", "species.spruce=spruce"], "exemplars"),
+    "exemplars": (
+        ["plants.exemplars_per_species=1000", "species.spruce=spruce", "site.size_m=[200,200]", f"community={_FOREST}"],
+        "exemplars",
+    ),
     "pixels": (["cameras.0.size_px=[16384,16384]"], "images"),
     "label samples": (["labels.samples=1024", "cameras.0.size_px=[8192,4096]"], "images"),
     "clouds": (
