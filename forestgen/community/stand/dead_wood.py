@@ -41,7 +41,8 @@ from forestgen.recipe.fields import Fraction, NonNegative, Section, violation
 
 _WHERE = "community.dead_wood"
 _MOST_M3, _MOST_TREES = 3000.0, 1e4  # per hectare
-_LEAST_M3 = 0.1  # of a stem, by which numbers are estimated
+_SLENDER, _LEAST_DBH_M = 80.0, 0.02  # height over diameter, and diameter, of a stem by which numbers are estimated
+_FACTOR = (0.8, 1.25)  # on the diameters and heights of whole trees, for the volume asked for
 _DRAWN_AT_ONCE = 1000
 _TRIES, _AT_ONCE, _GOOD = 64, 8, 0.15  # places; the cost below which no more are tried
 _WIND_DEG = 60.0
@@ -98,7 +99,8 @@ class DeadWood(Section):
         """About how many dead trees there are at most."""
         numbers = sum(self.amount(f"{kind}_per_ha") for kind in ("standing", "lying", "stumps"))
         volume = sum(self.amount(f"{kind}_m3_per_ha") for kind in ("standing", "lying"))
-        return site.area_ha * (numbers + volume / _LEAST_M3)
+        dbh_m = max(0.01 * self.min_dbh_cm, _LEAST_DBH_M)
+        return site.area_ha * min(numbers + volume / (0.125 * np.pi * _SLENDER * dbh_m**3), 2.0 * _MOST_TREES)
 
 
 @dataclass(frozen=True)
@@ -178,8 +180,16 @@ def _drawn(keys: DeadWood, trees: StandTrees, site: Site, kind: str, rng: np.ran
         found = float(total[-1])
         if found >= volume_m3:
             break
+        if len(parts) * many > _MOST_TREES * site.area_ha + _DRAWN_AT_ONCE:
+            expected, got = f"at most {_MOST_TREES:,.0f} dead trees/ha", f"trees from {keys.min_dbh_cm:g} cm on"
+            problem, hint = "too many dead trees for this volume", "a larger min_dbh_cm, or less volume"
+            raise RecipeError(problem, where=_WHERE, expected=expected, got=got, hint=hint)
     row, form, decay = (np.concatenate(one) for one in zip(*parts, strict=True))
-    return row, np.full(len(row), _factor(trees, row, form, decay, volume_m3)), form, decay
+    factor = _factor(trees, row, form, decay, volume_m3)
+    if len(row) == 1 and factor < _FACTOR[0]:  # a part of a tree: a whole one on so many of the stands
+        some = slice(0, int(rng.random() < factor**3))
+        return row[some], np.ones(len(row[some])), form[some], decay[some]
+    return row, np.full(len(row), np.clip(factor, *_FACTOR)), form, decay
 
 
 def _forms(kind: str, snapped: NDArray[np.bool_]) -> NDArray[np.uint8]:
