@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Codes = NDArray[np.integer]
 
 CLASSES = 5
-UNKNOWN_CLASS = 2  # of dead trees of which nobody says the class
+UNKNOWN_CLASS = 2  # of dead trees without a class
 SNAPPED_AT = 0.2  # share of its height at which a stem snaps
 _STEP = 8  # between the codes of forms
 
@@ -66,7 +66,7 @@ class DeadTree:
 
     @property
     def left(self) -> float:
-        """Share of the whole tree's height at which the stem ends; of a stump nobody knows."""
+        """Share of the whole tree's height at which the stem ends; 1 of a stump."""
         return _LEFT[self.form][self.decay - 1] if self.form in _LEFT else 1.0
 
 

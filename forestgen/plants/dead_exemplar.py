@@ -90,7 +90,7 @@ def build_dead(
     pixel_m: float = 0.0,
     wood: ModuleWood | None = None,
 ) -> Exemplar:
-    """Grow, kill and mesh one tree.
+    """One dead tree: grown, less what decay has taken, meshed.
 
     `species`: with the materials of dead wood. `plant`: parameters of its generator, see `bare_parameters`. `tree`:
     sizes of the whole tree when it lived. Others as for `build.build_exemplar`.

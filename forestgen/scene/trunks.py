@@ -75,7 +75,7 @@ class Trunks:
         middles, radii = [], []
         for index, corners in enumerate(self._corners):
             rows = np.flatnonzero(self._mine == index)
-            if not len(rows) or not len(corners) or self._lies[index]:  # people step over what lies
+            if not len(rows) or not len(corners) or self._lies[index]:  # walkers step over lying stems
                 continue
             top = height_m / float(self._upright[rows].min())  # as far up as the smallest of its plants needs
             points = _clipped(corners, top)

@@ -105,7 +105,7 @@ def _fallen(request: Request, name: str, species: Species, key: str, rng: np.ran
 
 
 def _needles(shape: Any, name: str, rng: np.random.Generator) -> tuple[Thing, ...]:
-    """Handfuls of needles, each somewhere within a decimetre."""
+    """Groups of needles, within a decimetre of each other."""
     length_m = getattr(shape, "needle_length_m", None) or shape.length_m
     width_m = getattr(shape, "needle_width_m", None) or shape.width_m
     things = []
