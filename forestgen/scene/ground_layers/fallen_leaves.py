@@ -54,7 +54,9 @@ class Leaves(GroundLayerKind[LeavesKeys]):
     def layers(self, keys: LeavesKeys, request: Request, rng: np.random.Generator) -> Sequence[Layer]:
         found = []
         for name, (share, where) in request.leaf_share.items():
-            species = request.drawn.species[name]
+            species = request.drawn.species.get(name)  # none: a building
+            if species is None:
+                continue
             key = next((key for key, one in species.materials.items() if one.leaf_type is not None), None)
             if key is None or share < _LEAST_SHARE:
                 continue
