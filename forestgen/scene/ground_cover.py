@@ -26,7 +26,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
@@ -153,6 +152,8 @@ def _lay_tiles(layer: Layer, at: Ints, height: HeightField, seed: int) -> _Lying
 
 def _lay_singly(layer: Layer, at: Ints, height: HeightField, seed: int) -> _Lying:
     """Things one by one: on each square metre Poisson's number of them."""
+    from scipy.special import ndtri  # late: a third of a second
+
     middle = np.asarray((at + 0.5) * TILE_M, dtype=np.float64)
     mean = number_per_m2(layer, local_cover(layer, middle, seed)) * TILE_M**2
     count = _poisson(tile_numbers(at, child_root(seed, "number", layer.name))[:, 0], mean)
