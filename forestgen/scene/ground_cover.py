@@ -42,6 +42,7 @@ from forestgen.scene.ground_view import MOST_TILES, TILE_M, best_pixel_m, neares
 from forestgen.scene.plan import Plan
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.surfaces import wet_spectrum
+from forestgen.scene.surroundings import sheared
 from forestgen.scene.terrain import HeightField
 
 _FEWEST = 4.0  # things on a tile, in the mean
@@ -147,7 +148,11 @@ def _lay_tiles(layer: Layer, at: Ints, height: HeightField, seed: int) -> _Lying
     chosen, turn = _chosen(layer, middle, at, seed)
     some = chosen >= 0
     used, index = np.unique(chosen[some], return_inverse=True)
-    return [tile(layer, int(one), seed)[0] for one in used], index, _sheared(height, middle[some], turn[some])
+    return (
+        [tile(layer, int(one), seed)[0] for one in used],
+        index,
+        sheared(middle[some], _slopes(height, middle[some]), turn[some]),
+    )
 
 
 def _lay_singly(layer: Layer, at: Ints, height: HeightField, seed: int) -> _Lying:
@@ -276,19 +281,12 @@ def _looked_up(grid: Floats, size_m: tuple[float, float]) -> Places:
     return at
 
 
-def _sheared(height: HeightField, middle: Floats, turn: Ints) -> Floats:
-    """(K, 3, 4) from the tiles' frame to the world: turned, upright things stay upright, feet follow the ground."""
-    half = 0.5 * TILE_M
-    x, y = middle.T
+def _slopes(height: HeightField, middle: Floats) -> Floats:
+    """(K, 3) rise east and north over a tile, and height at its middle."""
+    half, (x, y) = 0.5 * TILE_M, middle.T
     east = (height(x + half, y) - height(x - half, y)) / TILE_M
     north = (height(x, y + half) - height(x, y - half)) / TILE_M
-    cos, sin = np.array([1.0, 0.0, -1.0, 0.0])[turn], np.array([0.0, 1.0, 0.0, -1.0])[turn]
-    transform = np.tile(np.eye(3, 4), (len(middle), 1, 1))
-    transform[:, 0, 0], transform[:, 0, 1], transform[:, 1, 0], transform[:, 1, 1] = cos, -sin, sin, cos
-    transform[:, 2, 0] = east * cos + north * sin
-    transform[:, 2, 1] = -east * sin + north * cos
-    transform[:, :2, 3], transform[:, 2, 3] = middle, height(x, y)
-    return transform
+    return np.stack([east, north, height(x, y)], axis=1)
 
 
 # -------------------------------------------------------------------------------------------------------------- paint

@@ -221,7 +221,7 @@ def _layer(
         source.append(np.stack([np.tile(plants, len(copies)), np.repeat(copies, len(plants))]))
         place.append((middle[copies, None] + from_middle @ _turns(turn[copies]).transpose(0, 2, 1)).reshape(-1, 2))
         if len(plants) and len(mine):
-            far.append(_FarBlock(plants, own_middle, _sheared(middle[mine], plane[mine], turn[mine])))
+            far.append(_FarBlock(plants, own_middle, sheared(middle[mine], plane[mine], turn[mine])))
     (row, block), xy = np.concatenate(source, axis=1), np.concatenate(place)
     kept = np.full(len(row), True) if rng is None else _free_of_stems(population, members, row, block, xy)
     row, block, xy = row[kept], block[kept], xy[kept]
@@ -271,7 +271,7 @@ def _turns(turn: Rows) -> Floats:
     return np.stack([cos, -sin, sin, cos], axis=-1).reshape(-1, 2, 2)
 
 
-def _sheared(middle_m: Floats, plane: Floats, turn: Rows) -> Floats:
+def sheared(middle_m: Floats, plane: Floats, turn: Rows) -> Floats:
     """(M, 3, 4) from the frames of far meshes to the world: turned, stems stay upright, feet follow the plane."""
     transform = np.tile(np.eye(3, 4), (len(plane), 1, 1))
     transform[:, :2, :2] = _turns(turn)

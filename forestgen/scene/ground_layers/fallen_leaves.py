@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from forestgen.core.parts import Part
-from forestgen.geometry.patches import strip
+from forestgen.geometry.patches import copies, strip
 from forestgen.plants.organs.base import OrganForm
 from forestgen.recipe.ground import GroundLayer
 from forestgen.recipe.phenology import LeafState
@@ -38,7 +38,6 @@ _CURLS_DEG, _FOLDS_DEG = (-35.0, -8.0, 14.0, 45.0), (12.0, 3.0, 18.0, 30.0)
 _SHADES = (0.3, 0.45, 0.62, 0.85)  # old leaves are half rotten
 _TRAPPED = 0.42
 _LEAST_SHARE = 0.03  # of the leaf area: rarer species leave nothing that one sees
-_NEEDLE_M = (0.015, 0.0014)
 _IN_ONE = 60  # needles that make one thing
 
 
@@ -118,11 +117,7 @@ def _needles(shape: Any, name: str, rng: np.random.Generator) -> tuple[Thing, ..
         along = np.column_stack([np.cos(turn) * np.cos(lean), np.sin(turn) * np.cos(lean), np.sin(lean)])
         across = np.column_stack([-np.sin(turn), np.cos(turn), np.zeros(_IN_ONE)])
         linear = np.stack([across, along, np.cross(across, along)], axis=-1)
-        points = blade.points @ linear.transpose(0, 2, 1) + at[:, None]
-        faces = blade.faces[None] + (len(blade.points) * np.arange(_IN_ONE))[:, None, None]
-        patch = blade._replace(
-            points=points.reshape(-1, 3), faces=faces.reshape(-1, 3), uv=np.tile(blade.uv, (_IN_ONE, 1))
-        )
+        patch = copies(blade, linear, at)
         things.append(Thing(centred([sheet(Part.LITTER, f"leaves/{name}-{index}", patch)]), length_m))
     return tuple(things)
 

@@ -28,14 +28,13 @@ from forestgen.recipe.ground import GroundLayer
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import Species
-from forestgen.scene.ground_layers.layer import GroundLayerKind, Layer, Request, Spread, Thing, scaled, shades
+from forestgen.scene.ground_layers.layer import GroundLayerKind, Layer, Request, Spread, Thing, scaled
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import materials_of
 
 _VARIANTS = 4
 _TRAPPED = 0.62
-_SHADES = (1.0,)
 _TALLEST_M = 1.5
 _FINE_M = 0.001  # what a pixel covers where blades get their outline
 
@@ -75,7 +74,7 @@ class Plants(GroundLayerKind[PlantsKeys]):
         found = materials_of({name: species}, {name: [state]})
         materials: dict[str, Material] = {}
         for _, key in found:
-            materials |= shades(found[name, key], _SHADES, f"plants/{name}/{key}")
+            materials[f"plants/{name}/{key}"] = scaled(found[name, key], 1.0)
         things = tuple(_as_cover(one, name) for one in grown)
         leafy = max((organ for organ in grown[0].organs), key=lambda organ: organ.mesh.triangles)
         leaf = scaled(found[name, leafy.material], 1.0)
@@ -98,7 +97,7 @@ def _radius_of(species: Species, height_m: float) -> float:
 
 def _as_cover(exemplar: Exemplar, name: str) -> Thing:
     organs = tuple(
-        OrganMesh(Part.GROUND_PLANTS, f"plants/{name}/{one.material}-0", replace(one.mesh, uv=None))
+        OrganMesh(Part.GROUND_PLANTS, f"plants/{name}/{one.material}", replace(one.mesh, uv=None))
         for one in exemplar.organs
     )
     return Thing(organs, max(exemplar.height_m, exemplar.crown_width_m), is_bushy=True)
