@@ -23,6 +23,7 @@ from forestgen.scene.ground_cover import ground_cover
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
 from forestgen.scene.leaf_variation import vary_leaves
 from forestgen.scene.lying import laid_along_y, lying_plants, on_the_ground
+from forestgen.scene.near_foliage import leaves_of, with_near_plants
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, wetness_of
@@ -118,6 +119,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             clouds=clouds,
             cameras=tuple(camera for entry in views for camera in entry),
         )
+        if recipe.plants.near_foliage:
+            spec = with_near_plants(spec, leaves_of(plan, chosen, exemplars))
         ground = ground_cover(plan, population, spec.cameras)
         spec = ground.on(spec)
         notes = [
