@@ -7,6 +7,7 @@ below it: for looking at a stand before its plants are grown, and for amodal or 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,9 @@ class Exemplar:
     def nbytes(self) -> int:
         """Of its arrays."""
         meshes = [organ.mesh for organ in self.organs]
-        arrays = [one for mesh in meshes for one in (mesh.vertices_m, mesh.faces, mesh.normals, mesh.uv)]
+        arrays: list[NDArray[Any] | None] = [
+            one for mesh in meshes for one in (mesh.vertices_m, mesh.faces, mesh.normals, mesh.uv)
+        ]
         arrays += [one for organ in self.organs for one in (organ.mark, organ.organ)]
         arrays += [one for placed in self.foliage for one in (placed.frame, placed.node)]
         return sum(one.nbytes for one in arrays if one is not None)

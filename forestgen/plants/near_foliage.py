@@ -1,9 +1,9 @@
 """Leaves and needles of true size in place of large ones that stand for several, where a camera is near.
 
-A species' file may draw a crown with few large leaves of the same total area. Where a true leaf would cover more than
-`LEAF_PIXELS` of an image's pixels, the large one is replaced by a twig of true leaves (`organs.sprays`) of the same
+A species' file may draw a crown with few large leaves of the same total area. Where a true leaf has at least the area
+of a square of `LEAF_PX` pixels' side, the large one is replaced by a twig of true leaves (`organs.sprays`) of the same
 area, at the same place and in the same attitude. A little farther away twigs have fewer leaves, of 2, 4, 8, ... times
-the true area, never more than covers `LEAF_PIXELS`, until the drawn leaf itself is no larger than that.
+the true area, none larger than that square, until the drawn leaf itself is no larger.
 
 Outlines follow too: a leaf is drawn at the level of detail that its size in pixels asks for.
 """
@@ -26,10 +26,10 @@ from forestgen.plants.meshing import MarkedMesh
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.organs.leaves import CompoundLeaf, LobedLeaf, PalmateLeaf, SimpleLeaf
 from forestgen.plants.organs.needles import NeedleTwig
-from forestgen.plants.organs.sprays import Needles, Spray, finer_leaf, leafy_twig, needle_spray, true_leaf
+from forestgen.plants.organs.sprays import Needles, Spray, finer_leaf, form_area_m2, leafy_twig, needle_spray, true_leaf
 from forestgen.plants.skeleton import OrganPlacements
 
-LEAF_PIXELS = 2.0  # that a leaf covers where it is drawn at true size
+LEAF_PX = 2.0  # side of a square, in pixels, that has a leaf's area where it is drawn at true size
 _DETAIL_PX = (6.0, 16.0)  # side of a leaf in pixels, as of a square, from which on it has detail 1 and 2
 _NEEDLE_PX = 1.5  # width of a needle from which on it has two triangles
 _WORTH = 0.7  # a spray's leaves are at most so large, by area, as the leaves that they replace
@@ -84,12 +84,12 @@ def largest_pixel_m(shapes: Mapping[str, OrganForm], foliage: Sequence[OrganPlac
         if form.part == "leaf" and len(placed.node):
             whole_m2 = _needles_m2(form) / _drawn_needles(form) if isinstance(form, NeedleTwig) else form_area_m2(form)
             largest_m2 = max(largest_m2, whole_m2 * float(organ_sizes(placed.frame).max()) ** 2)
-    return float(np.sqrt(_WORTH / LEAF_PIXELS * largest_m2))
+    return float(np.sqrt(_WORTH * largest_m2) / LEAF_PX)
 
 
 def _merged(true_m2: float, pixel_m: Floats) -> Ints:
-    """(M,) how many leaves or needles one may stand for: the largest power of 2 that covers `LEAF_PIXELS` at most."""
-    share = np.clip(LEAF_PIXELS * pixel_m**2 / true_m2, 1.0, _MOST_MERGED)
+    """(M,) how many leaves or needles one may stand for: the largest power of 2 that is no larger than a square."""
+    share = np.clip((LEAF_PX * pixel_m) ** 2 / true_m2, 1.0, _MOST_MERGED)
     return np.asarray(2 ** np.floor(np.log2(share)).astype(np.int64))
 
 
@@ -124,11 +124,6 @@ def _drawn_needles(form: NeedleTwig) -> float:
 
 def _needles_m2(form: NeedleTwig) -> float:
     return sum(surface_area_m2(one.mesh) for one in form.pieces() if one.part == Part.LEAF)
-
-
-def form_area_m2(form: OrganForm) -> float:
-    """Area of the whole organ, one side."""
-    return surface_area_m2(form.template())
 
 
 def organ_sizes(frame: NDArray[np.float32]) -> Floats:

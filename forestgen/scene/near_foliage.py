@@ -1,9 +1,9 @@
 """Which plants of a scene have leaves of true size: those near its cameras, each with a mesh of its own.
 
 What decides is what a pixel covers at each organ that is in a camera's view: the image's size, its lens and the
-distance, and nothing that the image shows. Organs out of view stay as they are, so that a plant right before a camera
-has as many more triangles as its image has pixels for. All plants of a scene together have at most `MOST_TRIANGLES`
-more: if they would have more, leaves have to cover twice, four times, ... as many pixels, all over the scene.
+distance, and nothing that the image shows. Organs out of view stay as they are. The near plants' meshes have at most
+`_PER_PIXEL` triangles for each pixel of the largest image, within `_LEAST` and `_MOST`. If they would have more, leaves
+have to be larger in the images, step by step and all over the scene: those far away go back to the shared meshes first.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from forestgen.scene.plan import Plan
 from forestgen.scene.projection import project, projection_of
 from forestgen.scene.spec import Camera, SceneSpec
 
-MOST_TRIANGLES = 3_000_000  # of all leaves of true size
+_PER_PIXEL, _LEAST, _MOST = 8, 1_000_000, 5_000_000  # triangles
 _LEAST_M = 0.02  # distance of a leaf that touches the camera
 _MARGIN = 1.5  # of what is in view, in half lengths of the organ
 _COARSER = 2.0**0.5  # of pixels, until leaves are few enough
@@ -67,6 +67,17 @@ class _NearPlant:
             for one, size, pixel_m in zip(spec.exemplars[self.exemplar].foliage, self.size, self.pixel_m, strict=True)
         )
 
+    def triangles(self, spec: SceneSpec, organs: Sequence[NearOrgans | None]) -> int:
+        """Of its own mesh, rather more than fewer; 0: it has none."""
+        more = sum(one.triangles for one in organs if one is not None)
+        return more + spec.exemplars[self.exemplar].triangles if more else 0
+
+
+def most_triangles(cameras: Sequence[Camera]) -> int:
+    """Of the meshes of all near plants, at most."""
+    pixels = max((camera.size_px[0] * camera.size_px[1] for camera in cameras), default=0)
+    return min(max(_PER_PIXEL * pixels, _LEAST), _MOST)
+
 
 def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None]) -> SceneSpec:
     """The scene with leaves of true size near its cameras.
@@ -74,9 +85,9 @@ def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None]) -> SceneS
     `leaves`: the forms of the organs of its first exemplars, the plants; None of what has none. Exemplars with leaves
     of true size follow these.
     """
-    found, plants = _near_plants(spec, leaves), len(leaves)
+    found, plants, room = _near_plants(spec, leaves), len(leaves), most_triangles(spec.cameras)
     coarser, planned = 1.0, [one.organs(spec, own, 1.0) for one, own in found]
-    while sum(one.triangles for organs in planned for one in organs if one is not None) > MOST_TRIANGLES:
+    while sum(one.triangles(spec, organs) for (one, _), organs in zip(found, planned, strict=True)) > room:
         coarser *= _COARSER
         planned = [one.organs(spec, own, coarser) for one, own in found]
     which = spec.instances.exemplar.copy()

@@ -82,7 +82,7 @@ class NeedleTwig(OrganForm):
 
     def patches(self) -> list[OrganPatch]:
         """The needles; the twig: three sides, tapering to a point, a single slim triangle pair a side at detail 0."""
-        needles = OrganPatch(self.material, self._needles())
+        needles = OrganPatch(self.material, self.needles())
         if self.diameter_m == 0.0:
             return [needles]
         stops = 2 if self.detail == 0 else 3
@@ -91,8 +91,8 @@ class NeedleTwig(OrganForm):
         twig = tube(on_axis(np.linspace(0.0, self.length_m, stops)), radius, 3)
         return [needles, OrganPatch(self.twig_material or self.material, twig, Part.BRANCH)]
 
-    def _needles(self) -> Patch:
-        """`angle_deg` is between twig and needle at the twig's base, and a third less at its tip."""
+    def needles(self) -> Patch:
+        """From afar; `angle_deg` is between twig and needle at the twig's base, and a third less at its tip."""
         needles = max(round(self.per_m * self.length_m), 1)
         drawn = min(self.drawn or needles, needles)
         stands_for = max(needles / drawn, 1.0)
