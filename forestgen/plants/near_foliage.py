@@ -38,6 +38,7 @@ _MOST_MERGED = 64
 _SIZE_STEP = 1.25  # between the shoots of needles that are made; others are scaled
 _VARIANTS = 5
 _COVER = 0.8  # of a needle over length times width
+_DRAWN = (NeedleTwig, SimpleLeaf, LobedLeaf, PalmateLeaf, CompoundLeaf)
 
 
 @dataclass(frozen=True)
@@ -62,11 +63,13 @@ def near_organs(form: OrganForm, true_m: float | None, size: Floats, pixel_m: Fl
     pixel_m : (M,) what a pixel covers at each of them; inf where none does.
     """
     pixel_m = np.maximum(pixel_m, 1e-6)
-    if isinstance(form, NeedleTwig) and form.part == "leaf":
+    if form.part != "leaf":
+        return None
+    if isinstance(form, NeedleTwig):
         return _near_needles(form, true_m or form.needle_length_m, size, pixel_m)
-    if isinstance(form, SimpleLeaf | LobedLeaf | PalmateLeaf) and form.part == "leaf":
+    if isinstance(form, SimpleLeaf | LobedLeaf | PalmateLeaf):
         return _near_leaves(form, true_m or form.length_m, size, pixel_m)
-    if isinstance(form, CompoundLeaf) and form.part == "leaf":
+    if isinstance(form, CompoundLeaf):
         side_px = size * np.sqrt(form_area_m2(form) / form.leaflets) / pixel_m
         detail = np.digitize(side_px, _DETAIL_PX)
         one = np.ones(len(size), dtype=np.int64)
@@ -76,15 +79,18 @@ def near_organs(form: OrganForm, true_m: float | None, size: Floats, pixel_m: Fl
     return None
 
 
+def near_pixel_m(form: OrganForm) -> float:
+    """What a pixel covers, at most, where an organ of a form's own size is drawn in another way; 0: never."""
+    if form.part != "leaf" or not isinstance(form, _DRAWN):
+        return 0.0
+    whole_m2 = _needles_m2(form) / _drawn_needles(form) if isinstance(form, NeedleTwig) else form_area_m2(form)
+    return float(np.sqrt(_WORTH * whole_m2)) / LEAF_PX
+
+
 def largest_pixel_m(shapes: Mapping[str, OrganForm], foliage: Sequence[OrganPlacements]) -> float:
     """What a pixel covers, at most, where any organ is drawn in another way."""
-    largest_m2 = 0.0
-    for placed in foliage:
-        form = shapes[placed.shape]
-        if form.part == "leaf" and len(placed.node):
-            whole_m2 = _needles_m2(form) / _drawn_needles(form) if isinstance(form, NeedleTwig) else form_area_m2(form)
-            largest_m2 = max(largest_m2, whole_m2 * float(organ_sizes(placed.frame).max()) ** 2)
-    return float(np.sqrt(_WORTH * largest_m2) / LEAF_PX)
+    sized = (near_pixel_m(shapes[one.shape]) * float(organ_sizes(one.frame).max(initial=0.0)) for one in foliage)
+    return max(sized, default=0.0)
 
 
 def _merged(true_m2: float, pixel_m: Floats) -> Ints:

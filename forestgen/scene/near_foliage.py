@@ -2,8 +2,8 @@
 
 What decides is what a pixel covers at each organ that is in a camera's view: the image's size, its lens and the
 distance, and nothing that the image shows. Organs out of view stay as they are. The near plants' meshes have at most
-`_PER_PIXEL` triangles for each pixel of the largest image, within `_LEAST` and `_MOST`. If they would have more, leaves
-have to be larger in the images, step by step and all over the scene: those far away go back to the shared meshes first.
+`triangles.most_near_triangles`. If they would have more, leaves have to be larger in the images, step by step and all
+over the scene: those far away go back to the shared meshes first.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from forestgen.scene.growth import pixel_size_m
 from forestgen.scene.plan import Plan
 from forestgen.scene.projection import project, projection_of
 from forestgen.scene.spec import Camera, SceneSpec
+from forestgen.scene.triangles import most_near_triangles
 
-_PER_PIXEL, _LEAST, _MOST = 8, 1_000_000, 5_000_000  # triangles
 _LEAST_M = 0.02  # distance of a leaf that touches the camera
 _MARGIN = 1.5  # of what is in view, in half lengths of the organ
 _COARSER = 2.0**0.5  # of pixels, until leaves are few enough
@@ -73,19 +73,13 @@ class _NearPlant:
         return more + spec.exemplars[self.exemplar].triangles if more else 0
 
 
-def most_triangles(cameras: Sequence[Camera]) -> int:
-    """Of the meshes of all near plants, at most."""
-    pixels = max((camera.size_px[0] * camera.size_px[1] for camera in cameras), default=0)
-    return min(max(_PER_PIXEL * pixels, _LEAST), _MOST)
-
-
 def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None]) -> SceneSpec:
     """The scene with leaves of true size near its cameras.
 
     `leaves`: the forms of the organs of its first exemplars, the plants; None of what has none. Exemplars with leaves
     of true size follow these.
     """
-    found, plants, room = _near_plants(spec, leaves), len(leaves), most_triangles(spec.cameras)
+    found, plants, room = _near_plants(spec, leaves), len(leaves), most_near_triangles(spec.cameras)
     coarser, planned = 1.0, [one.organs(spec, own, 1.0) for one, own in found]
     while sum(one.triangles(spec, organs) for (one, _), organs in zip(found, planned, strict=True)) > room:
         coarser *= _COARSER

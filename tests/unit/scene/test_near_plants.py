@@ -93,7 +93,7 @@ def test_triangles_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
 
     more = own(built(480))
     built.cache_clear()
-    monkeypatch.setattr(near_foliage, "most_triangles", lambda cameras: int(0.7 * more))
+    monkeypatch.setattr(near_foliage, "most_near_triangles", lambda cameras: int(0.7 * more))
     fewer = own(built(480))
     built.cache_clear()
     assert 0 < fewer <= 0.7 * more
