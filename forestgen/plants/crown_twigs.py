@@ -5,9 +5,10 @@ crown, each from the branch or the twig that it reaches by the shortest way (a m
 the way from the branch too: Cuntz, H., Forstner, F., Borst, A., Häusser, M. (2010). One rule to grow them all. PLoS
 Computational Biology 6(8), e1000877). So every leaf sits on a twig, and leaves fill the crown as those of real trees.
 
-The crown is the hull of the generator's own leaves, by height and azimuth. Fewer points lie where others shade them: of
-a share v of the crown's volume, counted from above, the leaf area index a(v) follows da/dv = c exp(-k a), which is
-solved by a = ln(1 + (exp(k L) - 1) v) / k. L is the crown's leaf area over its ground area, k the extinction of light.
+The crown is the hull of the generator's own leaves about the stem, by height and azimuth. Fewer points lie where others
+shade them: of a share v of the crown's volume, counted from above, the leaf area index a(v) follows
+da/dv = c exp(-k a), which is solved by a = ln(1 + (exp(k L) - 1) v) / k. L is the crown's leaf area over its ground
+area, k the extinction of light.
 """
 
 from __future__ import annotations
@@ -88,13 +89,22 @@ def fill_crown(
     height_m = float(skeleton.position_m[:, 2].max())
     wood, kept = _branches(skeleton, twigs.replaces_below_m)
     wanted = leaves.total_m2 / (twigs.leaves_each * _leaf_m2(rules, blade_m2, height_m))
-    tips, apart_m = _hull(leaves).spread(
-        round(float(np.clip(wanted, _FEWEST, _MOST))), EXTINCTION * leaves.total_m2, rng
-    )
+    count, extinct_m2 = round(float(np.clip(wanted, _FEWEST, _MOST))), EXTINCTION * leaves.total_m2
+    position = leaves.position_m - _stem_at(wood, leaves.position_m[:, 2])
+    tips, apart_m = _hull(replace(leaves, position_m=position)).spread(count, extinct_m2, rng)
+    tips += _stem_at(wood, tips[:, 2])
     tips = np.concatenate([_beyond_ends(wood, apart_m), tips])
     grown, base = _grown(wood, *_spanned(wood, tips, twigs), twigs)
     organs = tuple(place(rule, grown, height_m, rng) for rule in rules)
     return replace(grown, organs=organs), kept[base]
+
+
+def _stem_at(skeleton: Skeleton, height_m: Floats) -> Floats:
+    """(M, 3) how far the first stem is aside of the tree's foot at heights, in x and y; 0 in z."""
+    stem = skeleton.position_m[first_stem(skeleton.axis)].astype(np.float64)
+    stem = stem[np.argsort(stem[:, 2], kind="stable")]
+    x, y = (np.interp(height_m, stem[:, 2], stem[:, k]) for k in (0, 1))
+    return np.stack([x, y, np.zeros_like(x)], axis=1)
 
 
 def _leaf_m2(rules: Sequence[Foliage], blade_m2: Mapping[str, float], height_m: float) -> float:
@@ -118,7 +128,7 @@ class Leaves:
 
 @dataclass(frozen=True)
 class _Hull:
-    """A crown's radius by height and azimuth."""
+    """A crown's radius about its stem, by height and azimuth."""
 
     low_m: float
     high_m: float
