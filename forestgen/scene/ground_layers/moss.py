@@ -31,7 +31,7 @@ from forestgen.scene.ground_layers.layer import (
 )
 
 _VARIANTS = 4
-_TRAPPED = 0.58
+_TRAPPED = 0.6  # share of light: benchmarks/ground_cover.py
 _SHADES = (0.45, 0.6, 0.8)  # of the green of stems: moss is darker
 _SHOOTS = (40, 100, 260)  # by detail
 _HEIGHT = 0.35  # of a cushion over its radius
