@@ -84,7 +84,7 @@ def near_pixel_m(form: OrganForm) -> float:
     if form.part != "leaf" or not isinstance(form, _DRAWN):
         return 0.0
     whole_m2 = _needles_m2(form) / _drawn_needles(form) if isinstance(form, NeedleTwig) else form_area_m2(form)
-    return float(np.sqrt(_WORTH * whole_m2)) / LEAF_PX
+    return float(np.sqrt(2.0 * _WORTH * whole_m2)) / LEAF_PX  # merged leaves may have half of the area
 
 
 def largest_pixel_m(shapes: Mapping[str, OrganForm], foliage: Sequence[OrganPlacements]) -> float:

@@ -232,11 +232,7 @@ class Plants(fields.Section):
         description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
         "chosen so that they stay below a pixel.",
     )
-    near_foliage: fields.Flag = Field(
-        True,
-        description="Whether leaves and needles are drawn at their true size where one covers more than two pixels of "
-        "an image. Otherwise species may show fewer, larger ones, of the same area, however near they are.",
-    )
+    near_foliage: fields.Flag = Field(True, description="Whether leaves that cover 2 x 2 pixels have their true size.")
     season: LeafSeason | None = Field(
         None,
         description="Of the leaves, their number, size and colour: spring, summer, autumn, winter, or dry, the dry "

@@ -119,20 +119,19 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             clouds=clouds,
             cameras=tuple(camera for entry in views for camera in entry),
         )
-        if recipe.plants.near_foliage:
-            spec = with_near_plants(spec, leaves_of(plan, chosen, exemplars))
         ground = ground_cover(plan, population, spec.cameras)
-        spec = ground.on(spec)
-        notes = [
-            *(f"image {drawn.image_index}: {note}" for note in (*simulated.notes, *ground.notes, *sun_notes(recipe))),
-            *check_trunks(drawn, views, trunks),
-            *plan.views.check_outside_of_buildings(),
-            *infrared_notes(base_materials, plan.views.all_cameras),
-        ]
+        spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars)))
+        notes = [*_notes(plan, (*simulated.notes, *ground.notes)), *check_trunks(drawn, views, trunks)]
+        notes += [*plan.views.check_outside_of_buildings(), *infrared_notes(base_materials, plan.views.all_cameras)]
         sway = _sway(drawn, instances, exemplars, around)
     errors = errors_of_sizes(plan, population, chosen, exemplars)
     repeated = around.source[: len(around.plants)] if recipe.site.surroundings.kind == "repeat" else None
     return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population, repeated)
+
+
+def _notes(plan: Plan, known: Sequence[str]) -> list[str]:
+    """What is known of an image's community, ground and sun."""
+    return [f"image {plan.drawn.image_index}: {note}" for note in (*known, *sun_notes(plan.drawn.recipe))]
 
 
 def _on_slopes(

@@ -40,7 +40,9 @@ class Leaves:
 
 
 def leaves_of(plan: Plan, chosen: ExemplarPlan, exemplars: Sequence[Exemplar]) -> tuple[Leaves | None, ...]:
-    """The forms of the organs of each exemplar of a plan; None of a building."""
+    """The forms of the organs of each exemplar of a plan; None of a building, or where they are drawn as ever."""
+    if not plan.drawn.recipe.plants.near_foliage:
+        return (None,) * len(exemplars)
     found: list[Leaves | None] = []
     for exemplar, row in zip(exemplars, chosen.plant.tolist(), strict=True):
         parameters = (plan.plants.foliage if row >= 0 else plan.plants.generators).get(exemplar.species)
