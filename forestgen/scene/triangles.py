@@ -33,7 +33,7 @@ from forestgen.scene.spec import Camera
 
 _MARGIN = 1.2  # heights are a guess, and plants of one height differ; without it the estimate is 1.0 to 1.53 times
 _OF_BROAD_TREES = 1.85  # over those of trees in stands: measured on spruces of 18 m after self-thinning
-_PER_PIXEL, _LEAST_NEAR, _MOST_NEAR = 8, 1_000_000, 5_000_000  # triangles of plants near a camera
+_PER_PIXEL, _LEAST_NEAR, _MOST_NEAR = 4, 400_000, 4_000_000  # triangles of plants near a camera
 _LARGEST_ORGAN = 1.6  # factor on the size of its form
 _OF_LEVELS = (1.0, 0.5, 0.3)  # triangles of a plant at each level of detail over those at the first; upper numbers
 
