@@ -2,8 +2,8 @@
 
 What decides is what a pixel covers at each organ that is in a camera's view: the image's size, its lens and the
 distance, and nothing that the image shows. Organs out of view stay as they are. The near plants' meshes have at most
-`triangles.most_near_triangles`. If they would have more, leaves have to be larger in the images, step by step and all
-over the scene: those far away go back to the shared meshes first.
+`triangles.most_near_triangles`. The nearest come first; what has not
+enough room gets larger leaves, or keeps the shared mesh.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from forestgen.scene.triangles import most_near_triangles
 
 _LEAST_M = 0.02  # distance of a leaf that touches the camera
 _MARGIN = 1.5  # of what is in view, in half lengths of the organ
-_COARSER = 2.0**0.5  # of pixels, until leaves are few enough
+_COARSER = (1.0, 1.5, 2.0, 3.0)  # times larger pixels, for a plant that has not enough room
 _ROOM = 1.3  # around a plant, for leaves beyond its mean width
 
 
@@ -69,6 +69,19 @@ class _NearPlant:
             for one, size, pixel_m in zip(spec.exemplars[self.exemplar].foliage, self.size, self.pixel_m, strict=True)
         )
 
+    @property
+    def order(self) -> tuple[float, int]:
+        """Plants that are nearer to a camera come first."""
+        return min(float(one.min(initial=np.inf)) for one in self.pixel_m), self.row
+
+    def organs_within(self, spec: SceneSpec, leaves: Leaves, room: int) -> tuple[NearOrgans | None, ...]:
+        """How its organs are drawn within so many triangles; none if that is no more than its shared mesh has."""
+        for coarser in _COARSER:
+            organs = self.organs(spec, leaves, coarser)
+            if self.triangles(spec, organs) <= room:
+                return organs if any(one is not None and one.drawn.any() for one in organs) else ()
+        return ()
+
     def triangles(self, spec: SceneSpec, organs: Sequence[NearOrgans | None]) -> int:
         """Of its own mesh, rather more than fewer; 0: it has none."""
         more = sum(one.triangles for one in organs if one is not None)
@@ -81,15 +94,13 @@ def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None]) -> SceneS
     `leaves`: the forms of the organs of its first exemplars, the plants; None of what has none. Exemplars with leaves
     of true size follow these.
     """
-    found, plants, room = _near_plants(spec, leaves), len(leaves), most_near_triangles(spec.cameras)
-    coarser, planned = 1.0, [one.organs(spec, own, 1.0) for one, own in found]
-    while sum(one.triangles(spec, organs) for (one, _), organs in zip(found, planned, strict=True)) > room:
-        coarser *= _COARSER
-        planned = [one.organs(spec, own, coarser) for one, own in found]
+    plants, room = len(leaves), most_near_triangles(spec.cameras)
     which = spec.instances.exemplar.copy()
     made: list[Exemplar] = []
-    for (plant, own), organs in zip(found, planned, strict=True):
-        if any(one is not None and one.drawn.any() for one in organs):
+    for plant, own in sorted(_near_plants(spec, leaves), key=lambda one: one[0].order):
+        organs = plant.organs_within(spec, own, room)
+        if organs:
+            room -= plant.triangles(spec, organs)
             which[plant.row] = plants + len(made)
             made.append(with_near_foliage(spec.exemplars[plant.exemplar], own.shapes, own.true_m, organs))
     which[spec.instances.exemplar >= plants] += np.uint32(len(made))

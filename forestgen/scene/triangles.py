@@ -6,7 +6,7 @@ of given sizes say these heights (`AskedHeights`). In others, whose plants grow,
 A plant's triangles follow from its height by the species' `triangles`, or else are those of `most_triangles`. Plants of
 one age (`OneCohort`) may all be mature and, where they have thinned themselves out, broad and leafy.
 
-Plants near a camera have meshes of their own (`near_foliage`), with as many triangles as the image has pixels for.
+Plants near a camera have meshes of their own (`near_foliage`), of at most so many triangles for each pixel of the images.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from forestgen.scene.spec import Camera
 
 _MARGIN = 1.2  # heights are a guess, and plants of one height differ; without it the estimate is 1.0 to 1.53 times
 _OF_BROAD_TREES = 1.85  # over those of trees in stands: measured on spruces of 18 m after self-thinning
-_PER_PIXEL, _LEAST_NEAR, _MOST_NEAR = 4, 400_000, 4_000_000  # triangles of plants near a camera
+_PER_PIXEL, _LEAST_NEAR, _MOST_NEAR = 4, 800_000, 4_000_000  # triangles of plants near a camera
 _LARGEST_ORGAN = 1.6  # factor on the size of its form
 _OF_LEVELS = (1.0, 0.5, 0.3)  # triangles of a plant at each level of detail over those at the first; upper numbers
 
@@ -67,7 +67,7 @@ def exemplar_triangles(
 
 def most_near_triangles(cameras: Sequence[Camera]) -> int:
     """Of the meshes of all plants whose leaves have true size, at most."""
-    pixels = max((camera.size_px[0] * camera.size_px[1] for camera in cameras), default=0)
+    pixels = sum(camera.size_px[0] * camera.size_px[1] for camera in cameras)
     return min(max(_PER_PIXEL * pixels, _LEAST_NEAR), _MOST_NEAR)
 
 
