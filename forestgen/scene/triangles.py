@@ -6,7 +6,7 @@ of given sizes say these heights (`AskedHeights`). In others, whose plants grow,
 A plant's triangles follow from its height by the species' `triangles`, or else are those of `most_triangles`. Plants of
 one age (`OneCohort`) may all be mature and, where they have thinned themselves out, broad and leafy.
 
-Plants near a camera have meshes of their own (`near_foliage`), of at most so many triangles for each pixel of the images.
+Plants near a camera have meshes of their own (`near_foliage`), of at most so many triangles for each pixel of images.
 """
 
 from __future__ import annotations
