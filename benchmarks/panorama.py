@@ -1,6 +1,6 @@
 """The recipe conifer_hdri beside the measured panorama of a pine forest that it reconstructs.
 
-    curl -O https://registry.npmjs.org/@pmndrs/assets/-/assets-1.7.0.tgz && tar xzf assets-1.7.0.tgz
+    curl -O https://registry.npmjs.org/@pmndrs/assets/-/assets-1.7.0.tgz && tar xzf assets-1.7.0.tgz package/hdri
     PYTHONPATH=tests uv run python benchmarks/panorama.py --panorama package/hdri/forest.exr.js [--picture both.png]
 
 The panorama is one of Poly Haven (CC0), 512 x 256 pixels. Ours is rendered twice as large each way and made smaller by
@@ -28,6 +28,7 @@ from forestgen.scene.colour import colour_of_radiance
 from forestgen.scene.plan import check_plan
 from support.panoramas import BANDS_DEG, GAPS_ABOVE_DEG, Floats, compare, exact_gaps, halved, mean_log, read_panorama
 
+FETCH = "curl -O https://registry.npmjs.org/@pmndrs/assets/-/assets-1.7.0.tgz && tar xzf assets-1.7.0.tgz package/hdri"
 RECIPE = Path(__file__).parents[1] / "recipes" / "places" / "conifer_hdri.yaml"
 
 
@@ -48,7 +49,7 @@ def main() -> int:
     parser.add_argument("--picture", type=Path, help="PNG: the measured panorama above ours")
     arguments = parser.parse_args()
     if not arguments.panorama.is_file():
-        parser.error(f"there is no {arguments.panorama}; the lines above, from curl on, fetch it: --help shows them")
+        parser.error(f"--panorama: there is no {arguments.panorama}. To fetch forest.exr.js:\n{FETCH}")
     real = read_panorama(arguments.panorama)
     ours, exact = rendered(arguments.samples)
     ours *= np.exp(mean_log(real) - mean_log(ours))
