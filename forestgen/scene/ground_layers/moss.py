@@ -37,7 +37,7 @@ from forestgen.scene.ground_layers.layer import (
 )
 
 _VARIANTS = 4
-_TRAPPED = 0.58
+_TRAPPED = 0.6  # share of light: benchmarks/ground_cover.py
 _SHADES = (0.77, 1.0, 1.23)
 _SHOOTS = (40, 100, 260)  # by detail
 _HEIGHT = 0.35  # of a cushion over its radius
