@@ -51,6 +51,7 @@ COARSE = {  # of clouds, of a walk of eight frames, of a house on a larger site,
     "ecoclimates/valleys": ("community.steps=6",),
     "kernel_growth": ("sky.clouds={type: noise, extent_m: 2000}",),
     "mixed_stand": ("sky.clouds.type={choice: [none]}", "community.cells=128"),
+    "places/conifer_hdri": ("cameras.0.size_px=[64, 32]",),
     "quickstart": ("sky.clouds={type: noise, extent_m: 2000}",),
     "sapling_stand": (
         "sky.clouds.type={choice: [none]}",
