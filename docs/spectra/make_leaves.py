@@ -15,7 +15,9 @@ Hyytiälä: mean reflectance and transmittance of leaves and needles in midsumme
 doi:10.23729/9a8d90cd-73e2-438d-9230-94e10e61adc9; Rautiainen et al. 2024, Earth System Science Data 16, 5069-5087;
 github.com/mottus/f_art_python), to which PROSPECT-D is fitted from 530 to 2400 nm without 626 to 690 nm, where light
 past the needles makes up most of the transmittance. Leaves of birch have no gaps between them: their table of summer
-is what was measured (`MEASURED`); PROSPECT makes their other seasons. Järvselja: needles of Picea abies in the bands of
+is what was measured (`MEASURED`); PROSPECT makes their other seasons. Green needles of pine and spruce reflect what was
+measured, too (`MEASURED_NEEDLES`): their wax reflects 0.04 and 0.015 where pigments or water absorb all else, at 450,
+680 and 1900 nm, which PROSPECT's smooth surface lacks. Järvselja: needles of Picea abies in the bands of
 RAMI-V (Kuusk et al. 2013), fitted in the same way. Warren et al. 2006: Eucalyptus leaves, as AusTraits has them
 (Falster et al. 2021, Scientific Data 8, 254). Moles et al. 2011 (ibid.).
 
@@ -251,6 +253,7 @@ VARIATION = {
     },
 }
 MEASURED = {("birch", "summer"): "standards/birch_leaf"}  # in place of PROSPECT's
+MEASURED_NEEDLES = {"pine": "standards/pine_needle", "spruce": "standards/spruce_needle"}  # reflectance alone
 MEAN_LEAVES = {"broad": "maple", "needle": "spruce"}
 SYMBOLS = ("N", "chlorophyll", "carotenoids", "anthocyanins", "brown", "water", "dry matter")
 
@@ -295,12 +298,17 @@ def main() -> None:
             suffix = f"_{season}" if season else ""
             measured = MEASURED.get((name, season))
             both = prospect(parameters) if measured is None else read(measured)[1:]
+            if not season and name in MEASURED_NEEDLES:
+                both = read(MEASURED_NEEDLES[name])[1], both[1]
             columns[f"reflectance{suffix}"], columns[f"transmittance{suffix}"] = both
         lines = told(NAMES[name], seasons)
         for season in seasons:
             if (name, season) in MEASURED:
                 lines["source"] += f", but for {season}"
                 lines[season] = f"measured, {MEASURED[name, season]}; PROSPECT-D fitted to it has " + lines[season]
+        if name in MEASURED_NEEDLES:
+            lines["source"] += ", but for the reflectance of green needles"
+            lines["all year"] += f"; reflectance measured, {MEASURED_NEEDLES[name]}"
         write(f"leaves/{name}", lines, GRID_NM, columns)
     reference = (1.5, 40.0, 8.0, 0.0, 0.0, 0.01, 0.009)
     r, t = prospect(reference)
