@@ -37,7 +37,7 @@ from support.airborne import (
 from support.airborne_views import HOW_TO_GET, PLACES, Place, as_bright, picture_of, tile_of, views
 
 RECIPES = Path(__file__).parents[1] / "recipes" / "places"
-STANDS, SAMPLES = 4, 32
+STANDS, SAMPLES = 4, 16
 _GAP_PX = 8
 
 

@@ -143,7 +143,7 @@ def main() -> None:
     parser.add_argument("--tiles", type=Path, required=True, help="folder of the tiles")
     parser.add_argument("--views", type=Path, default=Path("outputs/airborne/full"), help="folder of the views")
     parser.add_argument("--stands", type=int, default=4, help="of each recipe")
-    parser.add_argument("--samples", type=int, default=32, help="light paths a pixel")
+    parser.add_argument("--samples", type=int, default=16, help="light paths a pixel")
     parser.add_argument("--before", action="store_true", help="views of recipes/drone.yaml")
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--runs", type=int, default=3, help="networks, each with other random numbers")

@@ -76,7 +76,7 @@ def log_luminance(rgb: Floats) -> Floats:
 def chromaticity(rgb: Floats) -> Floats:
     """(2,) u'v' of the mean of (N, 3) light: CIE 1976."""
     x, y, z = _TO_XYZ @ rgb.mean(axis=0)
-    return np.array([4 * x, 9 * y]) / (x + 15 * y + 3 * z)
+    return np.asarray(np.array([4 * x, 9 * y]) / (x + 15 * y + 3 * z))
 
 
 def otsu(values: Floats) -> float:
