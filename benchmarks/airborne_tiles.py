@@ -3,7 +3,7 @@
     uv run python benchmarks/airborne_tiles.py --tiles FOLDER [--quick] [--picture FILE]
 
 Real windows are squares of 20 m, 10 m apart, of the tile; their spread is the 5th to the 95th percentile. Ours are
-those of four stands of the recipe (`--quick`: two with half the samples); their median is inside or outside the spread.
+those of three stands of the recipe (`--quick`: two with half the samples); their median is inside or outside the spread.
 A distance of histograms is that of a window to all real ones together; its yardstick is the 95th percentile of the
 real windows' distances to the others. `labels` are crowns and ground as our labels have them, which checks the two
 methods that tiles allow: by boxes, and by a split of colours (tests/support/airborne.py). Light is linear, of sRGB.
@@ -37,7 +37,7 @@ from support.airborne import (
 from support.airborne_views import HOW_TO_GET, PLACES, Place, as_bright, picture_of, tile_of, views
 
 RECIPES = Path(__file__).parents[1] / "recipes" / "places"
-STANDS, SAMPLES = 4, 16
+STANDS, SAMPLES = 3, 16
 _GAP_PX = 8
 
 

@@ -1,18 +1,22 @@
 """How well a small network tells patches of our views from patches of the airborne tiles that they imitate.
 
-    uv run --with jax python benchmarks/patch_classifier.py --tiles FOLDER [--before] [--steps 500]
+    uv run python benchmarks/airborne_tiles.py --tiles FOLDER
+    uv run --with jax python benchmarks/patch_classifier.py --tiles FOLDER [--before DATA_SET]
 
 Patches of 64 pixels; each channel of a patch is standardised, and the same noise is added to real ones and ours, so
 that neither exposure, colour balance nor grain tells them apart. Four convolutions of stride 2, mean over the patch,
 500 steps of Adam. The network learns from the western part of each tile and from half of our stands; it is tested on
-the rest of the tile and on the other stands. 0.5 is chance. `--before` takes recipes/drone.yaml from the same height
-in place of the recipes of the places. The views are those of benchmarks/airborne_tiles.py, rendered where missing.
+the rest of the tile and on the other stands. 0.5 is chance. The views are those that the first command renders.
+`--before` takes the views of another data set, such as recipes/drone.yaml from the same height, for all three places:
+
+    uv run forestgen render recipes/drone.yaml --count 4 -o DATA_SET --set 'cameras=[{name: airborne, position_m: \
+        [30, 30, 1000], look_at_m: [30, 30, 0], size_px: [400, 400], hfov_deg: 2.2918}]'
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +25,14 @@ from numpy.typing import NDArray
 
 import forestgen as fg
 from support.airborne import Floats, Mask, Picture, encoded
-from support.airborne_views import PLACES, Place, as_bright, picture_of, tile_of, views
+from support.airborne_views import PLACES, as_bright, developed, tile_of
 
-RECIPES = Path(__file__).parents[1] / "recipes"
 PATCH_PX, BATCH, CHANNELS = 64, 64, (24, 48, 64, 64)
 WEST = 0.55  # share of a tile's width that the network learns from
 NOISE = 0.15  # standard deviations of a patch
 RATE, DECAY_1, DECAY_2 = 1e-3, 0.9, 0.999
 TESTED = 600  # patches of each kind and place
 Patches = NDArray[np.float32]
-CAMERA = {"name": "airborne", "position_m": [30, 30, 1000], "look": "down", "size_px": [400, 400], "hfov_deg": 2.2918}
-DRONE: Mapping[str, Any] = {"cameras": [CAMERA], "labels.channels": ["sun"]}
 
 
 def patches(pictures: Sequence[tuple[Floats, Mask]], count: int, rng: np.random.Generator) -> Patches:
@@ -123,18 +124,14 @@ class Network:
         return (np.concatenate(found) > 0.0) == (real > 0.5)
 
 
-def drone_views(outputs: Path, stands: int, tile: Picture) -> list[Picture]:
-    recipe = fg.load(RECIPES / "drone.yaml", DRONE)
-    frames = recipe.render(outputs / "drone", count=stands, resume=True, discard=True).dataset
-    light = (frame.radiance if frame.denoised is None else frame.denoised for frame in frames)
-    return [as_bright(Picture(one.astype(np.float64).clip(0.0)), tile) for one in light]
-
-
-def place_views(place: Place, tile: Picture, outputs: Path, stands: int, samples: int) -> list[Picture]:
-    folder, found = outputs / place.recipe, []
-    for frame in views(place, outputs, stands, RECIPES / "places", {"render.samples": samples}):
-        picture, _ = picture_of(frame, folder / frame.split / frame.name, place.greener)
-        found.append(as_bright(picture, tile))
+def views_of(data_set: Path, tile: Picture) -> list[Picture]:
+    """Of a data set, as bright as a tile: raw images where there are any, else the denoised radiance in colour."""
+    found = []
+    for frame in fg.Dataset(data_set):
+        folder = data_set / frame.split / frame.name
+        light = frame.radiance if frame.denoised is None else frame.denoised
+        rgb = developed(folder) if (folder / "raw.json").is_file() else light.astype(np.float64).clip(0.0)
+        found.append(as_bright(Picture(rgb), tile))
     return found
 
 
@@ -142,18 +139,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tiles", type=Path, required=True, help="folder of the tiles")
     parser.add_argument("--views", type=Path, default=Path("outputs/airborne/full"), help="folder of the views")
-    parser.add_argument("--stands", type=int, default=4, help="of each recipe")
-    parser.add_argument("--samples", type=int, default=16, help="light paths a pixel")
-    parser.add_argument("--before", action="store_true", help="views of recipes/drone.yaml")
+    parser.add_argument("--before", type=Path, metavar="DATA_SET", help="views in place of those")
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--runs", type=int, default=3, help="networks, each with other random numbers")
     arguments = parser.parse_args()
     real = [tile_of(place, arguments.tiles) for place in PLACES]
-    if arguments.before:
-        ours = [drone_views(arguments.views, arguments.stands, tile) for tile in real]
-    else:
-        chosen = zip(PLACES, real, strict=True)
-        ours = [place_views(*one, arguments.views, arguments.stands, arguments.samples) for one in chosen]
+    folders = [arguments.before or arguments.views / place.recipe for place in PLACES]
+    ours = [views_of(folder, tile) for folder, tile in zip(folders, real, strict=True)]
     report(real, ours, arguments.steps, arguments.runs)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +73,7 @@ def views(place: Place, folder: Path, count: int, recipes: Path, settings: dict[
 
 def picture_of(frame: fg.Frame, folder: Path, greener: bool) -> tuple[Picture, tuple[Mask, Mask]]:
     """A frame as the airborne camera has it, with boxes of its trees; and by its labels sunlit crowns and ground."""
-    rgb = developed(frame, folder)
+    rgb = developed(folder)
     shape = (rgb.shape[0], rgb.shape[1])
     crowns, ground = crowns_and_ground(tree_boxes(frame), shape)
     picture = Picture(rgb, crowns, ground, None, greener)
@@ -93,7 +93,7 @@ def tree_boxes(frame: fg.Frame) -> list[Box]:
     return [(x, y, x + w, y + h) for x, y, w, h in zip(seen.box_x, seen.box_y, seen.box_w, seen.box_h, strict=True)]
 
 
-def developed(frame: fg.Frame, folder: Path) -> Floats:
+def developed(folder: Path) -> Floats:
     """(H, W, 3) light of a frame's raw image, white balance set so that a white surface in the open is white."""
     facts = json.loads((folder / "raw.json").read_text(encoding="utf-8"))
     white = open_irradiance(folder)
@@ -113,6 +113,6 @@ def open_irradiance(folder: Path) -> dict[str, float]:
 
 def as_bright(picture: Picture, like: Picture) -> Picture:
     """The picture exposed so that its sunlit pixels have the other's median luminance, in 8 bits of sRGB."""
-    light, wanted = (np.median((one.rgb @ LUMINANCE)[sunlit(one)]) for one in (picture, like))
-    rgb = linear(encoded(picture.rgb * (wanted / light)))
-    return Picture(rgb, picture.crowns, picture.ground, picture.seen, picture.greener)
+    alike = replace(picture, rgb=picture.rgb * (like.rgb.mean() / picture.rgb.mean()))
+    light, wanted = (np.median((one.rgb @ LUMINANCE)[sunlit(one)]) for one in (alike, like))
+    return replace(alike, rgb=linear(encoded(alike.rgb * (wanted / light))))
