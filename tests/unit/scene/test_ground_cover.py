@@ -17,11 +17,13 @@ from forestgen.geometry.mesh import Mesh, triangle_areas
 from forestgen.pipeline import assemble_image
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.recipe.load import load_recipe_data
+from forestgen.recipe.spectra import load_spectra
 from forestgen.scene import ground_cover, ground_view
 from forestgen.scene.build import BuiltScene
 from forestgen.scene.ground_cover import bare_share, leaf_shares, local_cover, painted, tile_numbers
 from forestgen.scene.ground_layers.fallen_leaves import LAYER as FALLEN
 from forestgen.scene.ground_layers.layer import Layer, Request, Spread, Thing
+from forestgen.scene.ground_layers.moss import LAYER as MOSS
 from forestgen.scene.ground_layers.stones import LAYER as STONES
 from forestgen.scene.ground_layers.twigs import LAYER as TWIGS
 from forestgen.scene.ground_tiles import COVERS, GROUND, VARIANTS, tile
@@ -180,6 +182,19 @@ def test_paint_has_the_mean_colour_of_what_lies_there() -> None:
     assert covered is not None
     wanted = 0.6 * float(bare.at(650.0)) + 0.4 * float(stones.spectrum.at(650.0))
     assert float(covered.at(650.0)) == pytest.approx(wanted)
+
+
+def test_moss_and_fallen_needles_are_as_bright_as_measured_floors() -> None:
+    built = scene()
+    request = Request(built.plan.drawn, built.plan.plants.generators, {"spruce": (1.0, lambda x, y: x)}, 0.01, ())
+    [moss] = MOSS.layers(MOSS.Parameters.model_validate({"what": "moss"}), request, np.random.default_rng(1))
+    assert moss.spectrum.at(560.0) == pytest.approx(load_spectra("wood/moss")["reflectance"].at(560.0))
+    assert 0.079 < float(moss.spectrum.at(560.0)) < 0.095
+    keys = FALLEN.Parameters.model_validate({"what": "fallen_leaves"})
+    [needles] = FALLEN.layers(keys, request, np.random.default_rng(1))
+    measured = load_spectra("ground/litter_needles")["reflectance"]
+    for wavelength_nm in (550.0, 600.0, 650.0):
+        assert float(needles.spectrum.at(wavelength_nm)) == pytest.approx(float(measured.at(wavelength_nm)), rel=0.25)
 
 
 def test_a_fallen_leaf_is_as_large_as_the_species_file_says() -> None:

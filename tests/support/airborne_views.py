@@ -1,0 +1,118 @@
+"""The development tiles of the NEON airborne camera, and views of the recipes that imitate them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+from PIL import Image, ImageDraw
+
+import forestgen as fg
+from support.airborne import LUMINANCE, Box, Floats, Mask, Picture, boxes_of, crowns_and_ground, encoded, linear, sunlit
+
+HOW_TO_GET = """The tiles travel in the wheel of deepforest 2.1.0 on PyPI; they are not part of this repository.
+
+    pip download deepforest==2.1.0 --no-deps
+    unzip -j deepforest-2.1.0-py3-none-any.whl 'deepforest/data/*OSBS_029*' 'deepforest/data/SOAP_031*' \\
+        'deepforest/data/2019_YELL_2_541000*' -d FOLDER"""
+
+TREE_M, TREE_PX = 2.0, 10  # what a person draws a box around: trees of this height, seen this widely
+_DEAD_LYING = 2  # dead_form from which a dead tree does not stand
+# Outline of the road in Yellowstone, pixels: x of the western and of the eastern side, and y of each.
+_ROAD = (
+    ((135, 148, 171, 202, 249, 316, 394, 482, 571, 617), (0, 88, 187, 280, 394, 519, 633, 768, 892, 1035)),
+    ((212, 239, 254, 290, 358, 420, 503, 571, 628, 711), (0, 135, 207, 311, 436, 550, 705, 861, 934, 1035)),
+)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A tile and its recipe."""
+
+    tile: str
+    recipe: str
+    greener: bool  # whether crowns are greener than what is between them
+    has_road: bool = False
+
+
+PLACES = (
+    Place("OSBS_029", "neon_osbs", greener=True),
+    Place("SOAP_031", "neon_soap", greener=True),
+    Place("2019_YELL_2_541000_4977000_image_crop", "neon_yell", greener=False, has_road=True),
+)
+
+
+def tile_of(place: Place, folder: Path) -> Picture:
+    """A real tile."""
+    path = folder / f"{place.tile}.png"
+    if not path.is_file():
+        raise SystemExit(f"{path} is missing.\n{HOW_TO_GET}")
+    rgb = linear(np.asarray(Image.open(path).convert("RGB")))
+    shape = (rgb.shape[0], rgb.shape[1])
+    boxes = folder / f"{place.tile}.xml"
+    crowns, ground = crowns_and_ground(boxes_of(boxes), shape) if boxes.is_file() else (None, None)
+    return Picture(rgb, crowns, ground, _off_road(shape) if place.has_road else None, place.greener)
+
+
+def _off_road(shape: tuple[int, int]) -> Mask:
+    west, east = (list(zip(*side, strict=True)) for side in _ROAD)
+    picture = Image.new("1", shape[::-1])
+    ImageDraw.Draw(picture).polygon([*west, *east[::-1]], fill=1)
+    return ~np.asarray(picture)
+
+
+def views(place: Place, folder: Path, count: int, recipes: Path, settings: dict[str, object]) -> Iterator[fg.Frame]:
+    """Frames of the place's recipe, each of its own stand; those that `folder` has are not rendered again."""
+    recipe = fg.load(recipes / f"{place.recipe}.yaml", settings)
+    yield from recipe.render(folder / place.recipe, count=count, resume=True, discard=True).dataset
+
+
+def picture_of(frame: fg.Frame, folder: Path, greener: bool) -> tuple[Picture, tuple[Mask, Mask]]:
+    """A frame as the airborne camera has it, with boxes of its trees; and by its labels sunlit crowns and ground."""
+    rgb = developed(folder)
+    shape = (rgb.shape[0], rgb.shape[1])
+    crowns, ground = crowns_and_ground(tree_boxes(frame), shape)
+    picture = Picture(rgb, crowns, ground, None, greener)
+    lit = sunlit(picture)
+    plants = frame.plants.to_pandas()
+    trees = plants.plant_id[(plants.height_m >= TREE_M) & (plants.status != "dead")]
+    is_tree = np.isin(frame.instance, trees.to_numpy())
+    is_low = (frame.instance == 0) | np.isin(frame.instance, plants.plant_id[plants.height_m < TREE_M].to_numpy())
+    return picture, (is_tree & lit, is_low & lit)
+
+
+def tree_boxes(frame: fg.Frame) -> list[Box]:
+    """Visible boxes of what stands: trees, dead ones too."""
+    plants = frame.plants.to_pandas()
+    stands = (plants.height_m >= TREE_M) & ~(plants.dead_form.fillna(0) >= _DEAD_LYING)
+    seen = plants[stands & (np.minimum(plants.box_w, plants.box_h) >= TREE_PX)]
+    return [(x, y, x + w, y + h) for x, y, w, h in zip(seen.box_x, seen.box_y, seen.box_w, seen.box_h, strict=True)]
+
+
+def developed(folder: Path) -> Floats:
+    """(H, W, 3) light of a frame's raw image, white balance set so that a white surface in the open is white."""
+    facts = json.loads((folder / "raw.json").read_text(encoding="utf-8"))
+    white = open_irradiance(folder)
+    planes = []
+    for name in facts["channels"]:
+        counts = np.asarray(Image.open(folder / facts["files"][name])).astype(np.float64)
+        light = np.maximum(counts - facts["black_level"], 0.0) * facts["radiance_per_dn"][name]
+        planes.append(np.pi * light / white[name])
+    return np.stack(planes, axis=-1)
+
+
+def open_irradiance(folder: Path) -> dict[str, float]:
+    """Of level ground in the open, by channel, W/m2/nm."""
+    with OpenEXR.File(str(folder / "frame.exr"), header_only=True) as file:
+        return dict(json.loads(file.parts[0].header["forestgen/open_irradiance"]))
+
+
+def as_bright(picture: Picture, like: Picture) -> Picture:
+    """The picture exposed so that its sunlit pixels have the other's median luminance, in 8 bits of sRGB."""
+    alike = replace(picture, rgb=picture.rgb * (like.rgb.mean() / picture.rgb.mean()))
+    light, wanted = (np.median((one.rgb @ LUMINANCE)[sunlit(one)]) for one in (alike, like))
+    return replace(alike, rgb=linear(encoded(alike.rgb * (wanted / light))))

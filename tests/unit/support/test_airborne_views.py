@@ -1,0 +1,39 @@
+"""Views and tiles that airborne pictures are compared of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from support.airborne import LUMINANCE, Picture, encoded, sunlit
+from support.airborne_views import PLACES, as_bright, tile_of
+
+
+def test_without_tiles_it_is_said_how_to_get_them(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=r"deepforest==2\.1\.0"):
+        tile_of(PLACES[0], tmp_path)
+
+
+def test_the_road_of_a_tile_does_not_count(tmp_path: Path) -> None:
+    place = next(place for place in PLACES if place.has_road)
+    Image.fromarray(np.full((1035, 1249, 3), 128, dtype=np.uint8)).save(tmp_path / f"{place.tile}.png")
+    tile = tile_of(place, tmp_path)
+    assert tile.crowns is None
+    assert not tile.counts[519, 370]  # amid the road
+    assert tile.counts[519, [300, 440]].all()
+    assert 0.04 < 1 - tile.counts.mean() < 0.09
+
+
+def test_a_view_is_exposed_like_the_tile_and_clipped() -> None:
+    rng = np.random.default_rng(4)
+    light = np.exp(rng.normal(-2, 0.8, (100, 100, 1))) * np.ones(3)
+    light[:40] *= 0.05
+    tile, view = Picture(np.minimum(light, 1.0)), Picture(0.01 * light)
+    found = as_bright(view, tile)
+    medians = [np.median((one.rgb @ LUMINANCE)[sunlit(one)]) for one in (tile, found)]
+    assert medians[1] == pytest.approx(medians[0], rel=0.05)
+    assert found.rgb.max() <= 1.0
+    assert len(np.unique(encoded(found.rgb))) <= 256
