@@ -3,10 +3,10 @@
     uv run python benchmarks/airborne_tiles.py --tiles FOLDER [--quick] [--picture FILE]
 
 Real windows are squares of 20 m, 10 m apart, of the tile; their spread is the 5th to the 95th percentile. Ours are
-those of three stands of the recipe (`--quick`: two with half the samples); their median is inside or outside. The
-distance of histograms is that of a window to all real ones together; its yardstick is the 95th percentile of the real
-windows' distances to the others. `labels` are crowns and ground as our labels have them, which checks the two methods
-that tiles allow: by boxes, and by a split of colours (tests/support/airborne.py). Light is linear, of sRGB.
+those of three stands of the recipe (`--quick`: two with half the samples); their median is inside the spread or not.
+A distance of histograms is that of a window to all real ones together; its yardstick is the 95th percentile of the
+real windows' distances to the others. `labels` are crowns and ground as our labels have them, which checks the two
+methods that tiles allow: by boxes, and by a split of colours (tests/support/airborne.py). Light is linear, of sRGB.
 
 The tiles are not part of the repository; without them the command says how to get them.
 """

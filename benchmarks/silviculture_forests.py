@@ -48,7 +48,6 @@ PINE: dict[str, Any] = {
     "seeds_per_yr": 2,
     "seeding_radius_m": 8,
 }
-PIONEER = PINE | {"seeds_per_yr": 4, "seeding_radius_m": 15}  # many seeds that fly far
 TOLERANT: dict[str, Any] = {
     "life_span_yr": 500,
     "root_vigour_max": 30,
@@ -64,6 +63,17 @@ TOLERANT: dict[str, Any] = {
     "seeds_per_yr": 1,
     "seeding_radius_m": 8,
 }
+PALM: dict[str, Any] = {
+    "life_span_yr": 60,
+    "root_vigour_max": 4,
+    "growth_rate_per_yr": 0.5,
+    "apical_control": 0.96,
+    "determinacy": 0.9,
+    "length_per_age_m": 1.0,
+    "flowering_age_yr": 10,
+    "flowering_delay_max": 1,
+}
+PIONEER = PALM | {"shade_tolerance": 0.08, "seeds_per_yr": 4, "seeding_radius_m": 15}  # palms, as in Figure 12
 SIDE_M = 40.0
 
 
@@ -157,18 +167,7 @@ def _share(plants: Plants, pick: np.ndarray) -> float:
     return float(leaf[0] / leaf.sum()) if leaf.sum() > 0 else float("nan")
 
 
-PALM: dict[str, Any] = {
-    "life_span_yr": 60,
-    "root_vigour_max": 4,
-    "growth_rate_per_yr": 0.5,
-    "apical_control": 0.96,
-    "determinacy": 0.9,
-    "length_per_age_m": 1.0,
-    "flowering_age_yr": 10,
-    "flowering_delay_max": 1,
-    "temperature_c": 28,
-    "precipitation_mm_per_yr": 4100,
-}
+TROPICS = {"temperature_c": 28, "precipitation_mm_per_yr": 4100}
 TOLERANCES, RADII_M = {"c, d": 0.1, "a, b": 0.9}, (9.0, 3.0, 1.0)  # Table 2
 
 
@@ -177,7 +176,7 @@ def patterns(quick: bool) -> dict[tuple[str, float], Course]:
     side, start, years = (24.0, 8, 22) if quick else (40.0, 20, 24)
     return {
         (name, radius): grow(
-            {"palm": PALM | {"shade_tolerance": tolerance, "seeding_radius_m": radius, "seeds_per_yr": 3.0}},
+            {"palm": PALM | TROPICS | {"shade_tolerance": tolerance, "seeding_radius_m": radius, "seeds_per_yr": 3.0}},
             {"initial_plants": {"palm": start}, "steps": years, "periodic": True},
             (side, side),
             every=years,

@@ -13,18 +13,21 @@ weighing; N, chlorophyll and carotenoids by inversion of PROSPECT-5 (Shiklomanov
 Environment 183, 226-238; github.com/ashiklom/prospect_bayes). Medians over all heights; n is the number of samples.
 Hyytiälä: mean reflectance and transmittance of leaves and needles in midsummer (Hovi et al. 2024,
 doi:10.23729/9a8d90cd-73e2-438d-9230-94e10e61adc9; Rautiainen et al. 2024, Earth System Science Data 16, 5069-5087;
-github.com/mottus/f_art_python), to which PROSPECT-D is fitted from 530 to 2400 nm without 626 to 690 nm, where light
-past the needles makes up most of the transmittance. Leaves of birch have no gaps between them: their table of summer
-is what was measured (`MEASURED`); PROSPECT makes their other seasons. Green needles of pine and spruce reflect what was
-measured, too (`MEASURED_NEEDLES`): their wax reflects 0.04 and 0.015 where pigments or water absorb all else, at 450,
-680 and 1900 nm, which PROSPECT's smooth surface lacks. Järvselja: needles of Picea abies in the bands of
-RAMI-V (Kuusk et al. 2013), fitted in the same way. Warren et al. 2006: Eucalyptus leaves, as AusTraits has them
-(Falster et al. 2021, Scientific Data 8, 254). Moles et al. 2011 (ibid.).
+github.com/mottus/f_art_python), to which PROSPECT-D is fitted from 400 to 2400 nm, for needles with a share of light
+past them, 0.035 (pine) and 0.054 (spruce), which is part of the measured transmittance alone. Leaves of birch have no
+gaps between them: their table of summer is what was measured (`MEASURED`); PROSPECT makes their other seasons.
+Järvselja: needles of Picea abies in the bands of RAMI-V (Kuusk et al. 2013), fitted without 626 to 690 nm. Warren et
+al. 2006: Eucalyptus leaves, as AusTraits has them (Falster et al. 2021, Scientific Data 8, 254). Moles et al. 2011
+(ibid.).
 
 What follows from them
 ----------------------
 - Needles: reflectance alone, of a mat of needles, fixes the pigments over N, and N comes out too large. Where it passes
   `NEEDLE_N`, that of needles whose transmittance was measured too, N and pigments are scaled down to it.
+- `SURFACE`: the skin of needles reflects more than that of PROSPECT's leaf, s at all wavelengths, a part of the fit to
+  Hyytiälä: R' = s + (1 - s) R, T' = (1 - s) T. At 450 nm, where hardly any light comes out of a leaf, needles of pine
+  reflect 0.096 and those of spruce 0.054, PROSPECT's leaf 0.042. Without it the residual of pine's reflectance is 0.018
+  instead of 0.009, and both fits have a quarter less chlorophyll than FFT's and Järvselja's needles.
 - A species that FFT lacks has the pigments of its nearest measured relative, and the dry matter of its own species file
   (leaf_mass_per_area_kg_per_m2). Its N and water follow from the dry matter, as over all broad leaves of FFT: N rises
   by 49 per g/cm² (711 leaves), water is 1.47 times the dry matter.
@@ -178,10 +181,10 @@ LEAVES: dict[str, dict[str, Leaf]] = {
     "juniper": evergreen(needle(*JUNIPER), 2.4),
     "meranti": evergreen(relative(1.19, 54.4, 13.0, 0.0044, 0.0090)),
     "palm": {"": (1.57, 45, 10.0, 0, 0.19, 0.0150, 0.0130), "dry": (2.30, 1, 3.0, 0.5, 1.20, 0.0008, 0.0130)},
-    "pine": {"": (1.90, 40, 9.0, 0.0, 0.03, 0.0300, 0.0140), "dry": (2.60, 1, 3.0, 1.5, 2.20, 0.0010, 0.0200)},
+    "pine": {"": (1.86, 45, 9.6, 0.0, 0.05, 0.0346, 0.0147), "dry": (2.60, 1, 3.0, 1.5, 2.20, 0.0010, 0.0200)},
     "rosemary": evergreen(needle(3.04, 59.1, 20.9, 0.0243, 0.0200)),
     "sequoia": evergreen(needle(*(0.5 * (a + b) for a, b in zip(THUJA, JUNIPER, strict=True))), 2.3),
-    "spruce": {"": (1.90, 47, 10.5, 0.0, 0.02, 0.0310, 0.0150), "dry": (2.60, 1, 3.0, 1.5, 2.60, 0.0010, 0.0200)},
+    "spruce": {"": (1.92, 52, 11.6, 0.0, 0.03, 0.0346, 0.0158), "dry": (2.60, 1, 3.0, 1.5, 2.60, 0.0010, 0.0200)},
     "tree_fern": evergreen((1.54, 45, 10.0, 0.0, 0.04, 0.0099, 0.0059)),
 }
 NAMES = {  # and where the green leaf's numbers come from
@@ -216,10 +219,10 @@ NAMES = {  # and where the green leaf's numbers come from
     "meranti": "light red meranti, Shorea leprosula; chlorophyll: median of evergreen broad-leaved forests, Croft et "
     "al. 2020, Remote Sensing of Environment 236, 111479",
     "palm": "palm",
-    "pine": "Scots pine, Pinus sylvestris: needles; mean of Hyytiälä (chlorophyll 33) and FFT (46 by `needle`, n 4)",
+    "pine": "Scots pine, Pinus sylvestris: needles; mean of Hyytiälä (chlorophyll 44) and FFT (46 by `needle`, n 4)",
     "rosemary": "rosemary, Salvia rosmarinus; FFT, Ledum groenlandicum, an evergreen leaf with rolled margins, n 4",
     "sequoia": "giant sequoia, Sequoiadendron giganteum: needles; FFT, mean of Thuja and Juniperus",
-    "spruce": "spruce, Picea: needles; mean of Picea abies in Hyytiälä (chlorophyll 39) and Järvselja (58), and FFT, "
+    "spruce": "spruce, Picea: needles; mean of Picea abies in Hyytiälä (chlorophyll 54) and Järvselja (58), and FFT, "
     "Picea mariana and rubens (44, n 47, top and middle of the crowns)",
     "tree_fern": "soft tree fern, Dicksonia antarctica; dry matter and water: Moles et al. 2011",
 }
@@ -253,7 +256,7 @@ VARIATION = {
     },
 }
 MEASURED = {("birch", "summer"): "standards/birch_leaf"}  # in place of PROSPECT's
-MEASURED_NEEDLES = {"pine": "standards/pine_needle", "spruce": "standards/spruce_needle"}  # reflectance alone
+SURFACE = {"pine": 0.042, "spruce": 0.026}
 MEAN_LEAVES = {"broad": "maple", "needle": "spruce"}
 SYMBOLS = ("N", "chlorophyll", "carotenoids", "anthocyanins", "brown", "water", "dry matter")
 
@@ -265,6 +268,13 @@ def prospect(parameters: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
         n, chlorophyll, carotenoids, brown, water, dry, ant=anthocyanins, prospect_version="D"
     )
     return np.interp(GRID_NM, wavelength, r), np.interp(GRID_NM, wavelength, t)
+
+
+def leaf(name: str, parameters: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Reflectance and transmittance of a species' leaf."""
+    s = SURFACE.get(name, 0.0)
+    reflected, passed = prospect(parameters)
+    return s + (1 - s) * reflected, (1 - s) * passed
 
 
 def opaque(reflectance: np.ndarray, transmittance: np.ndarray) -> np.ndarray:
@@ -297,18 +307,15 @@ def main() -> None:
         for season, parameters in seasons.items():
             suffix = f"_{season}" if season else ""
             measured = MEASURED.get((name, season))
-            both = prospect(parameters) if measured is None else read(measured)[1:]
-            if not season and name in MEASURED_NEEDLES:
-                both = read(MEASURED_NEEDLES[name])[1], both[1]
+            both = leaf(name, parameters) if measured is None else read(measured)[1:]
             columns[f"reflectance{suffix}"], columns[f"transmittance{suffix}"] = both
         lines = told(NAMES[name], seasons)
         for season in seasons:
             if (name, season) in MEASURED:
                 lines["source"] += f", but for {season}"
                 lines[season] = f"measured, {MEASURED[name, season]}; PROSPECT-D fitted to it has " + lines[season]
-        if name in MEASURED_NEEDLES:
-            lines["source"] += ", but for the reflectance of green needles"
-            lines["all year"] += f"; reflectance measured, {MEASURED_NEEDLES[name]}"
+        if name in SURFACE:
+            lines["surface"] = f"{SURFACE[name]:g} of the light, which the skin reflects beyond PROSPECT's"
         write(f"leaves/{name}", lines, GRID_NM, columns)
     reference = (1.5, 40.0, 8.0, 0.0, 0.0, 0.01, 0.009)
     r, t = prospect(reference)
@@ -328,10 +335,11 @@ def write_variation() -> None:
     for kind, leaves in VARIATION.items():
         seasons = LEAVES[MEAN_LEAVES[kind]]
         n, chlorophyll, carotenoids, anthocyanins, brown, water, dry = seasons.get("summer", seasons.get("", ()))
-        mean = prospect((n, chlorophyll, carotenoids, anthocyanins, brown, water, dry))
+        mean = leaf(MEAN_LEAVES[kind], (n, chlorophyll, carotenoids, anthocyanins, brown, water, dry))
         for name, (f_n, f_ab, f_car, f_w, f_dry) in leaves.items():
             own = f_n * n, f_ab * chlorophyll, f_car * carotenoids, anthocyanins, brown, f_w * water, f_dry * dry
-            for side, one, base in zip(("reflectance", "transmittance"), prospect(own), mean, strict=True):
+            both = leaf(MEAN_LEAVES[kind], own)
+            for side, one, base in zip(("reflectance", "transmittance"), both, mean, strict=True):
                 columns[f"{kind}_{name}_{side}"] = (one + 1e-3) / (base + 1e-3)
     lines = {
         "what": "leaves of the crown's top (sun) and bottom (shade) and of plants with 15% less chlorophyll (pale)",

@@ -18,8 +18,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.frames import BREAST_HEIGHT_M
-from forestgen.core.stem_form import LEAST_ABOVE_M, TAPER
+from forestgen.core.stem_form import volume_above_m3
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.integer]
@@ -115,7 +114,4 @@ def standing_volume_m3(form: Codes, decay: Codes, height_m: Floats, dbh_m: Float
 def _volume_m3(begins: Floats, left: Floats, height_m: Floats, dbh_m: Floats) -> Floats:
     """(N,) volume of a stem between two shares of the whole tree's height; `height_m`: at the second."""
     whole = height_m / left
-    above = np.maximum(whole - BREAST_HEIGHT_M, LEAST_ABOVE_M)
-    power = 2.0 * TAPER + 1.0
-    foot_m2 = 0.25 * np.pi * dbh_m**2 * (whole / above) ** (2.0 * TAPER)
-    return np.asarray(foot_m2 * whole * ((1.0 - begins) ** power - (1.0 - left) ** power) / power)
+    return volume_above_m3(begins * whole, whole, dbh_m) - volume_above_m3(left * whole, whole, dbh_m)

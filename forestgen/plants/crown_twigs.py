@@ -5,9 +5,13 @@ crown, each from the branch or the twig that it reaches by the shortest way (a m
 the way from the branch too: Cuntz, H., Forstner, F., Borst, A., Häusser, M. (2010). One rule to grow them all. PLoS
 Computational Biology 6(8), e1000877). So every leaf sits on a twig, and leaves fill the crown as those of real trees.
 
-The crown is the hull of the generator's own leaves, by height and azimuth. Fewer points lie where others shade them: of
-a share v of the crown's volume, counted from above, the leaf area index a(v) follows da/dv = c exp(-k a), which is
-solved by a = ln(1 + (exp(k L) - 1) v) / k. L is the crown's leaf area over its ground area, k the extinction of light.
+The crown is the hull of the generator's own leaves about the stem, by height and azimuth. Fewer points lie where others
+shade them: of a share v of the crown's volume, counted from above, the leaf area index a(v) follows
+da/dv = c exp(-k a), which is solved by a = ln(1 + (exp(k L) - 1) v) / k. L is the crown's leaf area over its ground
+area, k the extinction of light.
+
+Crowns of most broad-leaved trees are round above: where the hull is narrower than half an ellipsoid above its widest
+place, it is widened, by `dome` of the difference. The generators' branches, which end as they please, leave cones.
 """
 
 from __future__ import annotations
@@ -54,6 +58,7 @@ class CrownTwigs(Section):
     leaves_each: float = Field(gt=0, le=1000, description="leaves of a twig; with the leaf area, their number")
     diameter_m: float = Field(0.0024, gt=0, le=0.02, description="of a twig's tip, metres")
     bend: float = Field(0.5, ge=0, le=1, description="how far a twig sets out along its bearer, not straight ahead")
+    dome: float = Field(0.0, ge=0, le=1, description="how far the crown is filled up to half an ellipsoid above")
     droop: float = Field(0.0, ge=-1, le=1, description="how far twigs rather grow down than up; negative: up")
 
 
@@ -88,13 +93,22 @@ def fill_crown(
     height_m = float(skeleton.position_m[:, 2].max())
     wood, kept = _branches(skeleton, twigs.replaces_below_m)
     wanted = leaves.total_m2 / (twigs.leaves_each * _leaf_m2(rules, blade_m2, height_m))
-    tips, apart_m = _hull(leaves).spread(
-        round(float(np.clip(wanted, _FEWEST, _MOST))), EXTINCTION * leaves.total_m2, rng
-    )
+    count, extinct_m2 = round(float(np.clip(wanted, _FEWEST, _MOST))), EXTINCTION * leaves.total_m2
+    position = leaves.position_m - _stem_at(wood, leaves.position_m[:, 2])
+    tips, apart_m = _hull(replace(leaves, position_m=position), twigs.dome).spread(count, extinct_m2, rng)
+    tips += _stem_at(wood, tips[:, 2])
     tips = np.concatenate([_beyond_ends(wood, apart_m), tips])
     grown, base = _grown(wood, *_spanned(wood, tips, twigs), twigs)
     organs = tuple(place(rule, grown, height_m, rng) for rule in rules)
     return replace(grown, organs=organs), kept[base]
+
+
+def _stem_at(skeleton: Skeleton, height_m: Floats) -> Floats:
+    """(M, 3) how far the first stem is aside of the tree's foot at heights, in x and y; 0 in z."""
+    stem = skeleton.position_m[first_stem(skeleton.axis)].astype(np.float64)
+    stem = stem[np.argsort(stem[:, 2], kind="stable")]
+    x, y = (np.interp(height_m, stem[:, 2], stem[:, k]) for k in (0, 1))
+    return np.stack([x, y, np.zeros_like(x)], axis=1)
 
 
 def _leaf_m2(rules: Sequence[Foliage], blade_m2: Mapping[str, float], height_m: float) -> float:
@@ -118,7 +132,7 @@ class Leaves:
 
 @dataclass(frozen=True)
 class _Hull:
-    """A crown's radius by height and azimuth."""
+    """A crown's radius about its stem, by height and azimuth."""
 
     low_m: float
     high_m: float
@@ -148,8 +162,8 @@ class _Hull:
         return points, apart_m
 
 
-def _hull(leaves: Leaves) -> _Hull:
-    """The hull of leaves, its lobes half as deep."""
+def _hull(leaves: Leaves, dome: float = 0.0) -> _Hull:
+    """The hull of leaves, its lobes half as deep, and its top round as `CrownTwigs.dome` says."""
     from scipy.ndimage import map_coordinates  # slow to import
 
     leaf_m, leaf_area = leaves.position_m, leaves.area_m2
@@ -165,12 +179,20 @@ def _hull(leaves: Leaves) -> _Hull:
     reach = 0.5 * reach + 0.5 * reach.mean(axis=1, keepdims=True)
     beside = np.pad(np.pad(reach, ((1, 1), (0, 0)), mode="edge"), ((0, 0), (1, 1)), mode="wrap")
     reach = 0.25 * (beside[:-2, 1:-1] + 2.0 * reach + beside[2:, 1:-1])
+    reach += dome * np.maximum(_domed(reach.mean(axis=1)) - reach.mean(axis=1), 0.0)[:, None]
     edged = np.pad(np.pad(reach, ((1, 1), (0, 0))), ((0, 0), (1, 1)), mode="wrap")
     middles = np.concatenate([[0.0], np.arange(_LAYERS) + 0.5, [float(_LAYERS)]])
     layer_at = np.interp((np.arange(_LAYERS * _FINER) + 0.5) / _FINER, middles, np.arange(_LAYERS + 2))
     sector_at = (np.arange(_SECTORS * _FINER) + 0.5) / _FINER + 0.5
     fine = map_coordinates(edged, np.stack(np.meshgrid(layer_at, sector_at, indexing="ij")), order=1)
     return _Hull(low, high, np.maximum(fine, 0.02 * fine.max() + 1e-6))
+
+
+def _domed(radius_m: Floats) -> Floats:
+    """(L,) radii of half an ellipsoid on the widest of (L,) layers, which are counted from below; 0 under it."""
+    widest = int(np.argmax(radius_m))
+    up = np.clip(np.arange(len(radius_m)) - widest, 0, None) / (len(radius_m) - widest)
+    return np.where(np.arange(len(radius_m)) < widest, 0.0, radius_m[widest] * np.sqrt(1.0 - up**2))
 
 
 def first_stem(axis: NDArray[np.int32]) -> Bools:

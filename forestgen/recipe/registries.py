@@ -151,6 +151,7 @@ PROJECTIONS = Registry(
     "projection",
     {
         "perspective": ("forestgen.scene.projections.perspective:PROJECTION", "a pinhole, or a thin lens that blurs"),
+        "lens": ("forestgen.scene.projections.lens:PROJECTION", "a pinhole with the distortion of a lens, as OpenCV's"),
         "fisheye": ("forestgen.scene.projections.fisheye:PROJECTION", "equidistant, up to all around"),
         "orthographic": ("forestgen.scene.projections.orthographic:PROJECTION", "parallel rays, as of a map"),
         "panorama": ("forestgen.scene.projections.panorama:PROJECTION", "equirectangular, all around, level"),

@@ -25,7 +25,7 @@ from forestgen.scene.leaf_variation import vary_leaves
 from forestgen.scene.lying import laid_along_y, lying_plants, on_the_ground
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
-from forestgen.scene.site import sky_of, wetness_of
+from forestgen.scene.site import sky_of, sun_notes, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from forestgen.scene.surfaces import FreshLitter, fresh_litter, infrared_notes, materials_of, surface_of
 from forestgen.scene.surroundings import Layer, SurroundedStand, layers_around, surrounded
@@ -121,7 +121,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         ground = ground_cover(plan, population, spec.cameras)
         spec = ground.on(spec)
         notes = [
-            *(f"image {drawn.image_index}: {note}" for note in (*simulated.notes, *ground.notes)),
+            *(f"image {drawn.image_index}: {note}" for note in (*simulated.notes, *ground.notes, *sun_notes(recipe))),
             *check_trunks(drawn, views, trunks),
             *plan.views.check_outside_of_buildings(),
             *infrared_notes(base_materials, plan.views.all_cameras),

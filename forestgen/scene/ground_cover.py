@@ -7,9 +7,9 @@ number of things for its cover. Large things, of which a tile would have less th
 The cover itself is uneven by a field of random waves (`patch_m`), and by where a layer grows.
 
 Tiles are drawn where a thing of the layer is as long as `ground_view.LEAST_PX` pixels of the camera that sees it best,
-in or near some camera's view, up to `MOST_TILES` and `FAR_M`. All of the ground is painted with the mean reflectance of
-the ground and of the layers on it, so that it looks alike where geometry gives way to paint: ground that shows between
-things has that colour, too.
+in or near some camera's view, up to `MOST_TILES` and `FAR_M`. Elsewhere the ground is painted with the mean reflectance
+of the ground and of the layers on it, so that it looks alike where geometry gives way to paint. Where only some layers
+are drawn, its colour lies between both, by their optical depth.
 
 Reference
 ---------
@@ -40,7 +40,7 @@ from forestgen.scene.ground_layers.layer import Layer, Places, Request
 from forestgen.scene.ground_tiles import COVERS, GROUND, MOST_THINGS, VARIANTS, number_per_m2, single, tile
 from forestgen.scene.ground_view import MOST_TILES, TILE_M, best_pixel_m, nearest, seen_tiles
 from forestgen.scene.plan import Plan
-from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Terrain
+from forestgen.scene.spec import BareGround, Camera, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.surfaces import wet_spectrum
 from forestgen.scene.surroundings import sheared
 from forestgen.scene.terrain import HeightField
@@ -64,6 +64,7 @@ class LaidGround:
     exemplar: NDArray[np.uint32]  # (K,) of each tile, among `exemplars`
     transform: Floats  # (K, 3, 4)
     layers: tuple[Layer, ...]
+    tiles: tuple[Ints, ...]  # (K, 2) columns and rows that have a layer as geometry, by layer
     notes: tuple[str, ...] = ()  # for people: what is not as the recipe says
 
     def on(self, spec: SceneSpec) -> SceneSpec:
@@ -82,7 +83,7 @@ class LaidGround:
             exemplars=(*spec.exemplars, *self.exemplars),
             materials={**spec.materials, **self.materials},
             instances=instances,
-            terrain=painted(spec.terrain, self.layers),
+            terrain=painted(spec.terrain, self.layers, self.tiles),
         )
 
 
@@ -136,7 +137,12 @@ def _laid(layers: Sequence[Layer], cameras: Sequence[Camera], height: HeightFiel
         exemplars += made
     materials = {(GROUND, key): one for layer in layers for key, one in layer.materials.items()}
     return LaidGround(
-        tuple(exemplars), materials, np.concatenate(which).astype(np.uint32), np.concatenate(places), tuple(layers)
+        exemplars=tuple(exemplars),
+        materials=materials,
+        exemplar=np.concatenate(which).astype(np.uint32),
+        transform=np.concatenate(places),
+        layers=tuple(layers),
+        tiles=tuple(at[near] for (at, _), near in zip(seen, kept, strict=True)),
     )
 
 
@@ -292,11 +298,15 @@ def _slopes(height: HeightField, middle: Floats) -> Floats:
 # -------------------------------------------------------------------------------------------------------------- paint
 
 
-def painted(terrain: Terrain, layers: Sequence[Layer]) -> Terrain:
-    """The ground with the mean colour that it has under its layers, the first lowest."""
-    spectrum = terrain.spectrum
-    if spectrum is None or not layers:
+def painted(terrain: Terrain, layers: Sequence[Layer], tiles: Sequence[Ints]) -> Terrain:
+    """The ground with the mean colour that it has under its layers, the first lowest, but bare where they are drawn.
+
+    `tiles`: (K, 2) columns and rows that have each layer as geometry.
+    """
+    spectrum = bare = terrain.spectrum
+    if spectrum is None or bare is None or not layers:
         return terrain
+    share = bare_share(terrain.mesh.vertices_m[:, :2].astype(np.float64), layers, tiles)
     for _, group in groupby(layers, key=lambda layer: layer.name.split("/")[0]):
         mixed_up = list(group)  # things of one layer of the recipe lie among each other
         number = np.array([-np.log1p(-one.cover) for one in mixed_up])
@@ -309,4 +319,21 @@ def painted(terrain: Terrain, layers: Sequence[Layer]) -> Terrain:
     if wet is not None:
         film = wet_spectrum(spectrum)
         wet = replace(wet, reflectance=colours_of_surface(film, None)[0], spectrum=film)
-    return replace(terrain, texture=with_mean(terrain.texture, colour), spectrum=spectrum, wet=wet)
+    under = BareGround(share.astype(np.float32), terrain.mean_colour, bare) if share.any() else None
+    return replace(terrain, texture=with_mean(terrain.texture, colour), spectrum=spectrum, wet=wet, bare=under)
+
+
+def bare_share(places: Floats, layers: Sequence[Layer], tiles: Sequence[Ints]) -> Floats:
+    """(V,) share of the layers' optical depth that is drawn around (V, 2) places."""
+    depth = np.array([-np.log1p(-one.cover) for one in layers])
+    share = np.zeros(len(places))
+    for own, at in zip(depth / depth.sum(), tiles, strict=True):
+        if not len(at):
+            continue
+        low, high = at.min(axis=0), at.max(axis=0)
+        drawn = np.zeros(high - low + 3, dtype=bool)  # with an empty edge
+        drawn[tuple((at - low + 1).T)] = True
+        for way in ((-1, -1), (-1, 1), (1, -1), (1, 1)):  # a place at a tile's corner counts all four
+            tile_at = np.floor(places / TILE_M + 0.25 * np.array(way)).astype(np.intp) - low + 1
+            share += 0.25 * own * drawn[tuple(np.clip(tile_at, 0, np.array(drawn.shape) - 1).T)]
+    return share

@@ -77,7 +77,7 @@ class Exchange:
     """A projection as nerfstudio and COLMAP name it."""
 
     camera_model: str
-    distortion: tuple[str, ...]  # keys of its distortion, which are 0
+    distortion: tuple[str, ...]  # keys of its distortion; camera.json has their values
     has_k: bool = True  # focal lengths are those of K; otherwise image coordinates run from -1 to 1 and -1/2 to 1/2
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime
+import math
 from functools import lru_cache
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from forestgen.scene.spec import Sky
 from forestgen.scene.surfaces import Wetness
 from forestgen.scene.terrain import HeightField, smooth_step
 
+_SUN_SPARE_DEG = 2.0
 _LEAST_MM = 1e-6  # of water: less would divide to infinity, or by 0
 
 
@@ -65,6 +68,21 @@ def check_sun(drawn: DrawnRecipe) -> None:
         got = f"{moment:%Y-%m-%d %H:%M:%S %Z}, when the sun stands at {sun.elevation_deg:.1f} degrees"
         hint = "choose another time; check utc_offset_h and the sign of longitude_deg, which is positive in the east"
         raise RecipeError("the sun is below the horizon", where=where, expected=expected, got=got, hint=hint)
+
+
+def sun_notes(recipe: Recipe) -> list[str]:
+    """Whether the sun stands by its angles where it never is on the plants' day."""
+    sun, site = recipe.sky.sun, recipe.site
+    if site.date is None or sun.moment is not None or sun.elevation_deg is None:
+        return []
+    day = datetime.date.fromisoformat(site.date).timetuple().tm_yday
+    # Declination within half a degree: Cooper, P. I. (1969). Solar Energy 12, 333-346.
+    declination_deg = 23.45 * math.sin(2.0 * math.pi * (284 + day) / 365.0)
+    noon_deg = 90.0 - abs(site.latitude_deg - declination_deg)
+    if sun.elevation_deg <= max(noon_deg, 0.0) + _SUN_SPARE_DEG:
+        return []
+    told = f"the sun is {sun.elevation_deg:g} degrees high, but at most {max(noon_deg, 0.0):.0f} on {site.date}"
+    return [f"{told} at latitude {site.latitude_deg:g}; sky.sun.date and time put it where it is"]
 
 
 def height_field(drawn: DrawnRecipe) -> HeightField:

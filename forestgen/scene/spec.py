@@ -76,6 +76,15 @@ class WetGround:
 
 
 @dataclass(frozen=True)
+class BareGround:
+    """The ground without what lies on it, which shows where that is geometry; scene/ground_cover.py."""
+
+    share: NDArray[np.float32]  # (V,) by vertex: 0 painted with what lies there, 1 bare between the things
+    reflectance: tuple[float, float, float]  # mean colour, linear Rec. 709
+    spectrum: Spectrum  # of which it is the colour
+
+
+@dataclass(frozen=True)
 class Terrain:
     """The ground: a mesh with a colour texture over its uv, that gives way to one colour far from the site."""
 
@@ -86,6 +95,7 @@ class Terrain:
     spectrum: Spectrum | None = None  # of the texture's mean colour; None: the colour is all
     far_spectrum: Spectrum | None = None
     wet: WetGround | None = None  # None: dry, or nobody knows
+    bare: BareGround | None = None  # None: painted everywhere
 
     @cached_property
     def mean_colour(self) -> tuple[float, float, float]:

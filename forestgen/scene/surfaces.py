@@ -36,7 +36,7 @@ from forestgen.recipe import species as recipe_species
 from forestgen.recipe.phenology import SUMMER, LeafState
 from forestgen.recipe.spectra import load_spectra, load_table, mixed, surface_columns
 from forestgen.scene.colour import Channels, colours_of_surface
-from forestgen.scene.spec import Camera, Material, Terrain, WetGround
+from forestgen.scene.spec import BareGround, Camera, Material, Terrain, WetGround
 
 Floats = NDArray[np.float64]
 _INDEX = 1.33
@@ -119,11 +119,19 @@ def wet_ground(dry: Spectrum, saturation: Floats) -> WetGround | None:
 
 def film_factor(terrain: Terrain, channels: Channels) -> Floats:
     """(3,) reflectance of the terrain under a film of water over that of the dry one, in [0, 1]; 1: none is wet."""
-    if terrain.wet is None:
+    return np.clip(_factor(terrain, terrain.wet, channels), 0.0, 1.0)
+
+
+def bare_factor(terrain: Terrain, channels: Channels) -> Floats:
+    """(3,) reflectance of the terrain between what lies on it over that of both together; 1: it is painted."""
+    return _factor(terrain, terrain.bare, channels)
+
+
+def _factor(terrain: Terrain, other: WetGround | BareGround | None, channels: Channels) -> Floats:
+    if other is None:
         return np.ones(3)
-    wet = channels.of_surface(terrain.wet.reflectance, terrain.wet.spectrum)
-    dry = channels.of_surface(terrain.mean_colour, terrain.spectrum)
-    return np.clip(wet / np.maximum(dry, 1e-9), 0.0, 1.0)
+    painted = channels.of_surface(terrain.mean_colour, terrain.spectrum)
+    return np.asarray(channels.of_surface(other.reflectance, other.spectrum) / np.maximum(painted, 1e-9))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,11 @@ from typing import Any
 from forestgen.core.frames import look_at
 from forestgen.scene.spec import Camera, Lens
 
-KINDS = ("perspective", "thin lens", "orthographic", "fisheye", "panorama")
+KINDS = ("perspective", "lens", "thin lens", "orthographic", "fisheye", "panorama")
+
+
+#: Of a wide lens of a drone.
+DISTORTION = {"k1": -0.28, "k2": 0.11, "p1": 0.0008, "p2": -0.0011, "k3": -0.02}
 
 
 def camera_of(
@@ -30,6 +34,7 @@ def camera_of(
     kinds: dict[str, dict[str, Any]] = {
         "perspective": {},
         "thin lens": {"lens": Lens(aperture_radius_m=0.05, focus_m=10.0)},
+        "lens": {"projection": "lens", "numbers": DISTORTION},
         "orthographic": {"projection": "orthographic", "width_m": 20.0},
         "fisheye": {"projection": "fisheye", "hfov_deg": 180.0},
         "panorama": {"projection": "panorama"},

@@ -328,7 +328,7 @@ def test_the_list_of_species_grows_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     lines = answer.out.splitlines()[1:-1]
     rows = {line.split()[0]: line for line in lines if not line.startswith(" ")}  # long descriptions are wrapped
     assert list(rows) == [path.stem for path in sorted(SPECIES.glob("*.yaml"))]
-    assert re.fullmatch(r"spruce +\d\d\.\d m +\d\.\d+ m +\w+ +white spruce, Picea glauca.*", rows["spruce"])
+    assert re.fullmatch(r"spruce +\d\d\.\d m +\d\.\d+ m +\w+ +Norway spruce, Picea abies.*", rows["spruce"])
 
 
 def test_doctor_finds_this_machine_ready() -> None:

@@ -12,7 +12,7 @@ shard is the frame's camera.json. An orthographic camera has no such file: the r
 | `camera_model` | `OPENCV`: a pinhole; `OPENCV_FISHEYE`: equidistant; `EQUIRECTANGULAR`: a panorama |
 | `w`, `h`, `fl_x`, `fl_y`, `cx`, `cy` | of each frame, pixels; pixel centres at +0.5, as nerfstudio has them |
 | | of a panorama fl_x = w / 2 and fl_y = h |
-| `k1`, `k2`, `p1`, `p2` (`k3`, `k4` of a fisheye) | distortion: 0 |
+| `k1`, `k2`, `p1`, `p2` (`k3`, `k4` of a fisheye) | distortion, 0 but of lenses; these have `k3`, too |
 | `file_path` | the frame's preview.png, from the data set's folder |
 | `transform_matrix` | 4 x 4, camera to world, in metres; the camera's x right, y up, z backward (OpenGL's axes) |
 | `depth_file_path` | the frame's depth.png, where the recipe asks for `depth_png`: a pinhole's depth along the axis |
@@ -102,12 +102,14 @@ def _frame(root: Path, folder: str, exchange: Exchange, settings: DatasetSetting
     if exchange.has_k:
         k = read_shard(path, {"K": list[list[Any]]})["K"]
         focal = (k[0][0], k[1][1])
+    values = read_shard(path, {"distortion": list[float]})["distortion"] if exchange.distortion else []
+    distortion = dict(zip(exchange.distortion, values, strict=False))  # of k3, which is 0 but for lenses, as needed
     frame = {
         "file_path": f"{folder}/preview.png",
         "transform_matrix": (np.asarray(camera["world_from_camera"]) @ opencv_from_opengl).tolist(),
         **dict(zip(("fl_x", "fl_y"), focal, strict=True)),
         **{"cx": width / 2.0, "cy": height / 2.0, "w": width, "h": height},
-        **dict.fromkeys(exchange.distortion, 0.0),
+        **distortion,
     }
     if DEPTH.name in settings.formats:
         frame["depth_file_path"] = f"{folder}/{DEPTH_NAME}"

@@ -123,9 +123,11 @@ SURFACE, ALBEDO, SUN, CLOUD, MODULE = SurfaceChannel(), Albedo(), Sun(), Cloud()
 def camera_position_m(depth_m: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     """(H, W, 3) in the camera's axes, of pixel centres: exact far from the world's origin too; NaN for the sky."""
     depth = np.where(np.isfinite(depth_m), depth_m, np.nan).astype(np.float64)
-    if not projection_of(camera).is_pinhole:
+    projection = projection_of(camera)
+    if not projection.is_pinhole:
         rays = centre_rays(camera)
-        return (rays.origin_m + rays.direction * depth[..., None]).astype(np.float32)
+        along = rays.direction if projection.depth_is_distance else rays.direction / rays.direction[..., 2:]
+        return (rays.origin_m + along * depth[..., None]).astype(np.float32)
     x, y = camera.pixel_slopes
     return np.stack([depth * x, depth * y[:, None], depth], axis=-1).astype(np.float32)
 

@@ -176,22 +176,28 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     u, v = vertex_uv(tracer, hits, corners, textured)
     offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
     colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
-    ground = ground_colour(tracer, hits, corners, colour, (tracer.table.far_albedo, tracer.table.film_factor))
+    of_ground = tracer.table.far_albedo, tracer.table.film_factor, tracer.table.bare_factor
+    ground = ground_colour(tracer, hits, corners, colour, of_ground)
     return dr.select(hits.valid, ground, 0.0)
 
 
-def ground_colour(tracer: SceneTracer, hits: Hits, corners: Places, colour: Any, of_ground: tuple[Any, Any]) -> Any:
-    """`colour` of hits; the ground's is dimmed where it is wet, and that of the distance where it lies far.
+def ground_colour(
+    tracer: SceneTracer, hits: Hits, corners: Places, colour: Any, of_ground: tuple[Any, Any, Any]
+) -> Any:
+    """`colour` of hits; the ground's is dimmed where it is wet, that of the distance where it lies far, and its own
+    between things that lie on it.
 
-    `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factor of a film of water.
+    `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factors of a film of water and of
+    bare ground.
     """
     ground = hits.valid & (hits.instance == 0)
-    far_colour, film_factor = of_ground
+    far_colour, film_factor, bare_factor = of_ground
     far = dr.clip(weighted_sum(mi.Float, tracer.table.far_share, corners, ground), 0.0, 1.0)
     near = colour
-    if tracer.table.wet_share is not None:
-        wet = dr.clip(weighted_sum(mi.Float, tracer.table.wet_share, corners, ground), 0.0, 1.0)
-        near = colour * (1.0 - wet * (1.0 - film_factor))
+    for share, factor in ((tracer.table.wet_share, film_factor), (tracer.table.bare_share, bare_factor)):
+        if share is not None:
+            here = dr.clip(weighted_sum(mi.Float, share, corners, ground), 0.0, 1.0)
+            near = near * (1.0 - here * (1.0 - factor))
     return dr.select(ground, near * (1.0 - far) + far_colour * far, colour)
 
 

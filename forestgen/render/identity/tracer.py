@@ -23,7 +23,7 @@ from forestgen.render.variant import LLVM, dr, mi, on_device, require, tracing_v
 from forestgen.scene.colour import RGB
 from forestgen.scene.projection import DeviceRays, Projection, Rays, projection_of
 from forestgen.scene.spec import Camera, Material, SceneSpec
-from forestgen.scene.surfaces import film_factor
+from forestgen.scene.surfaces import bare_factor, film_factor
 
 # Steps of the R2 sequence (Roberts 2018) in units of 2^-32: powers of the inverse of the real root of x^3 = x + 1.
 LENS_STEPS = (3242174889, 2447445414)
@@ -56,6 +56,8 @@ class HitTables:
     far_albedo: tuple[float, float, float]
     wet_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is wet
     film_factor: tuple[float, float, float]  # of the wet ground's albedo
+    bare_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is bare
+    bare_factor: tuple[float, float, float]  # of the bare ground's albedo
 
     @property
     def nbytes(self) -> int:
@@ -100,7 +102,7 @@ def hit_tables(spec: SceneSpec) -> HitTables:
     uvs = [None if image is None else uv for uv, image in zip(uvs, images, strict=True)]
     # Normals go with the inverse transpose; for a rotation times a uniform scale that is the matrix itself up to scale.
     inverse_transpose = np.linalg.inv(spec.instances.transform[:, :, :3]).transpose(0, 2, 1)
-    red, green, blue = film_factor(terrain, RGB).tolist()
+    wet, bare = (tuple(of(terrain, RGB).tolist()) for of in (film_factor, bare_factor))
     return HitTables(
         plant_id=np.concatenate([[0], spec.instances.plant_id]).astype(np.uint32),
         exemplar=np.concatenate([[0], np.where(spec.instances.plant_id, spec.instances.exemplar + 1, 0)]).astype(
@@ -125,7 +127,9 @@ def hit_tables(spec: SceneSpec) -> HitTables:
         far_share=np.asarray(terrain.far_share, dtype=np.float32),
         far_albedo=terrain.far_reflectance,
         wet_share=None if terrain.wet is None else terrain.wet.share,
-        film_factor=(red, green, blue),
+        film_factor=wet,
+        bare_share=None if terrain.bare is None else terrain.bare.share,
+        bare_factor=bare,
     )
 
 

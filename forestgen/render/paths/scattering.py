@@ -22,7 +22,7 @@ from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import dr, mi
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import SceneSpec
-from forestgen.scene.surfaces import film_factor
+from forestgen.scene.surfaces import bare_factor, film_factor
 
 Array = NDArray[np.float32]
 
@@ -48,6 +48,7 @@ class Paint:
     texel: Array  # (T, 3) reflected evenly, in place of `matt`
     far: tuple[float, float, float]  # of the ground in the distance
     film_factor: tuple[float, float, float]  # of the wet ground's colour
+    bare_factor: tuple[float, float, float]  # of the bare ground's colour
 
 
 def relief_tables(spec: SceneSpec) -> ReliefTables:
@@ -111,7 +112,7 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
         gloss.append(np.zeros(3) if lobe is None else np.array([sides.gloss / lobe.albedo, lobe.alpha, lobe.index]))
         chance.append(np.array([passing if sides.through.any() else 0.0, 0.0 if lobe is None else glossy]))
     far_red, far_green, far_blue = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
-    red, green, blue = film_factor(terrain, channels).tolist()
+    wet, bare = (tuple(of(terrain, channels).tolist()) for of in (film_factor, bare_factor))
     return Paint(
         np.asarray(matt, np.float32),
         np.asarray(through, np.float32),
@@ -119,7 +120,8 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
         np.asarray(chance, np.float32),
         np.concatenate(texels, dtype=np.float32),
         (far_red, far_green, far_blue),
-        (red, green, blue),
+        wet,
+        bare,
     )
 
 
@@ -246,7 +248,8 @@ class Surfaces:
         places = bilinear_places(offset, width, height, u, v)
         colour = weighted_sum(mi.Color3f, self._paint.texel, places, textured)
         relief = weighted_sum(mi.Vector3f, self._relief.normal, places, textured)
-        colour = ground_colour(tracer, hits, corners, colour, (self._paint.far, self._paint.film_factor))
+        of_ground = self._paint.far, self._paint.film_factor, self._paint.bare_factor
+        colour = ground_colour(tracer, hits, corners, colour, of_ground)
         matt = dr.select(textured, colour, matt)
         return Local(
             towards,

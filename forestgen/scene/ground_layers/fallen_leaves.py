@@ -36,7 +36,9 @@ from forestgen.scene.surfaces import surface_of
 
 _CURLS_DEG, _FOLDS_DEG = (-35.0, -8.0, 14.0, 45.0), (12.0, 3.0, 18.0, 30.0)
 _SHADES = (0.3, 0.45, 0.62, 0.85)  # old leaves are half rotten
-_TRAPPED = 0.42
+_NEEDLE_SHADES = (0.68, 0.95, 1.22, 1.63)  # a floor of them reflects as measured: spectra/ground/litter_needles
+_TRAPPED = {"needle": 0.52}  # share of light, by type of leaf: benchmarks/ground_cover.py
+_TRAPPED_BY_BLADES = 0.32
 _LEAST_SHARE = 0.03  # of the leaf area: rarer species leave nothing that one sees
 _IN_ONE = 60  # needles that make one thing
 
@@ -63,16 +65,17 @@ class Leaves(GroundLayerKind[LeavesKeys]):
                 species.materials[key].model_copy(update={"season": None}), LeafState.of_season("dry"), name
             )
             things = _fallen(request, name, species, key, rng)
+            factors = _NEEDLE_SHADES if species.materials[key].leaf_type == "needle" else _SHADES
             if not things or dry.reflectance_spectrum is None:
                 continue
             found.append(
                 Layer(
                     name=f"leaves/{name}",
                     things=things,
-                    materials=shades(dry, _SHADES, f"leaves/{name}"),
+                    materials=shades(dry, factors, f"leaves/{name}"),
                     cover=1.0 - (1.0 - keys.cover) ** share,
-                    leaf=scaled(dry, float(np.mean(_SHADES))),
-                    trapped=_TRAPPED,
+                    leaf=scaled(dry, float(np.mean(factors))),
+                    trapped=_TRAPPED.get(str(species.materials[key].leaf_type), _TRAPPED_BY_BLADES),
                     spread=Spread(tilt_deg=16.0, depth_m=0.02, size_sigma=0.18),
                     patch_m=keys.patch_m,
                     where=where,

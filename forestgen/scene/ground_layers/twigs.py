@@ -23,7 +23,7 @@ from forestgen.scene.ground_layers.layer import GroundLayerKind, Layer, Request,
 
 _SURFACES = ("bark/log", "wood/snag", "bark/log")
 _VARIANTS = 6
-_TRAPPED = 0.3
+_TRAPPED = 0.54  # share of light: benchmarks/ground_cover.py
 _THICKNESS = 0.014  # diameter over length
 _FORK = 0.7  # chance that a twig has a side branch
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from forestgen.core.stem_form import stem_radius_m
+from forestgen.core.stem_form import stem_radius_m, volume_above_m3
 
 BEECHES = Path(__file__).parents[1] / "plants" / "data" / "beech_trees.csv"
 KG_PER_M3 = 570.0  # dry wood of beech over its fresh volume
@@ -32,3 +32,16 @@ def test_stems_weigh_as_measured_beeches(low: float, high: float) -> None:
     computed = [KG_PER_M3 * volume_m3(h, d) for h, d in zip(trees.height_m, trees.dbh_m, strict=True)]
     assert len(trees) >= 10
     assert np.median(trees.stem_kg / computed) == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("from_m", [0.0, 1.3, 9.0, 13.0, 15.9, 16.0])
+def test_volume_above_is_the_integral_of_the_taper(from_m: float) -> None:
+    at_m = np.linspace(from_m, 16.0, 20_001)
+    expected = np.trapezoid(np.pi * stem_radius_m(at_m, 16.0, 0.25) ** 2, at_m)
+    found = volume_above_m3(np.array([from_m]), np.array([16.0]), np.array([0.25]))
+    assert found == pytest.approx(expected, rel=1e-5, abs=1e-12)
+
+
+def test_tops_are_cones() -> None:
+    radius_m = stem_radius_m(np.array([14.0, 15.0, 15.5]), 16.0, 0.25)
+    np.testing.assert_allclose(radius_m / radius_m[2], [4.0, 2.0, 1.0])

@@ -16,6 +16,7 @@ from forestgen.plants.generators.strands import StrandGenerator
 from forestgen.plants.growing import grow_exemplar
 from forestgen.plants.skeleton import Skeleton
 from forestgen.plants.tree_fit import fit_tree
+from forestgen.recipe.tree_sizes import Grown
 
 BROAD = ("beech", "birch", "maple", "oak", "poplar")
 
@@ -27,7 +28,9 @@ def stem(height_m: float = 10.0, nodes: int = 21) -> Skeleton:
     return Skeleton.of(np.arange(nodes) - 1, position, np.full(nodes, 0.02), own, own)
 
 
-def grown(name: str, height_m: float, monkeypatch: pytest.MonkeyPatch, seed: int = 1) -> Skeleton:
+def grown(
+    name: str, height_m: float, monkeypatch: pytest.MonkeyPatch, seed: int = 1, where: Grown = "stand"
+) -> Skeleton:
     """The skeleton that an exemplar is meshed from."""
     found: list[Skeleton] = []
 
@@ -37,7 +40,7 @@ def grown(name: str, height_m: float, monkeypatch: pytest.MonkeyPatch, seed: int
         return fitted
 
     monkeypatch.setattr(build, "fit_tree", kept)
-    grow_exemplar(request_of(plan_of(name, 0), name, height_m, seed, "stand"))
+    grow_exemplar(request_of(plan_of(name, 0), name, height_m, seed, where))
     return found[-1]
 
 
@@ -210,6 +213,16 @@ def test_the_hull_of_a_ball_is_a_ball() -> None:
     volume = float(area.mean()) * (hull.high_m - hull.low_m)
     assert volume == pytest.approx(4 / 3 * np.pi * 27.0, rel=0.12)
     assert hull.low_m + (np.argmax(area) + 0.5) / len(area) * (hull.high_m - hull.low_m) == pytest.approx(8.0, abs=0.6)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_leaves_stand_around_the_top_of_a_leaning_stem(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their mean is off the stem by less than 0.4 of their median distance: 0.5 to 1 where all lean to one side."""
+    tree = grown("beech", 14.0, monkeypatch, seed, "open")
+    leaf = np.concatenate([one.frame[:, :, 3] for one in tree.organs]).astype(np.float64)
+    leaf = leaf[leaf[:, 2] > 0.85 * leaf[:, 2].max()]
+    aside = (leaf - crown_twigs._stem_at(tree, leaf[:, 2]))[:, :2]
+    assert np.linalg.norm(aside.mean(axis=0)) < 0.4 * np.median(np.hypot(*aside.T))
 
 
 def test_the_same_seed_gives_the_same_twigs(monkeypatch: pytest.MonkeyPatch) -> None:

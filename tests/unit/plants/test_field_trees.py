@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from forestgen.recipe.tree_sizes import LEAVES_BY_CROWN
 from support.field_trees import COLUMNS, RELATIVES, classes, field_trees, fitted, left_out, sizes_of, spread_of_median
 
 
@@ -69,3 +70,22 @@ def test_stout_trees_have_wide_and_long_crowns() -> None:
     for species in ("spruce", "pine", "birch", "oak"):
         others = fitted(field_trees(RELATIVES[species]), sizes_of(species).tallest_m).others
         assert min(allometry.relative_dbh for allometry in others.values()) > 0.5
+
+
+def test_leaves_follow_the_crowns_length() -> None:
+    """Of trees of one height and diameter: mean power of the species, by the inverse of its variance."""
+    powers, weights = [], []
+    for species in RELATIVES.values():
+        trees = field_trees(species)
+        trees = trees[(trees.leaf_mass_kg > 0.0) & (trees.crown_ratio > 0.0) & (trees.height_m > 5.0)]
+        if len(trees) < 25:
+            continue
+        sizes = np.log(trees[["height_m", "dbh_m", "crown_ratio"]].to_numpy())
+        terms = np.column_stack([np.ones(len(trees)), sizes])
+        found, squares, _, _ = np.linalg.lstsq(terms, np.log(trees.leaf_mass_kg.to_numpy()), rcond=None)
+        powers.append(found[3])
+        weights.append((len(trees) - 4) / (squares[0] * np.linalg.inv(terms.T @ terms)[3, 3]))
+    assert len(powers) == 7
+    error = 1.0 / np.sqrt(np.sum(weights))
+    assert error < 0.1
+    assert abs(np.average(powers, weights=weights) - LEAVES_BY_CROWN) < 0.02

@@ -152,7 +152,7 @@ def test_green_leaves_have_a_red_edge_and_dry_ones_have_none(name):
         red, infrared = reflectance.at(670), reflectance.at(800)
         index = (infrared - red) / (infrared + red)
         if season == "summer":
-            assert index > 0.72  # measured needles of Scots pine, with their wax, have 0.73
+            assert index > 0.72  # measured needles of Scots pine have 0.73, see make_leaves.py
         if season == "dry" and f"reflectance_{season}" in load_spectra(name):
             assert index < 0.4
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import stats
 
@@ -10,8 +11,10 @@ from forestgen.recipe.tree_sizes import TreeSizes, own_normals
 from support.field_trees import RELATIVES, classes, field_trees, sizes_of, spread_of_median
 
 COLUMNS = {"dbh": "dbh_m", "width": "crown_width_m", "leaves": "leaf_mass_kg", "crown": "crown_ratio"}
-#: Medians that the allometries miss: measured trees of few studies at that height; crowns of planted hinoki cypresses;
-#: leaves of Fagus crenata, whose stems are thicker than those of the European beeches of their height.
+#: Medians that the allometries miss. Leaves: studies of a species differ by a factor of 2 at the same height, so no
+#: allometry is near all of them (`test_leaves_missed_lie_within_what_studies_differ_by`). Crowns: larches of one dense
+#: plantation, half as long as at 10 m and at 25 m; planted hinoki cypresses, where the species' file takes trees of
+#: natural forests.
 MISSED = {
     ("spruce", 20.0, "leaves"), ("pine", 5.0, "leaves"), ("pine", 10.0, "leaves"), ("larch", 10.0, "leaves"),
     ("beech", 15.0, "leaves"),
@@ -41,6 +44,36 @@ def test_medians_are_the_measured_ones(name: str) -> None:
             assert near != ((name, low, size) in MISSED), (name, low, high, size, np.exp(away))
 
 
+def test_leaves_missed_lie_within_what_studies_differ_by() -> None:
+    """Trees of a study are no independent sample: within two standard errors of a mean of so many studies.
+
+    The standard deviation is that of 62 medians of single studies about the allometries, each of 4 trees or more of a
+    class of height: 0.69 in the logarithm, a factor of 2. Studies count by their trees.
+    """
+    of_studies, missed = [], []
+    for name in RELATIVES:
+        for low, _, members in classes(field_trees(RELATIVES[name]), fewest=10):
+            known = members[members.leaf_mass_kg > 0.0]
+            if len(known) < 10 or name == "eucalyptus":  # trees of 60 m and more
+                continue
+            studies = known.groupby("study").size().to_numpy()
+            if (name, low, "leaves") in MISSED:
+                missed.append((_away(name, known), (studies**2).sum() / studies.sum() ** 2))
+            of_studies += [_away(name, one) for _, one in known.groupby("study") if len(one) >= 4]
+    deviation = np.std(of_studies)
+    assert len(of_studies) == 62
+    assert 0.5 < deviation < 0.8
+    assert len(missed) == 5
+    for away, share in missed:
+        assert abs(away) < 2.0 * deviation * np.sqrt(share)
+
+
+def _away(name: str, trees: pd.DataFrame) -> float:
+    """Logarithm of the measured median of leaf mass over that of trees drawn for the same heights."""
+    ours = drawn(sizes_of(name), np.repeat(trees.height_m.to_numpy(), 200))["leaves"]
+    return float(np.log(trees.leaf_mass_kg.median() / np.median(ours)))
+
+
 @pytest.mark.parametrize("name", RELATIVES)
 def test_trees_of_a_height_differ_as_measured_ones(name: str) -> None:
     """Coefficients of variation of diameter and crown width within a factor of 1.5 and the measured one's error."""
@@ -63,6 +96,34 @@ def test_acacias_are_wide() -> None:
     for part, dbh_m, width_m in ((slice(2000), 0.183, 5.7), (slice(2000, None), 0.42, 9.05)):
         assert abs(np.log(np.median(made["dbh"][part]) / dbh_m)) < np.log(1.25)
         assert abs(np.log(np.median(made["width"][part]) / width_m)) < np.log(1.25)
+
+
+#: Hasenauer 1997, Forest Ecology and Management 96, 197-206: ln W = a + b ln D of open-grown trees, W in m and D in cm.
+OPEN_WIDTH = {
+    "spruce": (-0.3232, 0.6441), "larch": (-0.3396, 0.6823), "pine": (-0.1797, 0.6267), "beech": (0.2662, 0.6072),
+    "oak": (-0.3973, 0.7328), "maple": (0.4180, 0.5285), "birch": (0.1783, 0.5665), "poplar": (0.1783, 0.5665),
+}  # fmt: skip
+#: Hasenauer & Monserud 1996, Forest Ecology and Management 84, 49-60 (coefficients of Hasenauer 2000), level ground at
+#: 600 m without competition: ln(H / C - 1) = a + b H / D + c H + d D², H and C in m, H / D without unit, D in cm.
+OPEN_LENGTH = {
+    "spruce": (-4.1525, 1.1232, 0.02687, -0.6358e-4), "larch": (-3.0817, 0.9106, 0.027547, 0.0),
+    "pine": (-1.7308, 0.2942, 0.026387, 0.0), "beech": (-3.7628, 0.7435, 0.024684, -1.35686e-4),
+    "oak": (-1.9854, 0.5525, 0.013867, -1.10735e-4), "maple": (-1.9954, 0.6490, 0.019637, -1.2235e-4),
+    "birch": (-1.9954, 0.6490, 0.019637, -1.2235e-4), "poplar": (-1.9954, 0.6490, 0.019637, -1.2235e-4),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OPEN_WIDTH)
+def test_trees_without_neighbours_have_the_crowns_of_open_grown_ones(name: str) -> None:
+    """From 8 to 20 m medians of width within 25%; crowns as long as measured within 0.15 of the height."""
+    height_m, law = np.array([8.0, 10.0, 12.5, 15.0, 17.5, 20.0]), sizes_of(name)
+    made = law.sizes(height_m, np.zeros((6, 4)), law.shift("open"))
+    (a, b), (e, f, g, h) = OPEN_WIDTH[name], OPEN_LENGTH[name]
+    width_m = np.exp(a + b * np.log(100.0 * made.dbh_m))
+    assert np.all(np.abs(np.log(made.crown_width_m / width_m)) < np.log(1.25))
+    odds = np.exp(-(e + 0.01 * f * height_m / made.dbh_m + g * height_m + h * (100.0 * made.dbh_m) ** 2))
+    ratio = 1.0 - made.crown_base_m / height_m
+    assert np.all(np.abs(ratio - odds / (1.0 + odds)) < 0.15)
 
 
 def test_suppressed_trees_differ_as_their_status_says() -> None:

@@ -17,11 +17,13 @@ from forestgen.geometry.mesh import Mesh, triangle_areas
 from forestgen.pipeline import assemble_image
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.recipe.load import load_recipe_data
+from forestgen.recipe.spectra import load_spectra
 from forestgen.scene import ground_cover, ground_view
 from forestgen.scene.build import BuiltScene
-from forestgen.scene.ground_cover import leaf_shares, local_cover, painted, tile_numbers
+from forestgen.scene.ground_cover import bare_share, leaf_shares, local_cover, painted, tile_numbers
 from forestgen.scene.ground_layers.fallen_leaves import LAYER as FALLEN
 from forestgen.scene.ground_layers.layer import Layer, Request, Spread, Thing
+from forestgen.scene.ground_layers.moss import LAYER as MOSS
 from forestgen.scene.ground_layers.stones import LAYER as STONES
 from forestgen.scene.ground_layers.twigs import LAYER as TWIGS
 from forestgen.scene.ground_tiles import COVERS, GROUND, VARIANTS, tile
@@ -31,6 +33,7 @@ from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera, Material
 from forestgen.scene.terrain import HeightField
 from support.error_messages import raises_error
+from support.ground_looks import LAYERS, LEAST, MOST, looks
 
 EYE = {"name": "eye", "size_px": [64, 48], "position_m": [5, 1, 1.5], "look_at_m": [5, 9, 0], "hfov_deg": 60}
 
@@ -181,6 +184,19 @@ def test_paint_has_the_mean_colour_of_what_lies_there() -> None:
     assert float(covered.at(650.0)) == pytest.approx(wanted)
 
 
+def test_moss_and_fallen_needles_are_as_bright_as_measured_floors() -> None:
+    built = scene()
+    request = Request(built.plan.drawn, built.plan.plants.generators, {"spruce": (1.0, lambda x, y: x)}, 0.01, ())
+    [moss] = MOSS.layers(MOSS.Parameters.model_validate({"what": "moss"}), request, np.random.default_rng(1))
+    assert moss.spectrum.at(560.0) == pytest.approx(load_spectra("wood/moss")["reflectance"].at(560.0))
+    assert 0.079 < float(moss.spectrum.at(560.0)) < 0.095
+    keys = FALLEN.Parameters.model_validate({"what": "fallen_leaves"})
+    [needles] = FALLEN.layers(keys, request, np.random.default_rng(1))
+    measured = load_spectra("ground/litter_needles")["reflectance"]
+    for wavelength_nm in (550.0, 600.0, 650.0):
+        assert float(needles.spectrum.at(wavelength_nm)) == pytest.approx(float(measured.at(wavelength_nm)), rel=0.25)
+
+
 def test_a_fallen_leaf_is_as_large_as_the_species_file_says() -> None:
     built = scene()
     request = Request(built.plan.drawn, built.plan.plants.generators, {"beech": (1.0, lambda x, y: x)}, 0.001, ())
@@ -234,10 +250,33 @@ def test_the_nearest_tiles_are_kept() -> None:
     assert not second.any()
 
 
+NOWHERE = (np.zeros((0, 2), np.intp),) * 2
+
+
+def test_ground_is_bare_where_things_lie_on_it() -> None:
+    """The share of the layers' depth that is drawn on the tiles around a place, by hand."""
+    thin, dense = (replace(twigs(), name=f"{cover}/x", cover=cover) for cover in (0.2, 0.8))
+    near, far = np.array([[0, 0], [1, 0]]), np.array([[x, y] for x in range(-3, 4) for y in range(-3, 4)])
+    own = np.log([0.8, 0.2]) / np.log(0.16)
+    places = np.array([[0.5, 0.5], [2.0, 0.5], [2.0, 1.0], [2.5, 2.5], [4.0, 0.5], [9.0, 9.0]])
+    found = bare_share(places, (thin, dense), (near, far))
+    expected = [1.0, own[1] + 0.5 * own[0], own[1] + 0.25 * own[0], own[1], 0.5 * own[1], 0.0]
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert not bare_share(places, (thin, dense), NOWHERE).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", LAYERS)
+def test_geometry_and_paint_look_alike(name: str) -> None:
+    """In five bands; benchmarks/ground_cover.py prints more covers and suns."""
+    ratio = looks(LAYERS[name] | {"cover": 0.5}, 40.0, 32).ratio
+    assert np.all((ratio > LEAST) & (ratio < MOST)), ratio
+
+
 def test_species_whose_leaves_lie_among_each_other_share_the_paint() -> None:
     terrain = scene().spec.terrain
     red, blue = (replace(twigs(), name=f"0/{one}", cover=0.6, leaf=flat(one)) for one in (0.2, 0.6))
-    both, other = (painted(terrain, pair).spectrum for pair in ((red, blue), (blue, red)))
+    both, other = (painted(terrain, pair, NOWHERE).spectrum for pair in ((red, blue), (blue, red)))
     assert both is not None
     assert other is not None
     assert float(both.at(550.0)) == pytest.approx(float(other.at(550.0)))

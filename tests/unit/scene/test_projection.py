@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from forestgen.scene.projection import (
     Projection,
@@ -14,8 +15,9 @@ from forestgen.scene.projection import (
     rays,
     world_rays,
 )
+from forestgen.scene.projections.lens import LensCamera
 from forestgen.scene.spec import Camera
-from support.cameras import KINDS, camera_of
+from support.cameras import DISTORTION, KINDS, camera_of
 from support.lens_points import lens_points, pixel_hash
 
 POSITION_M = (120.0, -35.0, 4.0)
@@ -210,6 +212,14 @@ def by_hand(kind: str, camera: Camera, focal: np.ndarray, points: np.ndarray) ->
     distance, aside = np.sqrt((points**2).sum(axis=-1)), x + 1j * y
     if kind == "perspective":
         return points[..., :2] / z[..., None] * focal, z
+    if kind == "lens":
+        k, slope = DISTORTION, (x + 1j * y) / z
+        radial = np.polynomial.Polynomial([0.0, 1.0, 0.0, k["k1"], 0.0, k["k2"], 0.0, k["k3"]])
+        r, p = np.abs(slope), k["p2"] + 1j * k["p1"]
+        bent = slope / r * radial(r) + 2.0 * slope * np.real(p * slope.conj()) + p * r**2  # OpenCV's sums of squares
+        fine = np.linspace(0.0, 10.0, 100_001)
+        folds = fine[np.argmax(radial.deriv()(fine) < 0.1)]
+        return np.stack([bent.real, bent.imag], axis=-1) * focal, np.where((r > folds) & (z > 0), -z, z)
     if kind == "orthographic":
         return points[..., :2] * focal, z
     if kind == "panorama":
@@ -223,7 +233,7 @@ def by_hand(kind: str, camera: Camera, focal: np.ndarray, points: np.ndarray) ->
 
 
 @pytest.mark.parametrize("stretch", [1.0, 1.25])
-@pytest.mark.parametrize("kind", ["perspective", "fisheye", "orthographic", "panorama"])
+@pytest.mark.parametrize("kind", ["perspective", "lens", "fisheye", "orthographic", "panorama"])
 def test_what_a_file_says_is_what_its_formulas_say(kind, stretch):
     camera, rng = camera_of(kind, (64, 32), POSITION_M), np.random.default_rng(5)
     own = projection_of(camera)
@@ -242,7 +252,7 @@ def test_what_a_file_says_is_what_its_formulas_say(kind, stretch):
     np.testing.assert_allclose(pixel[front], expected[front] + found.centre_px, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["perspective", "fisheye", "orthographic", "panorama"])
+@pytest.mark.parametrize("kind", ["perspective", "lens", "fisheye", "orthographic", "panorama"])
 def test_a_files_rays_lead_to_their_pixels(kind):
     camera = camera_of(kind, (64, 32), POSITION_M)
     found = projection_of(camera).read(projection_of(camera).file_keys(camera), camera.size_px)
@@ -253,3 +263,21 @@ def test_a_files_rays_lead_to_their_pixels(kind):
     np.testing.assert_allclose(depth[sees], 2.5, rtol=1e-12)
     beyond = found.beyond_rim_px((np.indices((6, 8))[::-1] + 0.5).transpose(1, 2, 0))
     assert sees.all() if beyond is None else np.array_equal(beyond <= 0, sees)
+
+
+def test_a_point_through_a_lens_by_hand():
+    """OpenCV's formula, term by term, with r² = 0.13."""
+    numbers = {"k1": -0.2, "k2": 0.05, "p1": 0.001, "p2": -0.002, "k3": 0.01}
+    camera = camera_of("lens", (200, 100), (0.0, 0.0, 0.0), numbers=numbers)
+    at = project(camera, np.array([[0.3, -0.2, 1.0]]))
+    radial = 1.0 - 0.2 * 0.13 + 0.05 * 0.0169 + 0.01 * 0.002197
+    x = 0.3 * radial + 2 * 0.001 * -0.06 - 0.002 * (0.13 + 0.18)
+    y = -0.2 * radial + 0.001 * (0.13 + 0.08) + 2 * -0.002 * -0.06
+    np.testing.assert_allclose([at.x_px[0], at.y_px[0]], np.array([x, y]) * camera.focal_px + [100, 50], atol=1e-10)
+
+
+def test_a_lens_that_folds_its_image_is_refused():
+    with pytest.raises(ValidationError, match="folds"):
+        LensCamera.model_validate(
+            {"name": "a", "kind": "lens", "hfov_deg": 90, "distortion": [-0.28, 0.11, 0, 0, -0.02]}
+        )

@@ -9,7 +9,7 @@ import pytest
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import check_plan
-from forestgen.scene.site import sky_of
+from forestgen.scene.site import sky_of, sun_notes
 from support.error_messages import raises_error
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
@@ -56,3 +56,17 @@ def test_polar_night_is_told_and_the_midnight_sun_shines() -> None:
         check_plan(load_recipe(QUICKSTART, ["sky.sun={date: 2026-12-21T11:00Z}", *place]))
     plan = check_plan(load_recipe(QUICKSTART, ["sky.sun={date: 2026-06-21T23:00Z}", *place]))
     assert 10 < sky_of(plan.drawn.recipe, 0.2).sun_elevation_deg < 13
+
+
+@pytest.mark.parametrize(
+    ("date", "latitude_deg", "elevation_deg", "noted"),
+    [("2026-12-21", 51.0, 40.0, True), ("2026-12-21", 51.0, 15.0, False), ("2026-06-21", 51.0, 62.0, False)],
+)
+def test_a_sun_that_never_stands_so_high_is_noted(
+    date: str, latitude_deg: float, elevation_deg: float, noted: bool
+) -> None:
+    """At 51 degrees north it is at most 15.6 degrees high at the winter's solstice, and 62.4 at the summer's."""
+    sun = f"sky.sun={{elevation_deg: {elevation_deg}, azimuth_deg: 180}}"
+    plan = check_plan(load_recipe(QUICKSTART, [sun, f"site.date={date}", f"site.latitude_deg={latitude_deg}"]))
+    notes = sun_notes(plan.drawn.recipe)
+    assert [("at most 16 on 2026-12-21" in one) for one in notes] == [True] * noted
