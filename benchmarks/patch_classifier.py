@@ -3,10 +3,11 @@
     uv run python benchmarks/airborne_tiles.py --tiles FOLDER
     uv run --with jax python benchmarks/patch_classifier.py --tiles FOLDER [--before DATA_SET]
 
-Patches of 64 pixels; each channel of a patch is standardised, and the same noise is added to real ones and ours, so
-that neither exposure, colour balance nor grain tells them apart. Four convolutions of stride 2, mean over the patch,
-500 steps of Adam. The network learns from the western part of each tile and from half of our stands; it is tested on
-the rest of the tile and on the other stands. 0.5 is chance. The views are those that the first command renders.
+Views get the mean and the covariance of the tile's colours, each channel of a patch of 64 pixels is standardised, and
+the same noise is added to real ones and ours: exposure, colours and grain tell little. Four convolutions of stride 2,
+mean over the patch, 500 steps of Adam. The network learns from the western part of each tile and from half of our
+stands; it is tested on the rest of the tile and on the other stands. 0.5 is chance. The views are those that the first
+command renders.
 `--before` takes the views of another data set, such as recipes/drone.yaml from the same height, for all three places:
 
     uv run forestgen render recipes/drone.yaml --count 4 -o DATA_SET --set 'cameras=[{name: airborne, position_m: \
@@ -25,11 +26,11 @@ from numpy.typing import NDArray
 
 import forestgen as fg
 from support.airborne import Floats, Mask, Picture, encoded
-from support.airborne_views import PLACES, as_bright, developed, tile_of
+from support.airborne_views import PLACES, as_bright, as_coloured, developed, tile_of
 
 PATCH_PX, BATCH, CHANNELS = 64, 64, (24, 48, 64, 64)
 WEST = 0.55  # share of a tile's width that the network learns from
-NOISE = 0.15  # standard deviations of a patch
+NOISE = 0.25  # standard deviations of a patch
 RATE, DECAY_1, DECAY_2 = 1e-3, 0.9, 0.999
 TESTED = 600  # patches of each kind and place
 Patches = NDArray[np.float32]
@@ -125,13 +126,13 @@ class Network:
 
 
 def views_of(data_set: Path, tile: Picture) -> list[Picture]:
-    """Of a data set, as bright as a tile: raw images where there are any, else the denoised radiance in colour."""
+    """Of a data set, as bright and coloured as a tile: of raw images if there are any, else of the radiance."""
     found = []
     for frame in fg.Dataset(data_set):
         folder = data_set / frame.split / frame.name
         light = frame.radiance if frame.denoised is None else frame.denoised
         rgb = developed(folder) if (folder / "raw.json").is_file() else light.astype(np.float64).clip(0.0)
-        found.append(as_bright(Picture(rgb), tile))
+        found.append(as_coloured(as_bright(Picture(rgb), tile), tile))
     return found
 
 
@@ -154,7 +155,7 @@ def report(real: Sequence[Picture], ours: Sequence[Sequence[Picture]], steps: in
     for seed in range(runs):
         rng = np.random.default_rng(seed)
         network = Network(seed)
-        network.train(*data(real, ours, "west", 4 * TESTED, rng), steps, rng)
+        network.train(*data(real, ours, "west", 2 * TESTED, rng), steps, rng)
         right = network.right(*data(real, ours, "east", TESTED, rng))
         shares.append(right.reshape(2, len(real), TESTED).mean(axis=-1))
         print(f"  network {seed}: {right.mean():.3f} of unseen patches are told right", flush=True)

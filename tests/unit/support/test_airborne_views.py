@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from support.airborne import LUMINANCE, Picture, encoded, sunlit
-from support.airborne_views import PLACES, as_bright, tile_of
+from support.airborne_views import PLACES, as_bright, as_coloured, tile_of
 
 
 def test_without_tiles_it_is_said_how_to_get_them(tmp_path: Path) -> None:
@@ -37,3 +37,14 @@ def test_a_view_is_exposed_like_the_tile_and_clipped() -> None:
     assert medians[1] == pytest.approx(medians[0], rel=0.05)
     assert found.rgb.max() <= 1.0
     assert len(np.unique(encoded(found.rgb))) <= 256
+
+
+def test_a_view_takes_the_colours_of_the_tile() -> None:
+    rng = np.random.default_rng(5)
+    mixed = np.array([[1.0, 0.5, 0.2], [0.2, 1.0, 0.4], [0.1, 0.2, 1.0]])
+    tile, view = (
+        Picture(np.clip(0.3 + 0.03 * rng.standard_normal((80, 80, 3)) @ one, 0, 1)) for one in (mixed, mixed.T)
+    )
+    values = [encoded(one.rgb).reshape(-1, 3).astype(float) for one in (tile, as_coloured(view, tile))]
+    assert values[1].mean(axis=0) == pytest.approx(values[0].mean(axis=0), abs=0.5)
+    assert np.cov(values[1].T) == pytest.approx(np.cov(values[0].T), rel=0.05)
