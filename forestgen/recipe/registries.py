@@ -151,7 +151,10 @@ PROJECTIONS = Registry(
     "projection",
     {
         "perspective": ("forestgen.scene.projections.perspective:PROJECTION", "a pinhole, or a thin lens that blurs"),
-        "lens": ("forestgen.scene.projections.lens:PROJECTION", "a pinhole with the distortion of a lens, as OpenCV's"),
+        "distorted": (
+            "forestgen.scene.projections.distorted:PROJECTION",
+            "a pinhole through a distorting lens, as OpenCV",
+        ),
         "fisheye": ("forestgen.scene.projections.fisheye:PROJECTION", "equidistant, up to all around"),
         "orthographic": ("forestgen.scene.projections.orthographic:PROJECTION", "parallel rays, as of a map"),
         "panorama": ("forestgen.scene.projections.panorama:PROJECTION", "equirectangular, all around, level"),

@@ -8,7 +8,7 @@ from typing import Any
 from forestgen.core.frames import look_at
 from forestgen.scene.spec import Camera, Lens
 
-KINDS = ("perspective", "lens", "thin lens", "orthographic", "fisheye", "panorama")
+KINDS = ("perspective", "distorted", "thin lens", "orthographic", "fisheye", "panorama")
 
 
 #: Of a wide lens of a drone.
@@ -34,7 +34,7 @@ def camera_of(
     kinds: dict[str, dict[str, Any]] = {
         "perspective": {},
         "thin lens": {"lens": Lens(aperture_radius_m=0.05, focus_m=10.0)},
-        "lens": {"projection": "lens", "numbers": DISTORTION},
+        "distorted": {"projection": "distorted", "numbers": DISTORTION},
         "orthographic": {"projection": "orthographic", "width_m": 20.0},
         "fisheye": {"projection": "fisheye", "hfov_deg": 180.0},
         "panorama": {"projection": "panorama"},

@@ -45,7 +45,7 @@ def test_bop_without_amodal_names_the_channels(channels: str, got: str, tmp_path
 
 @pytest.mark.parametrize(
     ("name", "kind", "held"),
-    [("bop", "panorama", "perspective"), ("nerfstudio", "orthographic", "perspective, lens, fisheye, panorama")],
+    [("bop", "panorama", "perspective"), ("nerfstudio", "orthographic", "perspective, distorted, fisheye, panorama")],
 )
 def test_a_camera_that_a_format_has_no_words_for(name: str, kind: str, held: str, tmp_path: Path) -> None:
     wide = ", width_m: 9" if kind == "orthographic" else ""

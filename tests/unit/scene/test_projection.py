@@ -15,7 +15,7 @@ from forestgen.scene.projection import (
     rays,
     world_rays,
 )
-from forestgen.scene.projections.lens import LensCamera
+from forestgen.scene.projections.distorted import DistortedCamera
 from forestgen.scene.spec import Camera
 from support.cameras import DISTORTION, KINDS, camera_of
 from support.lens_points import lens_points, pixel_hash
@@ -212,7 +212,7 @@ def by_hand(kind: str, camera: Camera, focal: np.ndarray, points: np.ndarray) ->
     distance, aside = np.sqrt((points**2).sum(axis=-1)), x + 1j * y
     if kind == "perspective":
         return points[..., :2] / z[..., None] * focal, z
-    if kind == "lens":
+    if kind == "distorted":
         k, slope = DISTORTION, (x + 1j * y) / z
         radial = np.polynomial.Polynomial([0.0, 1.0, 0.0, k["k1"], 0.0, k["k2"], 0.0, k["k3"]])
         r, p = np.abs(slope), k["p2"] + 1j * k["p1"]
@@ -233,7 +233,7 @@ def by_hand(kind: str, camera: Camera, focal: np.ndarray, points: np.ndarray) ->
 
 
 @pytest.mark.parametrize("stretch", [1.0, 1.25])
-@pytest.mark.parametrize("kind", ["perspective", "lens", "fisheye", "orthographic", "panorama"])
+@pytest.mark.parametrize("kind", ["perspective", "distorted", "fisheye", "orthographic", "panorama"])
 def test_what_a_file_says_is_what_its_formulas_say(kind, stretch):
     camera, rng = camera_of(kind, (64, 32), POSITION_M), np.random.default_rng(5)
     own = projection_of(camera)
@@ -252,7 +252,7 @@ def test_what_a_file_says_is_what_its_formulas_say(kind, stretch):
     np.testing.assert_allclose(pixel[front], expected[front] + found.centre_px, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["perspective", "lens", "fisheye", "orthographic", "panorama"])
+@pytest.mark.parametrize("kind", ["perspective", "distorted", "fisheye", "orthographic", "panorama"])
 def test_a_files_rays_lead_to_their_pixels(kind):
     camera = camera_of(kind, (64, 32), POSITION_M)
     found = projection_of(camera).read(projection_of(camera).file_keys(camera), camera.size_px)
@@ -268,7 +268,7 @@ def test_a_files_rays_lead_to_their_pixels(kind):
 def test_a_point_through_a_lens_by_hand():
     """OpenCV's formula, term by term, with r² = 0.13."""
     numbers = {"k1": -0.2, "k2": 0.05, "p1": 0.001, "p2": -0.002, "k3": 0.01}
-    camera = camera_of("lens", (200, 100), (0.0, 0.0, 0.0), numbers=numbers)
+    camera = camera_of("distorted", (200, 100), (0.0, 0.0, 0.0), numbers=numbers)
     at = project(camera, np.array([[0.3, -0.2, 1.0]]))
     radial = 1.0 - 0.2 * 0.13 + 0.05 * 0.0169 + 0.01 * 0.002197
     x = 0.3 * radial + 2 * 0.001 * -0.06 - 0.002 * (0.13 + 0.18)
@@ -278,6 +278,6 @@ def test_a_point_through_a_lens_by_hand():
 
 def test_a_lens_that_folds_its_image_is_refused():
     with pytest.raises(ValidationError, match="folds"):
-        LensCamera.model_validate(
-            {"name": "a", "kind": "lens", "hfov_deg": 90, "distortion": [-0.28, 0.11, 0, 0, -0.02]}
+        DistortedCamera.model_validate(
+            {"name": "a", "kind": "distorted", "hfov_deg": 90, "distortion": [-0.28, 0.11, 0, 0, -0.02]}
         )

@@ -46,7 +46,7 @@ _EXACT = 1e-15
 _LEAST_GROWTH = 0.1  # of r (1 + k1 r² + ...) by r, at the rim of what is seen
 
 
-class LensCamera(CameraSection):
+class DistortedCamera(CameraSection):
     """A pinhole with a lens' distortion."""
 
     covers_ground: ClassVar[bool] = True
@@ -83,11 +83,11 @@ class LensCamera(CameraSection):
         return across, across * height / width
 
 
-class DistortingLens(projection.Projection):
+class Distorted(projection.Projection):
     """Brown's and Conrady's model."""
 
-    name = "lens"
-    Parameters = LensCamera
+    name = "distorted"
+    Parameters = DistortedCamera
     model = "opencv"
     depth_is_distance = False
     exchange = projection.Exchange("OPENCV", NAMES)
@@ -160,4 +160,4 @@ def _reach(numbers: Mapping[str, float]) -> float:
     return float(np.sqrt(real.min())) if len(real) else 1e6
 
 
-PROJECTION = DistortingLens()
+PROJECTION = Distorted()
