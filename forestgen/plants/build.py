@@ -115,6 +115,7 @@ def build_exemplar(
         crown_width_m=float(np.mean((high - low)[:2])),
         leaf_area_m2=leaf_area_m2(organs, plant.shapes),
         wood_volume_m3=skeleton.volume_m3(),
+        foliage=() if pixel_m > 0.0 else seen.organs,
     )
 
 

@@ -7,12 +7,14 @@ below it: for looking at a stand before its plants are grown, and for amodal or 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Floats, Mesh, vertex_normals
+from forestgen.plants.skeleton import OrganPlacements
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,7 @@ class OrganMesh:
     material: str  # key into the species' materials
     mesh: Mesh
     mark: NDArray[np.uint32] | None = None  # (F,) `Skeleton.mark` of what each triangle is part of; None: unknown
+    organ: NDArray[np.int32] | None = None  # (F,) number among all of `Exemplar.foliage`; -1: wood; None: all is wood
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class Exemplar:
     wood_volume_m3: float  # of the skeleton, see `Skeleton.volume_m3`
     is_unique: bool = False  # of one plant alone, with that plant's own branches
     lying_m3: float = 0.0  # volume of a dead tree's stem that lies on the ground
+    foliage: tuple[OrganPlacements, ...] = ()  # its leaves, flowers and fruits, where it has all detail
 
     @property
     def triangles(self) -> int:
@@ -47,8 +51,12 @@ class Exemplar:
     def nbytes(self) -> int:
         """Of its arrays."""
         meshes = [organ.mesh for organ in self.organs]
-        arrays = [one for mesh in meshes for one in (mesh.vertices_m, mesh.faces, mesh.normals, mesh.uv)]
-        return sum(one.nbytes for one in (*arrays, *(organ.mark for organ in self.organs)) if one is not None)
+        arrays: list[NDArray[Any] | None] = [
+            one for mesh in meshes for one in (mesh.vertices_m, mesh.faces, mesh.normals, mesh.uv)
+        ]
+        arrays += [one for organ in self.organs for one in (organ.mark, organ.organ)]
+        arrays += [one for placed in self.foliage for one in (placed.frame, placed.node)]
+        return sum(one.nbytes for one in arrays if one is not None)
 
     def marks(self) -> NDArray[np.uint32] | None:
         """(F,) marks of all triangles, the organs one after another; None if the plant has none."""

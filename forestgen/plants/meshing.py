@@ -112,18 +112,26 @@ def organ_meshes(
         ratio, plain = wood.branch_height_ratio, pixel_m > 0.0  # collars do not show from far
         branches = wood_meshes(skeleton, False, 0.0, height_ratio=ratio, tile_m=tile_m, plain=plain, foot_m=foot_m)
         parts.setdefault((limb, material), []).extend(branches)
+    owner = {key: [np.full(mesh.triangles, -1, np.int32) for mesh, _ in found] for key, found in parts.items()}
+    first = 0
     for placement in skeleton.organs:
         organ_pixel_m = pixel_m / mean_size(placement.frame) if pixel_m else 0.0
         for piece in shapes[placement.shape].pieces():
             mesh = far_piece(piece.mesh, organ_pixel_m)
             mark = None if skeleton.mark is None else np.repeat(skeleton.mark[placement.node], mesh.triangles)
-            parts.setdefault((piece.part, piece.material), []).append((instance(mesh, placement.frame), mark))
+            key = piece.part, piece.material
+            parts.setdefault(key, []).append((instance(mesh, placement.frame), mark))
+            number = np.arange(first, first + len(placement.node), dtype=np.int32)
+            owner.setdefault(key, []).append(np.repeat(number, mesh.triangles))
+        first += len(placement.node)
     made = []
     for (part, material), found in parts.items():
         if not any(mesh.triangles for mesh, _ in found):
             continue
         mesh, marks = concatenate([one for one, _ in found]), [mark for _, mark in found if mark is not None]
-        made.append(OrganMesh(part, material, mesh, np.concatenate(marks) if len(marks) == len(found) else None))
+        organ = np.concatenate(owner[part, material])
+        mark = np.concatenate(marks) if len(marks) == len(found) else None
+        made.append(OrganMesh(part, material, mesh, mark, organ if organ.max() >= 0 else None))
     return tuple(made)
 
 

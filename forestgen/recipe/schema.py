@@ -232,6 +232,7 @@ class Plants(fields.Section):
         description="Whether plants far from every camera show fewer, larger leaves and twigs, of the same area, "
         "chosen so that they stay below a pixel.",
     )
+    near_foliage: fields.Flag = Field(True, description="Whether leaves that cover 2 x 2 pixels have their true size.")
     season: LeafSeason | None = Field(
         None,
         description="Of the leaves, their number, size and colour: spring, summer, autumn, winter, or dry, the dry "

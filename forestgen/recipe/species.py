@@ -197,8 +197,8 @@ class Tissue(Section):
     leaf_length_m: Positive | None = Field(
         None,
         le=10,
-        description="Length of a full-grown leaf's blade, metres: of those that fall. A crown may be drawn with larger "
-        "leaves, each for several. Default: as drawn.",
+        description="Length of a full-grown leaf's blade or needle, metres: of those that fall, and of those near a "
+        "camera. A crown may be drawn with larger ones, each for several. Default: as drawn.",
     )
 
 

@@ -23,6 +23,7 @@ from forestgen.scene.ground_cover import ground_cover
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
 from forestgen.scene.leaf_variation import vary_leaves
 from forestgen.scene.lying import laid_along_y, lying_plants, on_the_ground
+from forestgen.scene.near_foliage import leaves_of, with_near_plants
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, sun_notes, wetness_of
@@ -119,17 +120,18 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             cameras=tuple(camera for entry in views for camera in entry),
         )
         ground = ground_cover(plan, population, spec.cameras)
-        spec = ground.on(spec)
-        notes = [
-            *(f"image {drawn.image_index}: {note}" for note in (*simulated.notes, *ground.notes, *sun_notes(recipe))),
-            *check_trunks(drawn, views, trunks),
-            *plan.views.check_outside_of_buildings(),
-            *infrared_notes(base_materials, plan.views.all_cameras),
-        ]
+        spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars)))
+        notes = [*_notes(plan, (*simulated.notes, *ground.notes)), *check_trunks(drawn, views, trunks)]
+        notes += [*plan.views.check_outside_of_buildings(), *infrared_notes(base_materials, plan.views.all_cameras)]
         sway = _sway(drawn, instances, exemplars, around)
     errors = errors_of_sizes(plan, population, chosen, exemplars)
     repeated = around.source[: len(around.plants)] if recipe.site.surroundings.kind == "repeat" else None
     return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population, repeated)
+
+
+def _notes(plan: Plan, known: Sequence[str]) -> list[str]:
+    """What is known of an image's community, ground and sun."""
+    return [f"image {plan.drawn.image_index}: {note}" for note in (*known, *sun_notes(plan.drawn.recipe))]
 
 
 def _on_slopes(

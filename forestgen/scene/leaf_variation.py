@@ -156,4 +156,5 @@ def _factors() -> Columns:
 
 def _some_faces(organ: OrganMesh, chosen: NDArray[np.bool_], material: str) -> OrganMesh:
     mark = None if organ.mark is None else organ.mark[chosen]
-    return OrganMesh(organ.part, material, part_of(organ.mesh, organ.mesh.faces[chosen]), mark)
+    own = None if organ.organ is None else organ.organ[chosen]
+    return OrganMesh(organ.part, material, part_of(organ.mesh, organ.mesh.faces[chosen]), mark, own)

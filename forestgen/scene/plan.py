@@ -29,7 +29,7 @@ from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
 from forestgen.scene.ground_view import MOST_TILES
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.site import check_sun, check_wet_soil, community_site
-from forestgen.scene.triangles import exemplar_triangles
+from forestgen.scene.triangles import exemplar_triangles, near_triangles
 from forestgen.scene.views import Views, place_key
 
 # Kept free for the operating system and for what no estimate sees.
@@ -83,6 +83,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     per_triangle = _BYTES_PER_TRIANGLE + clouds_per_triangle
     own = own_triangles(plan)
     grown = exemplar_triangles(plan.drawn, plan.plants, stand, plan.views.all_cameras)
+    grown += near_triangles(plan.drawn, plan.plants, plan.views.all_cameras, stand.site.size_m, _highest_m(plan.views))
     across, along = (
         min(math.ceil((side + 40) / _GROUND_CELL_M), _MOST_GROUND_CELLS) + _GROUND_BEYOND for side in recipe.site.size_m
     )
@@ -95,6 +96,12 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "plants": plants * per_plant,
         "clouds": source.estimate_bytes(plan.drawn, stand.model, stand.parameters),
     }
+
+
+def _highest_m(views: Views) -> float:
+    """Height of the site's highest ground, of a grid of points."""
+    x_m, y_m = np.meshgrid(*(np.linspace(0.0, side_m, _GROUND_POINTS) for side_m in views.drawn.recipe.site.size_m))
+    return float(views.height(x_m, y_m).max())
 
 
 def _ground_cover_bytes(recipe: Recipe, per_triangle: int, per_instance: int) -> int:
@@ -127,10 +134,9 @@ def _may_be_exact(views: Views) -> bool:
         return False
     if recipe.render.clouds != "auto" or base_m is None:
         return recipe.render.clouds != "farfield"
-    x_m, y_m = np.meshgrid(*(np.linspace(0.0, side_m, _GROUND_POINTS) for side_m in recipe.site.size_m))
     standing_m = [species.mature_height_m for species in drawn.species.values()]
     standing_m += [building.size_m[2] for building in recipe.site.buildings]
-    tops_m = [float(views.height(x_m, y_m).max()) + max(standing_m, default=0.0)]
+    tops_m = [_highest_m(views) + max(standing_m, default=0.0)]
     tops_m += [camera.position_m[2] for camera in views.all_cameras]
     return base_m < max(tops_m) + max(LEAST_GAP_M, GAP_OF_SITE * math.hypot(*recipe.site.size_m)) + _SURELY_FAR_M
 

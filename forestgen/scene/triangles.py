@@ -5,6 +5,8 @@ evenly between the least and the greatest height of its plants, on a ladder thos
 of given sizes say these heights (`AskedHeights`). In others, whose plants grow, all heights up to the mature one occur.
 A plant's triangles follow from its height by the species' `triangles`, or else are those of `most_triangles`. Plants of
 one age (`OneCohort`) may all be mature and, where they have thinned themselves out, broad and leafy.
+
+Plants near a camera have meshes of their own (`near_foliage`), of at most so many triangles for each pixel of images.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from forestgen.community.capabilities import AskedHeights, OneCohort, capability
 from forestgen.community.simulation import CommunityPlan
 from forestgen.plants.levels import level_for
+from forestgen.plants.near_foliage import near_pixel_m
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
 from forestgen.plants.skeleton import most_triangles
@@ -30,6 +33,8 @@ from forestgen.scene.spec import Camera
 
 _MARGIN = 1.2  # heights are a guess, and plants of one height differ; without it the estimate is 1.0 to 1.53 times
 _OF_BROAD_TREES = 1.85  # over those of trees in stands: measured on spruces of 18 m after self-thinning
+_PER_PIXEL, _LEAST_NEAR, _MOST_NEAR = 4, 800_000, 4_000_000  # triangles of plants near a camera
+_LARGEST_ORGAN = 1.6  # factor on the size of its form
 _OF_LEVELS = (1.0, 0.5, 0.3)  # triangles of a plant at each level of detail over those at the first; upper numbers
 
 
@@ -58,6 +63,35 @@ def exemplar_triangles(
         each = min(section.variants_per_size * len(states[name]), most / len(heights_m))
         total += each * (_OF_BROAD_TREES if one_age else 1.0) * float(triangles_of(species, heights_m).sum())
     return _MARGIN * total * detail
+
+
+def most_near_triangles(cameras: Sequence[Camera]) -> int:
+    """Of the meshes of all plants whose leaves have true size, at most."""
+    pixels = sum(camera.size_px[0] * camera.size_px[1] for camera in cameras)
+    return min(max(_PER_PIXEL * pixels, _LEAST_NEAR), _MOST_NEAR)
+
+
+def near_triangles(
+    drawn: DrawnRecipe, plants: PlantPlan, cameras: Sequence[Camera], size_m: tuple[float, float], ground_m: float
+) -> int:
+    """Triangles of plants near a camera, at most; 0 where every camera is too far away from all of the site.
+
+    `ground_m`: the site's highest.
+    """
+    if not drawn.recipe.plants.near_foliage or drawn.recipe.plants.geometry == "silhouettes":
+        return 0
+    forms = [one.shapes for group in (plants.generators, plants.foliage) for one in group.values()]
+    limit_m = max((_LARGEST_ORGAN * near_pixel_m(shape) for one in forms for shape in one.values()), default=0.0)
+    top_m = ground_m + max((one.mature_height_m for one in drawn.species.values()), default=0.0)
+    for camera in cameras:
+        x, y, z = camera.position_m
+        aside = [max(-at, at - side, 0.0) for at, side in zip((x, y), size_m, strict=True)]
+        distance_m = max(math.hypot(*aside, max(z - top_m, 0.0)), 1e-3)
+        around = drawn.recipe.site.surroundings.kind != "open"
+        distance_m = max(z - top_m, 1e-3) if around else distance_m
+        if projection_of(camera).finest_pixel_m(camera, np.array([distance_m]))[0] < limit_m:
+            return most_near_triangles(cameras)
+    return 0
 
 
 def _grown_heights_m(species: Species) -> tuple[float, float]:

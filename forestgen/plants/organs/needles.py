@@ -38,7 +38,7 @@ class Fascicle(OrganForm):
 
     def patches(self) -> list[OrganPatch]:
         """Needles from one foot: each leans out by about half of `spread_deg`."""
-        one = _needle(self.length_m, self.width_m, np.radians(self.curl_deg), self.detail)
+        one = needle_patch(self.length_m, self.width_m, np.radians(self.curl_deg), self.detail)
         k = np.arange(self.needles)
         lean = 0.5 * np.radians(self.spread_deg) * (0.8 + 0.4 * _even(k, 0.7549))
         outward = outwards(2.0 * np.pi * (k + 0.25) / self.needles)
@@ -64,6 +64,9 @@ class NeedleTwig(OrganForm):
     parting: Share = Field(0.0, description="0: needles all around; 1: all to the twig's two sides")
     curl_deg: Bend = Field(8.0, description="bend of each needle, degrees")
     diameter_m: MaybeSize = Field(0.0, description="of the twig, metres; 0: the twig itself is not drawn")
+    fascicle: Annotated[int, Field(ge=1, le=8)] = Field(
+        1, description="needles in a bundle where a camera is near, as 2 of Scots pine"
+    )
     twig_material: str | None = Field(None, description="of the twig, whose label is a branch's; the needles' own")
     detail: Detail = 0
 
@@ -79,7 +82,7 @@ class NeedleTwig(OrganForm):
 
     def patches(self) -> list[OrganPatch]:
         """The needles; the twig: three sides, tapering to a point, a single slim triangle pair a side at detail 0."""
-        needles = OrganPatch(self.material, self._needles())
+        needles = OrganPatch(self.material, self.needles())
         if self.diameter_m == 0.0:
             return [needles]
         stops = 2 if self.detail == 0 else 3
@@ -88,14 +91,14 @@ class NeedleTwig(OrganForm):
         twig = tube(on_axis(np.linspace(0.0, self.length_m, stops)), radius, 3)
         return [needles, OrganPatch(self.twig_material or self.material, twig, Part.BRANCH)]
 
-    def _needles(self) -> Patch:
-        """`angle_deg` is between twig and needle at the twig's base, and a third less at its tip."""
+    def needles(self) -> Patch:
+        """From afar; `angle_deg` is between twig and needle at the twig's base, and a third less at its tip."""
         needles = max(round(self.per_m * self.length_m), 1)
         drawn = min(self.drawn or needles, needles)
         stands_for = max(needles / drawn, 1.0)
         longer = min(stands_for**_LENGTH_POWER, _LONGEST)
         width_m = self.needle_width_m * stands_for / longer
-        one = _needle(self.needle_length_m * longer, width_m, np.radians(self.curl_deg), self.detail)
+        one = needle_patch(self.needle_length_m * longer, width_m, np.radians(self.curl_deg), self.detail)
         k = np.arange(drawn)
         share = (k + 0.5) / drawn
         turn = k * GOLDEN_RAD
@@ -119,7 +122,7 @@ class NeedleTwig(OrganForm):
         return copies(one, attitude(along, upper) * size[:, None, None], on_axis(share * self.length_m))
 
 
-def _needle(length_m: float, width_m: float, curve_rad: float, detail: int) -> Patch:
+def needle_patch(length_m: float, width_m: float, curve_rad: float, detail: int) -> Patch:
     """One needle along y, bent down: 1 triangle, 2 (a diamond, broadest at a third) or 5 (two pieces and a point)."""
     half = 0.5 * width_m * _COVER
     if detail == 0:

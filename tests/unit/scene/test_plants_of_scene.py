@@ -145,8 +145,16 @@ def test_the_cache_changes_nothing_and_a_later_image_leaves_it_alone(
 
 def test_variants_and_levels_need_more_memory() -> None:
     plain, variants, levels = (
-        estimate_bytes(planned(one))["exemplars"]
+        estimate_bytes(planned(one, "plants.near_foliage=false"))["exemplars"]
         for one in ("plants.cache=true", "plants.variants_per_size=3", "plants.levels=true")
     )
     assert variants == pytest.approx(3 * plain, rel=1e-3)
     assert plain < levels < 3 * plain
+
+
+def test_plants_near_a_camera_need_more_memory() -> None:
+    far = ("cameras.0.position_m=[60, -10, 900]", "cameras.0.look_at_m=[60, 60, 0]")
+    near, none = (estimate_bytes(planned(f"plants.near_foliage={one}"))["exemplars"] for one in ("true", "false"))
+    assert near - none == pytest.approx(4 * 640 * 360 * 250, rel=0.01)
+    near, none = (estimate_bytes(planned(f"plants.near_foliage={one}", *far))["exemplars"] for one in ("true", "false"))
+    assert near == none

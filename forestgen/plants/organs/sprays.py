@@ -1,0 +1,228 @@
+"""Twigs with leaves or needles of true size, which stand near a camera for one large leaf or one coarse shoot.
+
+A spray has the area of what it stands for, and its frame: its foot in the origin, y along it, z its upper side. Leaves
+sit in two rows along a twig, their upper sides towards z, each with its petiole, size and attitude. Their bends differ,
+as those of plants that vary through growth (Streit et al. 2005, figure 11). They are as far from the spray's foot as
+the large leaf, in the mean. Needles stand all around their shoots, at the golden angle from one bundle to the next,
+their flat sides as level, in the mean, as those of the coarse shoot. Where there are too many for one shoot they are on
+side shoots too: in its plane, or of bundles in a whorl.
+
+Where a pixel is too coarse for single needles one stands for `merged` of them, mostly wider and a little longer.
+
+Reference
+---------
+Streit, L., Federl, P., Sousa, M. C. (2005). Modelling plant variation through growth. Computer Graphics Forum 24(3),
+497-506.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from forestgen.core.randomness import child_rng
+from forestgen.geometry.mesh import GOLDEN_RAD, Floats, Mesh, surface_area_m2, triangle_areas
+from forestgen.geometry.patches import Patch, area_m2, attitude, copies, join, lifted, on_axis, outwards, to_mesh, tube
+from forestgen.plants.organs.base import OrganForm
+from forestgen.plants.organs.leaves import CompoundLeaf, LobedLeaf, PalmateLeaf, SimpleLeaf
+from forestgen.plants.organs.needles import NeedleTwig, needle_patch
+
+Leaf = SimpleLeaf | LobedLeaf | PalmateLeaf
+
+_LONGEST_STALK = 0.45  # of a leaf's length: twigs drawn with fewer leaves have longer ones
+_ROW_STEP = 0.5  # of a leaf's width, from one leaf to the next on the other side of the twig
+_LEAF_ANGLES_DEG = (58.0, 35.0)  # between twig and leaf, at its foot and its tip
+_BENDS_DEG = (-16.0, -5.0, 5.0, 16.0)  # added to the bend of the species' leaves
+_BUNDLES = (18.0, 7.0)  # on a needle's length, of single needles and of bundles of several
+_WHORL = 0.4  # where side shoots of bundles spring from, share of the first
+_SIDE_SHOOT = (0.4, 0.6)  # length over that of the spray, where their number is chosen
+_LONGEST_SIDE = 0.8
+_SIDE_ANGLE_DEG = 54.0
+_SIDE_TURN = 0.25
+_MERGED_LENGTH = 0.25  # power of the number of merged needles in their length
+_TIP = 0.06  # share of a shoot whose needles point ahead
+_MOST_LEVEL = 6.0  # factor on the vertical part of needles' normals
+_SPLIT_DEG = 9.0  # of a needle from the middle of its bundle
+
+
+class Spray(NamedTuple):
+    """What one organ is drawn as, in its own frame."""
+
+    leaves: Mesh
+    twig: Mesh | None
+    area_m2: float  # of the leaves
+
+    @classmethod
+    def of(cls, leaves: list[Patch], twigs: list[Patch]) -> Spray:
+        mesh = replace(to_mesh(*leaves), uv=None)
+        return cls(mesh, to_mesh(*twigs) if twigs else None, surface_area_m2(mesh))
+
+    @property
+    def triangles(self) -> int:
+        return self.leaves.triangles + (self.twig.triangles if self.twig else 0)
+
+
+@lru_cache(maxsize=256)
+def true_leaf(form: Leaf, length_m: float, detail: int, more_bend_deg: float = 0.0) -> Patch:
+    """A leaf of a length with its petiole."""
+    size = length_m / form.length_m
+    update = {
+        "length_m": length_m,
+        "width_m": form.width_m * size,
+        "stalk_m": min(form.stalk_m * size, _LONGEST_STALK * length_m),
+        "stalk_width_m": None,
+        "curl_deg": form.curl_deg + more_bend_deg,
+        "detail": detail,
+    }
+    return join([one.patch for one in form.model_copy(update=update).patches()])
+
+
+@lru_cache(maxsize=512)
+def leafy_twig(form: Leaf, length_m: float, number: int, detail: int, variant: int) -> Spray:
+    """A twig of so many leaves of a length; one alone has no twig."""
+    rng = child_rng(0, "leafy twig", number, variant)
+    bends = [true_leaf(form, length_m, detail, one) for one in _BENDS_DEG]
+    step = _ROW_STEP * form.width_m * length_m / form.length_m
+    foot = step * (np.arange(number) + 0.5 * (number > 1))
+    share = np.arange(number) / max(number - 1, 1)
+    angle = np.radians(np.interp(share, (0.0, 1.0), _LEAF_ANGLES_DEG) + 9.0 * rng.normal(size=number))
+    angle[-1] = np.radians(8.0) * rng.normal()
+    side = np.where((np.arange(number) + variant) % 2 == 0, 1.0, -1.0)
+    along = np.column_stack([side * np.sin(angle), np.cos(angle), 0.09 * rng.normal(size=number)])
+    upper = np.column_stack([0.14 * rng.normal(size=(number, 2)), np.ones(number)])
+    size = rng.uniform(0.82, 1.12, number) * np.where(share < 0.2, 0.9, 1.0)
+    linear = attitude(along, upper) * size[:, None, None]
+    kind = rng.integers(len(bends), size=number)
+    leaves = [copies(bends[one], linear[kind == one], on_axis(foot[kind == one])) for one in np.unique(kind).tolist()]
+    whole = join(leaves)
+    drawn_m = _middle_m(join([one.patch for one in form.patches()])) * np.sqrt(area_m2(whole) / form_area_m2(form))
+    away = max(drawn_m - _middle_m(whole), 0.0)  # leaves are where the large one is
+    twig_m = float(foot[-1]) + away
+    radius = 0.004 * length_m + 0.002 * twig_m
+    twig = [tube(on_axis(np.array([0.0, twig_m])), np.array([radius, 0.4 * radius]), 3)] if twig_m > 0.0 else []
+    return Spray.of([lifted(whole, away)], twig)
+
+
+def form_area_m2(form: OrganForm) -> float:
+    """Area of the whole organ, one side."""
+    return surface_area_m2(form.template())
+
+
+def _middle_m(patch: Patch) -> float:
+    """How far along its axis the middle of a leaf's area is."""
+    return float(
+        np.average(patch.points[patch.faces, 1].mean(axis=1), weights=triangle_areas(patch.points, patch.faces))
+    )
+
+
+@lru_cache(maxsize=64)
+def finer_leaf(form: CompoundLeaf, detail: int) -> Spray:
+    """The leaf itself with another number of triangles."""
+    return Spray.of([one.patch for one in form.model_copy(update={"detail": detail}).patches()], [])
+
+
+class Needles(NamedTuple):
+    """The needles of a spray."""
+
+    length_m: float  # of a true one
+    number: int  # of true ones
+    merged: int  # that one stands for
+    detail: int  # 0 or 1, see `needle_patch`
+
+
+@lru_cache(maxsize=128)
+def needle_spray(form: NeedleTwig, needles: Needles, reach_m: float, variant: int) -> Spray:
+    """Shoots of a length in all that bears the needles; the first is `reach_m` long, the others are at its sides."""
+    rng = child_rng(0, "needle spray", variant)
+    start, along, length = _shoots(needles, form.fascicle, reach_m, rng)
+    count = max(round(needles.number / needles.merged / form.fascicle), 1)
+    ends = np.round(np.cumsum(length) / length.sum() * count).astype(np.int64)
+    each = np.diff(ends, prepend=0)
+    shoot = np.repeat(np.arange(len(each)), each)
+    share = (np.arange(count) - np.repeat(ends - each, each) + rng.uniform(0.2, 0.8, count)) / np.maximum(
+        each[shoot], 1
+    )
+    foot = start[shoot] + (share * length[shoot])[:, None] * along[shoot]
+    frame = attitude(along, np.tile([0.0, 0.0, 1.0], (len(along), 1)))[shoot]
+    own = _bundles(form, count, share, rng)
+    way = np.einsum("nij,nkj->nki", frame, own).reshape(-1, 3)
+    foot = np.repeat(foot, form.fascicle, axis=0)
+    upper = _upper_sides(way, level_share(form), rng)
+    longer = needles.merged**_MERGED_LENGTH
+    width_m = form.needle_width_m * needles.merged / longer
+    one = needle_patch(needles.length_m * longer, width_m, np.radians(form.curl_deg), needles.detail)
+    size = rng.uniform(0.85, 1.1, len(way))
+    leaves = copies(one, attitude(way, upper) * size[:, None, None], foot)
+    radius = 0.0002 + 0.001 * length
+    twigs = [
+        tube(np.stack([a, a + b * c]), np.array([r, 0.0]), 3)
+        for a, b, c, r in zip(start, along, length, radius, strict=True)
+    ]
+    return Spray.of([leaves], twigs)
+
+
+@lru_cache(maxsize=64)
+def level_share(form: NeedleTwig) -> float:
+    """Mean of the squared vertical component of the normals of a form's needles, weighted by area, in its frame."""
+    needles = to_mesh(form.needles())
+    a, b, c = needles.vertices_m[needles.faces].astype(np.float64).transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    area = np.linalg.norm(normal, axis=1)
+    return float(np.sum(normal[:, 2] ** 2 / area) / area.sum())
+
+
+def _upper_sides(along: Floats, wanted: float, rng: np.random.Generator) -> Floats:
+    """(M, 3) normals of needles, at random about them, but as level, in the mean, as `wanted` of `level_share`."""
+    random = rng.normal(size=along.shape)
+    low, high = np.log(1.0 / _MOST_LEVEL), np.log(_MOST_LEVEL)
+    for _ in range(16):
+        upper = random * [1.0, 1.0, np.exp(0.5 * (low + high))]
+        upper -= np.sum(upper * along, axis=1, keepdims=True) * along
+        upper /= np.linalg.norm(upper, axis=1, keepdims=True)
+        share = float(np.mean(upper[:, 2] ** 2))
+        low, high = (0.5 * (low + high), high) if share < wanted else (low, 0.5 * (low + high))
+    return np.asarray(np.where(upper[:, 2:] < 0.0, -upper, upper))
+
+
+def _shoots(needles: Needles, fascicle: int, reach_m: float, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+    """(S, 3) feet, (S, 3) directions and (S,) lengths of the shoots that needles need.
+
+    Those of single needles have their side shoots in a plane, along all of the first; of bundles in a whorl around it.
+    """
+    is_whorl = fascicle > 1
+    more_m = max(needles.number * needles.length_m / (_BUNDLES[is_whorl] * fascicle) - reach_m, 0.0)
+    sides = int(np.ceil(more_m / (_SIDE_SHOOT[is_whorl] * reach_m)))
+    number = np.arange(sides)
+    place = np.full(sides, _WHORL) if is_whorl else 0.08 + 0.84 * (number + 0.5) / max(sides, 1)
+    raw = rng.uniform(0.8, 1.2, sides) * (1.0 if is_whorl else 1.15 - place)
+    length = np.minimum(raw * more_m / max(float(raw.sum()), 1e-9), _LONGEST_SIDE * reach_m)
+    angle = np.radians(_SIDE_ANGLE_DEG + 6.0 * rng.normal(size=sides))
+    turn = number * (2.0 * np.pi / max(sides, 1) if is_whorl else np.pi) + _SIDE_TURN * rng.normal(size=sides)
+    along = np.sin(angle)[:, None] * outwards(turn) + np.cos(angle)[:, None] * [0.0, 1.0, 0.0]
+    start = np.concatenate([np.zeros((1, 3)), on_axis(place * reach_m)])
+    return start, np.concatenate([[[0.0, 1.0, 0.0]], along]), np.concatenate([[reach_m], length])
+
+
+def _bundles(form: NeedleTwig, count: int, share: Floats, rng: np.random.Generator) -> Floats:
+    """(count, fascicle, 3) directions of the needles of bundles on a shoot along y."""
+    turn = np.arange(count) * GOLDEN_RAD + 0.15 * rng.normal(size=count)
+    side, rise = np.cos(turn), np.sin(turn)
+    side = side + form.parting * (np.sign(side) * np.sqrt(1.0 - 0.2 * rise**2) - side)
+    rise = rise * (1.0 - form.parting) + 0.15 * form.parting
+    outward = np.column_stack([side, np.zeros(count), rise])
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    angle = np.radians(form.angle_deg) * (1.15 - 0.3 * share) * rng.uniform(0.8, 1.2, count)
+    angle = np.where(share > 1.0 - _TIP, 0.5 * angle, angle)
+    middle = np.sin(angle)[:, None] * outward + np.cos(angle)[:, None] * [0.0, 1.0, 0.0]
+    if form.fascicle == 1:
+        return np.asarray(middle[:, None])
+    across = np.cross(middle, outward)
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    second = np.cross(across, middle)
+    split = 2.0 * np.pi * np.arange(form.fascicle) / form.fascicle + rng.uniform(0.0, np.pi, (count, 1))
+    apart = np.radians(_SPLIT_DEG) * rng.uniform(0.6, 1.4, (count, 1))
+    off = np.cos(split)[..., None] * across[:, None] + np.sin(split)[..., None] * second[:, None]
+    return np.asarray(np.cos(apart)[..., None] * middle[:, None] + np.sin(apart)[..., None] * off)

@@ -1,0 +1,182 @@
+"""Leaves and needles of true size near a camera."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from forestgen.api.plant_requests import plan_of, request_of
+from forestgen.core.parts import Part
+from forestgen.geometry.mesh import Mesh
+from forestgen.plants.build import leaf_area_m2
+from forestgen.plants.exemplar import Exemplar
+from forestgen.plants.growing import ExemplarRequest, grow_exemplar
+from forestgen.plants.near_foliage import (
+    LEAF_PX,
+    NearOrgans,
+    largest_pixel_m,
+    near_organs,
+    organ_sizes,
+    with_near_foliage,
+)
+from forestgen.plants.organs.sprays import Needles, level_share, needle_spray, true_leaf
+
+NAMES = ("spruce", "pine", "oak", "beech", "birch")
+PIXELS_M = (0.0005, 0.004, 0.04)
+
+
+@cache
+def grown(name: str) -> tuple[ExemplarRequest, Exemplar]:
+    request = request_of(plan_of(name, 0), name, 5.0, 0, "stand")
+    return request, grow_exemplar(request)
+
+
+def planned(name: str, pixel_m: float) -> tuple[NearOrgans | None, ...]:
+    request, exemplar = grown(name)
+    shapes, true_m = request.parameters.shapes, request.species.tissue.leaf_length_m
+    return tuple(
+        near_organs(shapes[one.shape], true_m, organ_sizes(one.frame), np.full(len(one.node), pixel_m))
+        for one in exemplar.foliage
+    )
+
+
+def near(name: str, pixel_m: float) -> Exemplar:
+    request, exemplar = grown(name)
+    leaf_m = request.species.tissue.leaf_length_m
+    return with_near_foliage(exemplar, request.parameters.shapes, leaf_m, planned(name, pixel_m))
+
+
+def sheets_m2(exemplar: Exemplar) -> np.ndarray[Any, Any]:
+    """Areas of the triangles of leaves."""
+    corners = [one.mesh.vertices_m.astype(float)[one.mesh.faces] for one in exemplar.organs if one.part == Part.LEAF]
+    a, b, c = np.concatenate(corners).transpose(1, 0, 2)
+    return np.asarray(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("pixel_m", PIXELS_M)
+def test_the_leaf_area_stays(name: str, pixel_m: float) -> None:
+    request, exemplar = grown(name)
+    shapes = request.parameters.shapes
+    wanted = leaf_area_m2(exemplar.organs, shapes)
+    assert leaf_area_m2(near(name, pixel_m).organs, shapes) == pytest.approx(wanted, rel=0.001)
+
+
+@pytest.mark.parametrize("name", ["oak", "beech", "birch"])
+def test_a_leaf_has_true_size_where_it_is_two_pixels_wide(name: str) -> None:
+    request, exemplar = grown(name)
+    leaf_m, [placed] = request.species.tissue.leaf_length_m, exemplar.foliage
+    form = request.parameters.shapes[placed.shape]
+    corners = true_leaf(form, leaf_m, 2)
+    a, b, c = corners.points[corners.faces].transpose(1, 0, 2)
+    true_m2 = float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    limit_m = np.sqrt(true_m2) / LEAF_PX
+    for factor, merged in ((0.5, 1), (0.99, 1), (1.38, 1), (1.42, 2), (2.05, 4)):  # powers of 2, rounded down
+        pixel_m = np.full(1, factor * limit_m)
+        one = near_organs(form, leaf_m, np.full(1, 3.0), pixel_m)
+        assert one is not None
+        assert one.merged == [merged]
+        each_m2 = 9.0 * (exemplar_leaf_m2(form)) / float(one.number[0])
+        assert each_m2 == pytest.approx(merged * true_m2, rel=0.2)
+        assert merged == 1 or each_m2 < 1.2 * (LEAF_PX * float(pixel_m[0])) ** 2
+
+
+def exemplar_leaf_m2(form: Any) -> float:
+    mesh = form.template()
+    a, b, c = mesh.vertices_m.astype(float)[mesh.faces].transpose(1, 0, 2)
+    return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+
+
+@pytest.mark.parametrize("name", ["spruce", "pine"])
+def test_no_needle_is_a_plate_near_a_camera(name: str) -> None:
+    request, exemplar = grown(name)
+    [form] = {request.parameters.shapes[one.shape] for one in exemplar.foliage}
+    true_m2 = 0.8 * (request.species.tissue.leaf_length_m or form.needle_length_m) * form.needle_width_m
+    assert np.median(sheets_m2(exemplar)) > 6.0 * true_m2
+    assert sheets_m2(near(name, 0.0005)).max() < 2.0 * true_m2
+    assert sheets_m2(near(name, 0.004)).max() < 2.0 * max(true_m2, (LEAF_PX * 0.004) ** 2)
+
+
+def test_a_large_leaf_gives_way_to_many_of_the_species_length() -> None:
+    request, exemplar = grown("oak")
+    assert sum(int(one.number.sum()) for one in planned("oak", 0.003) if one is not None) >= sum(
+        len(one.node) for one in exemplar.foliage
+    )
+    form, leaf_m = request.parameters.shapes["leaf"], request.species.tissue.leaf_length_m
+    tall = near_organs(form, leaf_m, np.ones(1), np.full(1, 0.003))
+    assert tall is not None
+    assert tall.number == [6]  # 25 cm by 10.5 cm
+    assert tall.detail == [2]
+
+
+def along(mesh: Mesh) -> np.ndarray[Any, Any]:
+    """(N, 3) directions of needles of one triangle each, from the middle of the base to the tip."""
+    base, tip, other = mesh.vertices_m.astype(float)[mesh.faces].transpose(1, 0, 2)
+    way = tip - 0.5 * (base + other)
+    return np.asarray(way / np.linalg.norm(way, axis=1, keepdims=True))
+
+
+def test_a_pines_needles_stand_all_around_its_shoots() -> None:
+    form = grown("pine")[0].parameters.shapes["tuft"]
+    spray = needle_spray(form, Needles(0.055, 120, 1, 0), 0.6, 0)  # so long that it has no side shoots
+    way = along(spray.leaves)
+    turn = np.arctan2(way[:, 2], way[:, 0])
+    assert abs(np.mean(np.exp(1j * turn))) < 0.1
+    assert abs(np.mean(np.exp(2j * turn))) < 0.1
+    count = np.histogram(turn, bins=6, range=(-np.pi, np.pi))[0]
+    assert count.min() > 0.6 * len(turn) / 6
+    lean = np.degrees(np.arccos(way[:, 1]))
+    assert 25.0 < np.median(lean) < 70.0
+    foot = spray.leaves.vertices_m.astype(float)[spray.leaves.faces[:, [0, 2]]].mean(axis=1)
+    assert np.hypot(foot[:, 0], foot[:, 2]).max() < 0.002  # on the shoot
+    assert len(np.unique(np.round(foot[:, 1], 5))) == pytest.approx(60, abs=3)  # in pairs
+
+
+@pytest.mark.parametrize(("name", "shape", "needle_m"), [("spruce", "shoot", 0.016), ("pine", "tuft", 0.055)])
+def test_needles_are_as_level_as_those_of_the_coarse_shoot(name: str, shape: str, needle_m: float) -> None:
+    form = grown(name)[0].parameters.shapes[shape]
+    spray = needle_spray(form, Needles(needle_m, 1500, 1, 0), 0.3, 1)
+    a, b, c = spray.leaves.vertices_m.astype(float)[spray.leaves.faces].transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    area = np.linalg.norm(normal, axis=1)
+    assert np.sum(normal[:, 2] ** 2 / area) / area.sum() == pytest.approx(level_share(form), abs=0.03)
+
+
+@pytest.mark.parametrize("name", ["spruce", "oak"])
+def test_the_same_plant_is_made_again(name: str) -> None:
+    one, two = near(name, 0.002), near(name, 0.002)
+    assert [organ.material for organ in one.organs] == [organ.material for organ in two.organs]
+    for first, second in zip(one.organs, two.organs, strict=True):
+        np.testing.assert_array_equal(first.mesh.vertices_m, second.mesh.vertices_m)
+        np.testing.assert_array_equal(first.mesh.faces, second.mesh.faces)
+
+
+@pytest.mark.parametrize("name", ["spruce", "birch"])
+def test_only_organs_that_a_camera_sees_change(name: str) -> None:
+    request, exemplar = grown(name)
+    shapes, leaf_m = request.parameters.shapes, request.species.tissue.leaf_length_m
+    [placed] = exemplar.foliage
+    pixel_m = np.full(len(placed.node), np.inf)
+    assert not near_organs(shapes[placed.shape], leaf_m, organ_sizes(placed.frame), pixel_m).drawn.any()  # type: ignore[union-attr]
+    high = placed.frame[:, 2, 3] > 3.5
+    pixel_m[high] = 0.002
+    one = near_organs(shapes[placed.shape], leaf_m, organ_sizes(placed.frame), pixel_m)
+    assert one is not None
+    np.testing.assert_array_equal(one.drawn, high)
+    made = with_near_foliage(exemplar, shapes, leaf_m, (one,))
+    assert {organ.part for organ in made.organs} == {organ.part for organ in exemplar.organs}
+    assert {organ.material for organ in made.organs} == {organ.material for organ in exemplar.organs}
+    low = next(organ.mesh.vertices_m for organ in exemplar.organs if organ.part == Part.LEAF)
+    kept = next(organ.mesh.vertices_m for organ in made.organs if organ.organ is not None)
+    assert {tuple(row) for row in kept.tolist()} <= {tuple(row) for row in low.tolist()}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_far_away_no_organ_changes(name: str) -> None:
+    request, exemplar = grown(name)
+    limit_m = largest_pixel_m(request.parameters.shapes, exemplar.foliage)
+    assert 0.001 < limit_m < 0.3
+    assert not any(one is not None and one.drawn.any() for one in planned(name, 1.01 * limit_m))
