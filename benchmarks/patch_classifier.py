@@ -1,7 +1,7 @@
 """How well a small network tells patches of our views from patches of the airborne tiles that they imitate.
 
     uv run python benchmarks/airborne_tiles.py --tiles FOLDER
-    uv run --with jax python benchmarks/patch_classifier.py --tiles FOLDER [--before DATA_SET]
+    uv run --with jax python benchmarks/patch_classifier.py --tiles FOLDER [--before DATA_SET] [--grey]
 
 Views get the mean and the covariance of the tile's colours, each channel of a patch of 64 pixels is standardised, and
 the same noise is added to real ones and ours: exposure, colours and grain tell little. Four convolutions of stride 2,
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import forestgen as fg
-from support.airborne import Floats, Mask, Picture, encoded
+from support.airborne import LUMINANCE, Floats, Mask, Picture, encoded
 from support.airborne_views import PLACES, as_bright, as_coloured, developed, tile_of
 
 PATCH_PX, BATCH, CHANNELS = 64, 64, (24, 48, 64, 64)
@@ -141,13 +142,20 @@ def main() -> None:
     parser.add_argument("--tiles", type=Path, required=True, help="folder of the tiles")
     parser.add_argument("--views", type=Path, default=Path("outputs/airborne/full"), help="folder of the views")
     parser.add_argument("--before", type=Path, metavar="DATA_SET", help="views in place of those")
+    parser.add_argument("--grey", action="store_true", help="of luminance alone")
     parser.add_argument("--steps", type=int, default=500)
     parser.add_argument("--runs", type=int, default=3, help="networks, each with other random numbers")
     arguments = parser.parse_args()
     real = [tile_of(place, arguments.tiles) for place in PLACES]
     folders = [arguments.before or arguments.views / place.recipe for place in PLACES]
     ours = [views_of(folder, tile) for folder, tile in zip(folders, real, strict=True)]
+    if arguments.grey:
+        real, ours = [grey(one) for one in real], [[grey(one) for one in some] for some in ours]
     report(real, ours, arguments.steps, arguments.runs)
+
+
+def grey(picture: Picture) -> Picture:
+    return replace(picture, rgb=np.repeat((picture.rgb @ LUMINANCE)[..., None], 3, axis=-1))
 
 
 def report(real: Sequence[Picture], ours: Sequence[Sequence[Picture]], steps: int, runs: int) -> None:
