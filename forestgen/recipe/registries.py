@@ -153,7 +153,7 @@ PROJECTIONS = Registry(
         "perspective": ("forestgen.scene.projections.perspective:PROJECTION", "a pinhole, or a thin lens that blurs"),
         "distorted": (
             "forestgen.scene.projections.distorted:PROJECTION",
-            "a pinhole through a distorting lens, as OpenCV",
+            "a pinhole through a distorting lens, as OpenCV has it",
         ),
         "fisheye": ("forestgen.scene.projections.fisheye:PROJECTION", "equidistant, up to all around"),
         "orthographic": ("forestgen.scene.projections.orthographic:PROJECTION", "parallel rays, as of a map"),
