@@ -40,12 +40,16 @@ Patches = NDArray[np.float32]
 def patches(pictures: Sequence[tuple[Floats, Mask]], count: int, rng: np.random.Generator) -> Patches:
     """(N, 64, 64, 3) standardised squares of sRGB pictures, at random places where all counts."""
     found: list[Floats] = []
-    while len(found) < count:
+    for _ in range(1000 * count):
+        if len(found) == count:
+            break
         rgb, counts = pictures[rng.integers(len(pictures))]
         top, left = (int(rng.integers(side - PATCH_PX + 1)) for side in rgb.shape[:2])
         at = (slice(top, top + PATCH_PX), slice(left, left + PATCH_PX))
         if counts[at].all():
             found.append(standardised(rgb[at]))
+    if len(found) < count:
+        raise SystemExit(f"too few squares of {PATCH_PX} pixels in which all counts: {len(found)} of {count}")
     return np.asarray(found, dtype=np.float32)
 
 

@@ -135,7 +135,7 @@ def as_solids(exemplar: Exemplar, profile: tuple[Floats, Floats] | None = None) 
     organs = [OrganMesh(Part.LEAF, most.material, solid_of_revolution(*profile))]
     if trunk is not None and profile[0][0] > 0.0:
         organs.insert(0, OrganMesh(Part.TRUNK, trunk.material, _stem(trunk.mesh, float(profile[0][0]))))
-    return replace(exemplar, organs=tuple(organs))
+    return replace(exemplar, organs=tuple(organs), foliage=())
 
 
 def _stem(trunk: Mesh, crown_base_m: float) -> Mesh:

@@ -102,7 +102,8 @@ class Exposure(Section):
         100.0, ge=1, le=1e7, description="The iso at which saturation fills the well; the least one."
     )
     vignetting: Fraction = Field(
-        0.0, description="0: none; 1: the fourth power of the cosine off the axis; between: mixed."
+        0.0,
+        description="0: none; 1: the fourth power of the cosine off the axis; between: mixed; of perspective.",
     )
     full_well_electrons: Positive = Field(30_000.0, ge=10, le=1e8, description="That a pixel holds.")
     read_noise_electrons: NonNegative = Field(

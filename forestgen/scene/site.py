@@ -82,7 +82,7 @@ def sun_notes(recipe: Recipe) -> list[str]:
     if sun.elevation_deg <= max(noon_deg, 0.0) + _SUN_SPARE_DEG:
         return []
     told = f"the sun is {sun.elevation_deg:g} degrees high, but at most {max(noon_deg, 0.0):.0f} on {site.date}"
-    return [f"{told} at latitude {site.latitude_deg:g}; sky.sun.date and time put it where it is"]
+    return [f"{told} at latitude {site.latitude_deg:g}; sky.sun.date with its time puts it where it is"]
 
 
 def height_field(drawn: DrawnRecipe) -> HeightField:

@@ -118,7 +118,11 @@ def wet_ground(dry: Spectrum, saturation: Floats) -> WetGround | None:
 
 
 def film_factor(terrain: Terrain, channels: Channels) -> Floats:
-    """(3,) reflectance of the terrain under a film of water over that of the dry one, in [0, 1]; 1: none is wet."""
+    """(3,) reflectance of the terrain under a film of water over that of the dry one, in [0, 1]; 1: none is wet.
+
+    Bare ground between things has the factor of the painted ground, too, though wet sand of 0.29 is 0.57 times as
+    bright as dry sand and litter of 0.12 0.52 times.
+    """
     return np.clip(_factor(terrain, terrain.wet, channels), 0.0, 1.0)
 
 

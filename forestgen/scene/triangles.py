@@ -34,7 +34,7 @@ from forestgen.scene.spec import Camera
 _MARGIN = 1.2  # heights are a guess, and plants of one height differ; without it the estimate is 1.0 to 1.53 times
 _OF_BROAD_TREES = 1.85  # over those of trees in stands: measured on spruces of 18 m after self-thinning
 _PER_PIXEL, _LEAST_NEAR, _MOST_NEAR = 4, 800_000, 4_000_000  # triangles of plants near a camera
-_LARGEST_ORGAN = 1.6  # factor on the size of its form
+LARGEST_ORGAN = 2.2  # factor on the size of its form
 _OF_LEVELS = (1.0, 0.5, 0.3)  # triangles of a plant at each level of detail over those at the first; upper numbers
 
 
@@ -81,7 +81,7 @@ def near_triangles(
     if not drawn.recipe.plants.near_foliage or drawn.recipe.plants.geometry == "silhouettes":
         return 0
     forms = [one.shapes for group in (plants.generators, plants.foliage) for one in group.values()]
-    limit_m = max((_LARGEST_ORGAN * near_pixel_m(shape) for one in forms for shape in one.values()), default=0.0)
+    limit_m = max((LARGEST_ORGAN * near_pixel_m(shape) for one in forms for shape in one.values()), default=0.0)
     top_m = ground_m + max((one.mature_height_m for one in drawn.species.values()), default=0.0)
     for camera in cameras:
         x, y, z = camera.position_m

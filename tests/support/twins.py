@@ -7,6 +7,7 @@ precision, by brute force, along rays of its own, from the camera's definition.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -244,6 +245,11 @@ class Oracle:
             aside = (across * right + below * down) / np.maximum(radius, 1e-300)
             return start, np.cos(theta) * forward + np.sin(theta) * aside, radius[:, 0] <= width / 2
         half = np.tan(np.radians(camera.hfov_deg) / 2)
+        if camera.projection == "distorted":
+            across, below = (
+                one[:, None] * width / 2 / half
+                for one in _undistorted(across[:, 0] * half * 2 / width, below[:, 0] * half * 2 / width, camera.numbers)
+            )
         ray = forward + (across * half * right + below * half * down) / (width / 2)
         if camera.lens is not None and number is not None:
             pixel = np.floor([x_px, y_px]).astype(np.int64)
@@ -321,6 +327,17 @@ class Oracle:
         t = np.where(inside, t, np.inf)
         face = np.argmin(t, axis=1)
         return t[np.arange(len(t)), face], face
+
+
+def _undistorted(x: NDArray[np.float64], y: NDArray[np.float64], k: Mapping[str, float]) -> NDArray[np.float64]:
+    """(2, R) slopes that a lens shows at distorted ones, by OpenCV's fixed-point iteration."""
+    a, b = x, y
+    for _ in range(500):
+        r2 = a * a + b * b
+        radial = 1 + k["k1"] * r2 + k["k2"] * r2**2 + k["k3"] * r2**3
+        aside = 2 * k["p1"] * a * b + k["p2"] * (r2 + 2 * a * a)
+        a, b = (x - aside) / radial, (y - k["p1"] * (r2 + 2 * b * b) - 2 * k["p2"] * a * b) / radial
+    return np.array([a, b])
 
 
 def _flat(

@@ -107,7 +107,7 @@ Decisions
   of the sizes that their allometry and their neighbours give.
 - A dead tree's species, diameter and height are those of a living tree of at least min_dbh_cm, drawn at random. For a
   volume trees are drawn until it is reached; one factor of diameters and heights makes it exact. Volumes are of stems
-  over bark, with r(h) in proportion to (H - h)^0.65, of what the decay class has left.
+  over bark, of the taper of `forestgen.core.stem_form`, of what the decay class has left.
 - height_m of a dead tree is that of what stands, or the length of the stem that lies. Its status is DEAD; columns
   `dead_form` (1 standing, 2 uprooted, 3 snapped, 4 stump) and `decay_class` say more.
 - A stem falls downwind, give or take a standard deviation of 60 degrees; of up to 64 places it takes the one where it

@@ -103,7 +103,9 @@ def _frame(root: Path, folder: str, exchange: Exchange, settings: DatasetSetting
         k = read_shard(path, {"K": list[list[Any]]})["K"]
         focal = (k[0][0], k[1][1])
     values = read_shard(path, {"distortion": list[float]})["distortion"] if exchange.distortion else []
-    distortion = dict(zip(exchange.distortion, values, strict=False))  # of k3, which is 0 but for lenses, as needed
+    if len(values) < len(exchange.distortion):
+        raise ValueError(f"{len(values)} coefficients of distortion, {len(exchange.distortion)} expected")
+    distortion = dict(zip(exchange.distortion, values, strict=False))  # a pinhole's k3 is 0, and has no key
     frame = {
         "file_path": f"{folder}/preview.png",
         "transform_matrix": (np.asarray(camera["world_from_camera"]) @ opencv_from_opengl).tolist(),

@@ -28,9 +28,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from pydantic_core import PydanticCustomError
 
@@ -42,8 +43,11 @@ from forestgen.scene.spec import Camera
 
 NAMES = ("k1", "k2", "p1", "p2", "k3")  # OpenCV's order
 _ROUNDS = 60  # of Newton's method; a few are enough but at the edge of what is seen
-_EXACT = 1e-15
+_EXACT = 1e-14
 _LEAST_GROWTH = 0.1  # of r (1 + k1 r² + ...) by r, at the rim of what is seen
+_FARTHEST = 16.0  # slope: 86 degrees from the axis
+_LARGEST, _LEAST = 1e3, 1e-12  # coefficient, and one that counts
+_PLACES = 33  # along an image's side, where its rays are looked for
 
 
 class DistortedCamera(CameraSection):
@@ -52,22 +56,27 @@ class DistortedCamera(CameraSection):
     covers_ground: ClassVar[bool] = True
 
     hfov_deg: Number = Field(60.0, ge=0.1, le=170, description="Field of view across the width without distortion.")
-    distortion: tuple[Number, ...] = Field(
+    distortion: tuple[Annotated[Number, Field(ge=-_LARGEST, le=_LARGEST)], ...] = Field(
         (), max_length=5, description="k1, k2, p1, p2, k3 as OpenCV has them, the first ones or all."
     )
 
     def wrong_optics(self) -> PydanticCustomError | None:
-        """A distortion that folds the image before its corners, which then show nothing."""
-        (width, height), numbers = self.size_px, self.own_numbers
-        reach, focal = _reach(numbers), width / 2 / math.tan(math.radians(self.hfov_deg) / 2)
-        seen = float(_bent({**numbers, "p1": 0.0, "p2": 0.0}, np.array([reach, 0.0]))[0][0]) * focal
-        corner = math.hypot(width, height) / 2
-        if corner <= seen:
+        """A distortion that folds the image, or shows nothing in some of it."""
+        (width, height), numbers, focal = self.size_px, self.own_numbers, self._focal_px
+        at = np.stack(np.meshgrid(*(np.linspace(-side / 2, side / 2, _PLACES) for side in (width, height))), axis=-1)
+        _, exists = _straight(numbers, at / focal)
+        far, turn = np.linspace(0.0, _reach(numbers), 65)[:, None], np.linspace(0.0, 2.0 * np.pi, 65)
+        _, ((xx, xy), (yx, yy)) = _bent(numbers, np.stack([far * np.cos(turn), far * np.sin(turn)], axis=-1))
+        if exists.all() and (xx * yy > xy * yx).all():
             return None
-        problem, at = "the distortion folds the image before its corners", "distortion"
-        expected = f"coefficients under which the image grows up to {corner:.0f} px from its middle"
+        problem, expected = "the distortion folds the image", "coefficients under which each pixel has one ray"
         hint = "coefficients are fitted for one field of view: check hfov_deg, and their order k1, k2, p1, p2, k3"
-        return violation(expected, problem=problem, got=f"up to {seen:.0f} px", hint=hint, at=at)
+        got = f"{np.mean(~exists):.0%} of the image without" if not exists.all() else "pixels with several"
+        return violation(expected, problem=problem, got=got, hint=hint, at="distortion")
+
+    @property
+    def _focal_px(self) -> float:
+        return self.size_px[0] / 2 / math.tan(math.radians(self.hfov_deg) / 2)
 
     @property
     def field_of_view_deg(self) -> float:
@@ -78,9 +87,9 @@ class DistortedCamera(CameraSection):
         return dict(zip(NAMES, (*self.distortion, *[0.0] * 5), strict=False))
 
     def footprint_m(self, altitude_m: float) -> tuple[float, float]:
-        width, height = self.size_px
-        across = 2 * altitude_m * math.tan(math.radians(self.hfov_deg) / 2)
-        return across, across * height / width
+        edges = np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]]) * self.size_px / self._focal_px
+        left, right, top, bottom = _straight(self.own_numbers, edges)[0]
+        return altitude_m * float(right[0] - left[0]), altitude_m * float(bottom[1] - top[1])
 
 
 class Distorted(projection.Projection):
@@ -93,24 +102,10 @@ class Distorted(projection.Projection):
     exchange = projection.Exchange("OPENCV", NAMES)
 
     def rays(self, camera: Camera, x: Floats, y: Floats) -> projection.Rays:
-        wanted = np.stack([x, y], axis=-1) / camera.focal_px
-        reach = _reach(camera.numbers)
-        slope = wanted.copy()
-        for _ in range(_ROUNDS):
-            at, ((xx, xy), (yx, yy)) = _bent(camera.numbers, slope)
-            off = at - wanted
-            if np.abs(off).max(initial=0.0) < _EXACT:
-                break
-            area = xx * yy - xy * yx
-            area = np.where(np.abs(area) < 1e-6, 1e-6, area)
-            step = np.stack([yy * off[..., 0] - xy * off[..., 1], xx * off[..., 1] - yx * off[..., 0]], axis=-1)
-            slope = slope - step / area[..., None]
-            away = np.linalg.norm(slope, axis=-1, keepdims=True)
-            slope *= np.minimum(1.0, reach / np.maximum(away, 1e-300))  # back to where the map is unique
-        off = np.abs(_bent(camera.numbers, slope)[0] - wanted).max(axis=-1)  # not small where nothing is seen
+        slope, exists = _straight(camera.numbers, np.stack([x, y], axis=-1) / camera.focal_px)
         direction = np.concatenate([slope, np.ones((*x.shape, 1))], axis=-1)
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-        return projection.Rays(np.zeros((*x.shape, 3)), direction, off < 1e-9)
+        return projection.Rays(np.zeros((*x.shape, 3)), direction, exists)
 
     def project(self, camera: Camera, x: Floats, y: Floats, z: Floats) -> projection.Pixels:
         front = z > 0
@@ -129,6 +124,8 @@ class Distorted(projection.Projection):
     def read(self, values: Mapping[str, Any], size_px: tuple[int, int]) -> projection.FileGeometry:
         focal_px, centre_px = projection.read_k(values)
         numbers = dict(zip(NAMES, (float(one) for one in values["distortion"]), strict=True))
+        if not all(abs(one) <= _LARGEST for one in numbers.values()):
+            raise ValueError("the distortion is that of no lens")
         hfov_deg = math.degrees(2 * math.atan(size_px[0] / 2 / focal_px[0]))
         camera = self.plain_camera(size_px, hfov_deg, numbers=numbers)
         of_angle = size_px[0] / 2 / math.tan(projection.read_angle_rad(values) / 2)
@@ -153,11 +150,33 @@ def _bent(numbers: Mapping[str, float], slope: Floats) -> tuple[Floats, _Derivat
     return np.stack([x, y], axis=-1), ((xx, xy), (xy, yy))
 
 
+def _straight(numbers: Mapping[str, float], wanted: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """(..., 2) slopes that appear at (..., 2) places, in focal lengths, by Newton's method; and which exist."""
+    reach, slope = _reach(numbers), wanted.copy()
+    last, stalled = np.full(wanted.shape[:-1], np.inf), 0
+    for _ in range(_ROUNDS):
+        at, ((xx, xy), (yx, yy)) = _bent(numbers, slope)
+        off = at - wanted
+        worst = np.abs(off).max(axis=-1)
+        stalled = 0 if np.any((worst > _EXACT) & (worst < last)) else stalled + 1
+        if stalled > 3 or not np.any(worst > _EXACT):  # no nearer: there is no such slope
+            break
+        last = np.minimum(last, worst)
+        area = xx * yy - xy * yx
+        area = np.where(np.abs(area) < 1e-6, 1e-6, area)
+        step = np.stack([yy * off[..., 0] - xy * off[..., 1], xx * off[..., 1] - yx * off[..., 0]], axis=-1)
+        slope = slope - step / area[..., None]
+        away = np.linalg.norm(slope, axis=-1, keepdims=True)
+        slope *= np.minimum(1.0, reach / np.maximum(away, 1e-300))  # back to where the map is unique
+    return slope, np.abs(_bent(numbers, slope)[0] - wanted).max(axis=-1) < 1e-9
+
+
 def _reach(numbers: Mapping[str, float]) -> float:
-    """The slope up to which the image grows with it; a large number where it always does."""
-    roots = np.roots([7.0 * numbers["k3"], 5.0 * numbers["k2"], 3.0 * numbers["k1"], 1.0 - _LEAST_GROWTH])
+    """The slope up to which the image grows with it, at most `_FARTHEST`."""
+    growth = np.array([7.0 * numbers["k3"], 5.0 * numbers["k2"], 3.0 * numbers["k1"], 1.0 - _LEAST_GROWTH])
+    roots = np.roots(np.where(np.abs(growth) < _LEAST, 0.0, growth))
     real = roots[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)].real
-    return float(np.sqrt(real.min())) if len(real) else 1e6
+    return min(float(np.sqrt(real.min())), _FARTHEST) if len(real) else _FARTHEST
 
 
 PROJECTION = Distorted()

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from copy import deepcopy
 from functools import cache
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 
+from forestgen.api.plant_requests import plan_of, request_of
 from forestgen.community.simulation import final_population
 from forestgen.core.progress import Silent, Timings
+from forestgen.plants.growing import grow_exemplar
+from forestgen.plants.near_foliage import organ_sizes
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene import near_foliage
 from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.plan import make_plan
+from forestgen.scene.triangles import LARGEST_ORGAN
 
 TREES = "species, x_m, y_m, dbh_cm, height_m\n" + "".join(
     f"{name}, {x}, {y}, 7, 6\n" for name, x, y in (("oak", 5, 6), ("oak", 5, 60), ("spruce", 8, 6), ("spruce", 5, 1))
@@ -40,6 +45,23 @@ def built(width: int = 160, *, near: bool = True, layers: bool = False) -> Built
         recipe["site"] |= {"ground": {"layers": [{"what": "stones", "cover": 0.05}]}, "surroundings": "repeat"}
     plan = make_plan(load_recipe_data(recipe, "near").draw(0))
     return build_scene(plan, final_population(plan.community, Silent()), Silent(), Timings())
+
+
+def test_silhouettes_have_no_leaves_of_true_size() -> None:
+    recipe = deepcopy(RECIPE) | {"plants": {"geometry": "silhouettes"}}
+    plan = make_plan(load_recipe_data(recipe, "near").draw(0))
+    scene = build_scene(plan, final_population(plan.community, Silent()), Silent(), Timings())
+    assert scene.spec.exemplars
+    assert not any(one.foliage for one in scene.spec.exemplars)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["pine", "spruce", "birch", "larch", "oak", "beech"])
+def test_organs_are_no_larger_than_the_estimate_has_them(name: str) -> None:
+    plan = plan_of(name, 0)
+    for height_m, grown in product((5.0, 9.0, 14.0), ("stand", "open")):
+        made = grow_exemplar(request_of(plan, name, height_m, 1, grown))
+        assert max(float(organ_sizes(one.frame).max(initial=0.0)) for one in made.foliage) <= LARGEST_ORGAN
 
 
 def triangles(scene: BuiltScene) -> list[int]:

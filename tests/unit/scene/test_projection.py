@@ -281,3 +281,29 @@ def test_a_lens_that_folds_its_image_is_refused():
         DistortedCamera.model_validate(
             {"name": "a", "kind": "distorted", "hfov_deg": 90, "distortion": [-0.28, 0.11, 0, 0, -0.02]}
         )
+
+
+@pytest.mark.parametrize("distortion", [[0, 0, 0.5], [0.1, 0, 0, 0.4], [-0.3, 0.1, 0, 0, -0.05]])
+def test_a_distortion_without_one_ray_for_each_pixel_is_refused(distortion):
+    with pytest.raises(ValidationError, match="folds"):
+        DistortedCamera.model_validate({"name": "a", "kind": "distorted", "hfov_deg": 100, "distortion": distortion})
+
+
+def test_numbers_of_no_lens_are_refused_where_they_are_read():
+    camera = camera_of("distorted", (64, 32), POSITION_M)
+    for wrong in (float("nan"), 1e308, float("inf")):
+        values = projection_of(camera).file_keys(camera) | {"distortion": [wrong, 0.0, 0.0, 0.0, 0.0]}
+        with pytest.raises(ValueError, match="lens"):
+            projection_of(camera).read(values, camera.size_px)
+    tiny = camera_of("distorted", (64, 32), POSITION_M, numbers=dict.fromkeys(DISTORTION, 0.0) | {"k3": 1e-320})
+    assert centre_rays(tiny).valid.all()
+
+
+def test_the_ground_below_a_distorted_camera_is_what_its_rays_reach():
+    keys = {"name": "a", "kind": "distorted", "hfov_deg": 60, "size_px": [640, 480], "position_m": [0, 0, 50]}
+    section = DistortedCamera.model_validate(keys | {"look": "down", "distortion": list(DISTORTION.values())})
+    camera = camera_of("distorted", (640, 480), POSITION_M)
+    across, along = section.footprint_m(50.0)
+    edge = rays(camera, np.array([0.0, 640.0, 320.0, 320.0]), np.array([240.0, 240.0, 0.0, 480.0])).direction
+    at = 50.0 * edge[:, :2] / edge[:, 2:]
+    np.testing.assert_allclose([across, along], [at[1, 0] - at[0, 0], at[3, 1] - at[2, 1]], rtol=1e-9)
