@@ -33,15 +33,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.randomness import SPLIT_MIX_STEP, mixed
-from forestgen.recipe.fields import NonNegative, Number, Positive, Section, Text
+from forestgen.recipe.fields import NonNegative, Number, Positive, Section, Text, violation
 
 Floats = NDArray[np.float64]
 Grown = Literal["stand", "open", "suppressed"]
@@ -121,6 +121,13 @@ class TreeSizes(Section):
         1.0, ge=0.5, le=20, description="The same of the crown length over the length of the stem below it."
     )
     source: Text = Field("", max_length=500, description="Where the numbers come from.")
+
+    @model_validator(mode="after")
+    def _open_trees_are_stouter(self) -> Self:
+        if self.open_grown == 1.0 and (self.open_crown_width, self.open_crown_ratio) != (1.0, 1.0):
+            hint = "leave open_crown_width and open_crown_ratio out, which go with the diameter"
+            raise violation("above 1", problem="trees in the open are no stouter", got="1", hint=hint, at="open_grown")
+        return self
 
     def shift(self, grown: Grown) -> float:
         """Logarithm of the diameter over that of a tree in a stand."""

@@ -1,9 +1,9 @@
 """Which plants of a scene have leaves of true size: those near its cameras, each with a mesh of its own.
 
 What decides is what a pixel covers at each organ that is in a camera's view: the image's size, its lens and the
-distance, and nothing that the image shows. Organs out of view stay as they are. The near plants' meshes have at most
-`triangles.most_near_triangles`. The nearest come first; what has not
-enough room gets larger leaves, or keeps the shared mesh.
+distance, and nothing that the image shows. Organs out of view stay as they are. The near plants' meshes together have
+about `triangles.most_near_triangles` at most. The nearest plants come first; one that has not enough room gets larger
+leaves, or keeps the shared mesh.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ class _NearPlant:
     exemplar: int
     size: tuple[Floats, ...]  # of its organs, by shape
     pixel_m: tuple[Floats, ...]  # what a pixel covers of each, in the exemplar's own metres
+    scale: float  # of these in the world
 
     def organs(self, spec: SceneSpec, leaves: Leaves, coarser: float) -> tuple[NearOrgans | None, ...]:
         """How its organs are drawn where pixels are so many times as coarse."""
@@ -72,7 +73,7 @@ class _NearPlant:
     @property
     def order(self) -> tuple[float, int]:
         """Plants that are nearer to a camera come first."""
-        return min(float(one.min(initial=np.inf)) for one in self.pixel_m), self.row
+        return self.scale * min(float(one.min(initial=np.inf)) for one in self.pixel_m), self.row
 
     def organs_within(self, spec: SceneSpec, leaves: Leaves, room: int) -> tuple[NearOrgans | None, ...]:
         """How its organs are drawn within so many triangles; none if that is no more than its shared mesh has."""
@@ -119,7 +120,8 @@ def _near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None]) -> list[tuple
         cameras = [camera for camera, one in zip(spec.cameras, near[row], strict=True) if one]
         pixel_m = tuple(_pixels_m(cameras, transform, one, own.shapes[one.shape]) / scale for one in foliage)
         if any(np.isfinite(one).any() for one in pixel_m):
-            found.append((_NearPlant(row, index, tuple(organ_sizes(one.frame) for one in foliage), pixel_m), own))
+            sizes = tuple(organ_sizes(one.frame) for one in foliage)
+            found.append((_NearPlant(row, index, sizes, pixel_m, scale), own))
     return found
 
 

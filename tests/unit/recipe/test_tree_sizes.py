@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from forestgen.recipe.tree_sizes import TreeSizes, own_normals
+from forestgen.recipe.tree_sizes import LEAVES_BY_CROWN, TreeSizes, own_normals
 from support.field_trees import RELATIVES, classes, field_trees, sizes_of, spread_of_median
 
 COLUMNS = {"dbh": "dbh_m", "width": "crown_width_m", "leaves": "leaf_mass_kg", "crown": "crown_ratio"}
@@ -124,6 +124,23 @@ def test_trees_without_neighbours_have_the_crowns_of_open_grown_ones(name: str) 
     odds = np.exp(-(e + 0.01 * f * height_m / made.dbh_m + g * height_m + h * (100.0 * made.dbh_m) ** 2))
     ratio = 1.0 - made.crown_base_m / height_m
     assert np.all(np.abs(ratio - odds / (1.0 + odds)) < 0.15)
+
+
+def test_crowns_grow_with_the_room_and_leaves_with_crowns() -> None:
+    """From a stand to the open: wider, longer, leafier; in a stand and below others as without these numbers."""
+    law = sizes_of("pine")
+    plain = law.model_copy(update={"open_crown_width": 1.0, "open_crown_ratio": 1.0})
+    height_m, none = np.full(9, 12.0), np.zeros((9, 4))
+    shift = np.linspace(law.shift("suppressed"), law.shift("open"), 9)
+    made, other = law.sizes(height_m, none, shift), plain.sizes(height_m, none, shift)
+    low = shift <= 0.0
+    for one in ("crown_width_m", "crown_base_m", "leaf_kg"):
+        np.testing.assert_allclose(getattr(made, one)[low], getattr(other, one)[low])
+    assert np.all(np.diff(made.crown_width_m) > 0.0)
+    assert np.all(np.diff(made.crown_base_m) < 0.0)
+    np.testing.assert_allclose(made.dbh_m, other.dbh_m)
+    longer = (12.0 - made.crown_base_m) / (12.0 - other.crown_base_m)
+    np.testing.assert_allclose(made.leaf_kg / other.leaf_kg, longer**LEAVES_BY_CROWN)
 
 
 def test_suppressed_trees_differ_as_their_status_says() -> None:
