@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from forestgen.core.spectrum import LUMINANCE
 from support.airborne import (
     HISTOGRAMS,
-    LUMINANCE,
     Floats,
     Picture,
     chromaticity,

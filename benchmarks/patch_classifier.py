@@ -26,7 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import forestgen as fg
-from support.airborne import LUMINANCE, Floats, Mask, Picture, encoded
+from forestgen.core.spectrum import LUMINANCE
+from support.airborne import Floats, Mask, Picture, encoded
 from support.airborne_views import PLACES, as_bright, as_coloured, developed, tile_of
 
 PATCH_PX, BATCH, CHANNELS = 64, 64, (24, 48, 64, 64)
@@ -170,7 +171,7 @@ def report(real: Sequence[Picture], ours: Sequence[Sequence[Picture]], steps: in
         network.train(*data(real, ours, "west", 2 * TESTED, rng), steps, rng)
         right = network.right(*data(real, ours, "east", TESTED, rng))
         shares.append(right.reshape(2, len(real), TESTED).mean(axis=-1))
-        print(f"  network {seed}: {right.mean():.3f} of unseen patches are told right", flush=True)
+        print(f"  network {seed}: {right.mean():.3f} of unseen patches are classified correctly", flush=True)
     mean = np.mean(shares, axis=0)
     for k, place in enumerate(PLACES):
         print(f"  {place.recipe}: {mean[:, k].mean():.3f} (real {mean[0, k]:.3f}, ours {mean[1, k]:.3f})")

@@ -25,14 +25,15 @@ from numpy.typing import NDArray
 from scipy import ndimage, stats
 from sklearn.cluster import KMeans
 
+from forestgen.core.spectrum import LUMINANCE
+from support import panoramas
+
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Box = tuple[float, float, float, float]  # left, top, right, bottom, pixels
 
 PIXEL_M = 0.1
 WINDOW_PX, STRIDE_PX = 200, 100
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
-_TO_XYZ = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 _DARKEST = 1e-3  # added before logarithms: less than a third of a level of the darkest shadows
 _CONTRAST_PX = 9
 _SMOOTH_PX = 2.0
@@ -75,8 +76,7 @@ def log_luminance(rgb: Floats) -> Floats:
 
 def chromaticity(rgb: Floats) -> Floats:
     """(2,) u'v' of the mean of (N, 3) light: CIE 1976."""
-    x, y, z = _TO_XYZ @ rgb.mean(axis=0)
-    return np.asarray(np.array([4 * x, 9 * y]) / (x + 15 * y + 3 * z))
+    return np.array(panoramas.chromaticity(rgb.mean(axis=0)))
 
 
 def otsu(values: Floats) -> float:

@@ -12,7 +12,8 @@ import OpenEXR
 from PIL import Image, ImageDraw
 
 import forestgen as fg
-from support.airborne import LUMINANCE, Box, Floats, Mask, Picture, boxes_of, crowns_and_ground, encoded, linear, sunlit
+from forestgen.core.spectrum import LUMINANCE
+from support.airborne import Box, Floats, Mask, Picture, boxes_of, crowns_and_ground, encoded, linear, sunlit
 
 HOW_TO_GET = """The tiles travel in the wheel of deepforest 2.1.0 on PyPI; they are not part of this repository.
 
