@@ -109,6 +109,15 @@ GROUND_LAYERS = Registry(
     contract="forestgen.scene.ground_layers.layer:GroundLayerKind",
 )
 
+_AIR = "forestgen.scene.weather"
+WEATHER = Registry(
+    "weather",
+    {
+        "ground_fog": (f"{_AIR}.ground_fog:KIND", "fog on the ground, of a visibility and depth"),
+    },
+    contract="forestgen.scene.weather.kind:WeatherKind",
+)
+
 BUILDINGS = Registry(
     "building",
     {DEFAULT_BUILDING: ("forestgen.scene.buildings.house:BUILDING", "a detached house with a gable roof")},

@@ -41,6 +41,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.extinction import KOSCHMIEDER
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.progress import Progress, Timings
@@ -51,7 +52,7 @@ from forestgen.render.capture import LEAST_SAMPLES, is_assembled
 from forestgen.render.cloud_shadow import cloud_transport_of
 from forestgen.render.denoise import denoise, denoise_bands, guide_values, guides_of
 from forestgen.render.frame import Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface, Timer, View
-from forestgen.render.haze import KOSCHMIEDER, extinction_towards, seen_of, seen_values, through_haze
+from forestgen.render.haze import extinction_towards, seen_of, seen_values, through_haze
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.identity.surface import pixel_sums
 from forestgen.render.skies.model import daylight_of

@@ -105,10 +105,20 @@ class Terrain:
 
 
 @dataclass(frozen=True)
-class Sky:
-    """Sun and sky by direction, haze and kind; atmosphere/daylight.py has their spectra."""
+class Moon:
+    """The moon in a sky."""
 
-    sun_elevation_deg: float
+    elevation_deg: float
+    azimuth_deg: float  # clockwise from north
+    phase_angle_deg: float  # 0 full, 180 new
+    distance_km: float = 384_400.0
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Sun, moon and sky by direction, haze and kind; atmosphere/daylight.py has their spectra."""
+
+    sun_elevation_deg: float  # below 0 at night
     sun_azimuth_deg: float  # clockwise from north (y), so east (x) is 90
     turbidity: float
     ground_albedo: float = 0.2
@@ -119,12 +129,44 @@ class Sky:
     ozone_du: float = 344.0  # Dobson units
     visibility_m: float | None = None  # meteorological range of the haze before the camera; None: there is none
     own: tuple[tuple[str, Any], ...] = ()  # keys of the model's own, with their values
+    moon: Moon | None = None  # None: there is none
 
     @property
     def to_sun(self) -> NDArray[np.float64]:
         """(3,) unit vector from the site to the sun, world."""
-        elevation, azimuth = np.radians([self.sun_elevation_deg, self.sun_azimuth_deg])
-        return np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
+        return towards(self.sun_elevation_deg, self.sun_azimuth_deg)
+
+    @property
+    def is_night(self) -> bool:
+        """Whether the sun is below the horizon."""
+        return self.sun_elevation_deg <= 0
+
+    @property
+    def moon_by_night(self) -> Moon | None:
+        """The moon, where it is up and the sun is not: by day its light does not count."""
+        return self.moon if self.moon is not None and self.moon.elevation_deg > 0 and self.is_night else None
+
+    @property
+    def to_light(self) -> NDArray[np.float64]:
+        """(3,) unit vector to the disc that casts shadows: the sun, or by night the moon."""
+        moon = self.moon_by_night
+        return self.to_sun if moon is None else towards(moon.elevation_deg, moon.azimuth_deg)
+
+
+def towards(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:
+    """(3,) unit vector, world; the azimuth is clockwise from north."""
+    elevation, azimuth = np.radians([elevation_deg, azimuth_deg])
+    return np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
+
+
+@dataclass(frozen=True)
+class FogLayer:
+    """A level layer of drops that scatter and do not absorb: even up to its top, thinner by e in `fade_m` above it."""
+
+    extinction_per_m: float
+    top_m: float  # height, world
+    fade_m: float
+    asymmetry: float  # Henyey and Greenstein's g
 
 
 @dataclass(frozen=True)
@@ -177,3 +219,4 @@ class SceneSpec:
     sky: Sky
     clouds: CloudGrid | None
     cameras: tuple[Camera, ...]
+    fog: tuple[FogLayer, ...] = ()  # what light goes through near the ground

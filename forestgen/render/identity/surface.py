@@ -13,7 +13,7 @@ from forestgen.core.parts import Part
 from forestgen.render.build import origin_of
 from forestgen.render.frame import Identity, Surface
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, sample_offsets
-from forestgen.render.skies.model import sky_model_of
+from forestgen.render.skies.model import casts_shadows
 from forestgen.render.variant import dr, mi
 from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
@@ -235,11 +235,11 @@ def _wrapped(index: Any, size: Any) -> Any:
 
 
 def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) -> Any:
-    """Whether nothing of the scene, clouds left out, hides the sun's centre; False under a sky without a sun."""
+    """Whether nothing of the scene, clouds left out, hides the sun's centre, or by night the moon's; else False."""
     point = tracer.start_of(camera, hits.rays) + hits.rays.direction * hits.distance_m
-    sunny = dr.select(dr.dot(normal, tracer.to_sun) < 0, -normal, normal)  # leaves are lit through from below, too
+    sunny = dr.select(dr.dot(normal, tracer.to_light) < 0, -normal, normal)  # leaves are lit through from below, too
     lift = LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
-    ray = mi.Ray3f(point + sunny * lift, tracer.to_sun)
+    ray = mi.Ray3f(point + sunny * lift, tracer.to_light)
     # Single rays: from leaf to leaf neighbours lose each other, and packets take 1.7 times as long.
-    lit = hits.valid & sky_model_of(tracer.spec.sky).has_sun
+    lit = hits.valid & casts_shadows(tracer.spec.sky)
     return lit & ~tracer.scene.ray_test(ray, coherent=False, active=lit)
