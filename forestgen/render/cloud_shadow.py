@@ -160,10 +160,12 @@ def cloud_transport_of(
 
 def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
     """`RecipeError`: clouds so near that the plane of their shadow would lie among the plants or below a point; fog."""
-    if spec.fog:
-        problem, expected = "light at a point cannot be measured in fog or rain", "weather without them"
+    if spec.fog or spec.snow is not None:
+        problem, expected = "light at a point cannot be measured in fog, rain or snow", "weather without them"
         hint = "measure with `set='weather=[]'`"
-        raise RecipeError(problem, where="weather", expected=expected, got="light that fog scatters", hint=hint)
+        raise RecipeError(
+            problem, where="weather", expected=expected, got="weather that its light does not know", hint=hint
+        )
     near = _too_near(spec, [("the point", float(point_m[2]))], [np.asarray(point_m)])
     if near is not None:
         problem = "light at a point cannot be measured in clouds or fog, or close below them"

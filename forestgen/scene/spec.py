@@ -160,6 +160,15 @@ def towards(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
+class SnowCover:
+    """Snow on sides of plants and things that face up."""
+
+    share: float  # of level ones
+    reflectance: tuple[float, float, float]  # linear Rec. 709
+    spectrum: Spectrum  # of which it is the colour
+
+
+@dataclass(frozen=True)
 class FogLayer:
     """A level layer of drops that scatter and do not absorb: even up to its top, thinner by e in `fade_m` above it."""
 
@@ -220,3 +229,4 @@ class SceneSpec:
     clouds: CloudGrid | None
     cameras: tuple[Camera, ...]
     fog: tuple[FogLayer, ...] = ()  # what light goes through near the ground
+    snow: SnowCover | None = None  # on plants; None: there is none
