@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -160,6 +160,18 @@ def towards(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
+class Falling:
+    """Drops, whose diameters above a least one have an exponential distribution."""
+
+    number_per_m3: float  # of those above the least diameter
+    least_mm: float
+    mean_excess_mm: float  # of the diameters over the least one
+    drift_m_per_s: tuple[float, float]  # east, north
+    shutter_s: float  # of cameras without one of their own
+    fall: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # m/s by mm
+
+
+@dataclass(frozen=True)
 class SnowCover:
     """Snow on sides of plants and things that face up."""
 
@@ -230,3 +242,4 @@ class SceneSpec:
     cameras: tuple[Camera, ...]
     fog: tuple[FogLayer, ...] = ()  # what light goes through near the ground
     snow: SnowCover | None = None  # on plants; None: there is none
+    falling: tuple[Falling, ...] = ()  # what falls before the cameras

@@ -27,13 +27,13 @@ from pydantic import Field
 
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh
+from forestgen.plants.bark.texture import with_mean
 from forestgen.recipe.fields import Fraction, NonNegative
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.weather import Weather
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.grounds.uneven import SNOW
 from forestgen.scene.spec import SceneSpec, SnowCover
-from forestgen.scene.terrain import with_mean
 from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed
 
 _DRIFT = 0.25  # of the depth: standard deviation
