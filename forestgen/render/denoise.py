@@ -29,7 +29,8 @@ from forestgen.render.identity.surface import (
     unhidden,
 )
 from forestgen.render.identity.tracer import LENS_STEPS, Hits, SceneTracer
-from forestgen.render.skies.model import sky_model_of
+from forestgen.render.paths.fog import Fog
+from forestgen.render.skies.model import casts_shadows
 from forestgen.render.variant import dr, mi, mitsuba
 from forestgen.scene.spec import Camera
 
@@ -48,20 +49,26 @@ class Guides:
 
 def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
     """The rays' colours and shading normals, three channels each."""
+    fog = Fog(tracer.spec.fog, tracer.origin_m) if tracer.spec.fog else None
 
     def values(hits: Hits) -> list[Any]:
         facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
         smooth = shading_normal(tracer, hits, corners, facing)
-        if sky_model_of(tracer.spec.sky).has_sun:
+        if casts_shadows(tracer.spec.sky):
             lit = sun_visible(tracer, camera, hits, facing)
-            shade = _SHADE + (1.0 - _SHADE) * dr.select(lit, dr.abs(dr.dot(smooth, tracer.to_sun)), 0.0)
+            shade = _SHADE + (1.0 - _SHADE) * dr.select(lit, dr.abs(dr.dot(smooth, tracer.to_light)), 0.0)
         else:
             to_sky = _sky_places(dr.width(hits.distance_m))
             lit = unhidden(tracer, camera, hits, facing, to_sky)
             # Of all places over level ground the mean cosine is a half.
             shade = _HIDDEN + (1.0 - _HIDDEN) * dr.select(lit, 2.0 * dr.abs(dr.dot(smooth, to_sky)), 0.0)
         colour = dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
-        return [*colour, *dr.select(hits.valid, smooth, 0.0)]
+        smooth = dr.select(hits.valid, smooth, 0.0)
+        if fog is not None:  # what is behind it is as faint as its light
+            seen = fog.kept(tracer.start_of(camera, hits.rays), hits.rays.direction, hits.distance_m)
+            seen = dr.select(hits.valid, seen, 0.0)
+            colour, smooth = 1.0 + seen * (colour - 1.0), seen * smooth
+        return [*colour, *smooth]
 
     return values
 

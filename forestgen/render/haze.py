@@ -54,6 +54,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.extinction import KOSCHMIEDER
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import distance_into, optical_depth
 from forestgen.core.randomness import child_rng
@@ -71,7 +72,6 @@ from forestgen.scene.colour import Channels
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera, SceneSpec, Sky
 
-KOSCHMIEDER = 3.912  # -log of the contrast 0.02
 REFERENCE_NM = 550.0
 ASYMMETRY = 0.65
 _MOLECULAR_PER_M = 1.16e-5
@@ -158,7 +158,7 @@ class UnderClouds:
 
     def on_level(self, radiance: NDArray[np.float32], sky: Sky, channels: Channels) -> Floats:
         """(3,) of all light on a level plane, with `radiance` of the sky."""
-        sun = self.sun_share * max(float(sky.to_sun[2]), 0.0) * sun_irradiance(sky, channels)
+        sun = self.sun_share * max(float(sky.to_light[2]), 0.0) * sun_irradiance(sky, channels)
         return np.asarray(level_irradiance(radiance) + sun)
 
 
@@ -167,7 +167,7 @@ def under_clouds(spec: SceneSpec) -> UnderClouds | None:
     base_m = None if spec.clouds is None else base_of(spec.clouds)
     if spec.clouds is None or base_m is None:
         return None
-    share = float(shadow_of(spec.clouds, spec.sky.to_sun, base_m)[0].mean()) if spec.sky.to_sun[2] > 0 else 0.0
+    share = float(shadow_of(spec.clouds, spec.sky.to_light, base_m)[0].mean()) if spec.sky.to_light[2] > 0 else 0.0
     return UnderClouds(baked_sky(traced_clouds_of(spec), site_middle(spec)), share)
 
 
@@ -231,7 +231,7 @@ def _airlight(haze: Haze, quadrature: Quadrature, sky: Sky, under: UnderClouds |
             sun[k] += (shine * part) @ weight
     diffuse = np.sum([kernel @ light for kernel, light in zip(_kernels(), around, strict=True)], axis=0)
     return Airlight(
-        diffuse.reshape(_VIEW_ROWS, _VIEW_COLUMNS, count), sun, sky.to_sun, open_sky, np.ones_like(open_sky[0])
+        diffuse.reshape(_VIEW_ROWS, _VIEW_COLUMNS, count), sun, sky.to_light, open_sky, np.ones_like(open_sky[0])
     )
 
 

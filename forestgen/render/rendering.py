@@ -41,6 +41,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.extinction import KOSCHMIEDER
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.progress import Progress, Timings
@@ -50,8 +51,9 @@ from forestgen.recipe.schema import Recipe
 from forestgen.render.capture import LEAST_SAMPLES, is_assembled
 from forestgen.render.cloud_shadow import cloud_transport_of
 from forestgen.render.denoise import denoise, denoise_bands, guide_values, guides_of
+from forestgen.render.falling import with_streaks
 from forestgen.render.frame import Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface, Timer, View
-from forestgen.render.haze import KOSCHMIEDER, extinction_towards, seen_of, seen_values, through_haze
+from forestgen.render.haze import extinction_towards, seen_of, seen_values, through_haze
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.identity.surface import pixel_sums
 from forestgen.render.skies.model import daylight_of
@@ -131,6 +133,7 @@ def render_frame(
         with timings("denoise"):
             clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)
+    radiance = with_streaks(radiance, tracer.spec.falling, camera, surface.distance_m, seed)
     return Frame(camera=camera, radiance=radiance, identity=identity, surface=surface)
 
 
