@@ -28,6 +28,7 @@ of each other, so that a forest of them is brighter (beech of 1 m2 by 8 to 17%, 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -51,7 +52,7 @@ MOST_BLOCKS = 8
 # A block's ground is uneven where it is farther from a plane than a share of the tallest plant, or m: the larger.
 UNEVEN, UNEVEN_M, UNEVEN_REACHES = 0.05, 0.15, 4.0
 FAR_BLOCKS, LOW_FAR_BLOCKS, FAR_M = 16, 8, 1000.0
-APART = 0.35
+APART, _LEAST_SEEN = 0.35, 0.02
 GRAIN_M2, _MOST_TRIANGLES, SQUARE_TRIANGLES = 0.03, 1_000_000, 500_000
 
 Bools = NDArray[np.bool_]
@@ -161,13 +162,28 @@ def layers_around(
 ) -> tuple[Layer, ...]:
     """What stands around a site, of some rows of its plants.
 
-    `rng`: draws the blocks of `forest`; None: those of `repeat`. `cameras`: for which there is forest beyond `FAR_M`.
+    `rng`: draws the blocks of `forest`; None: those of `repeat`. `cameras`: for which there is forest beyond `FAR_M`,
+    but for those that stand so deep in the stand that they do not see so far.
     """
     blocks = FAR_BLOCKS, LOW_FAR_BLOCKS
     return tuple(
         _layer(population, members, height, rng, many, cameras if many == FAR_BLOCKS else ())
         for many, members in zip(blocks, _by_height(population, rows), strict=False)
     )
+
+
+def _sees(camera: Camera, population: Population, rows: Rows, height: HeightField, far_m: float) -> bool:
+    """Whether plants at a camera's height leave `_LEAST_SEEN` of a level view open at a distance, were they at random
+    and crowns open by half.
+    """
+    x, y, z = camera.position_m
+    level_m = z - float(height(np.array([x]), np.array([y]))[0])
+    known, plants = population.columns, population.at(rows)
+    crown_m = 2.0 * plants.radius_m
+    stem_m = np.nan_to_num(known["dbh_m"][rows]) if "dbh_m" in known else crown_m
+    base_m = np.nan_to_num(known["crown_base_m"][rows]) if "crown_base_m" in known else np.zeros(len(rows))
+    wide_m = np.where(level_m < base_m, stem_m, 0.5 * crown_m)[plants.height_m > level_m]
+    return math.exp(-far_m * float(wide_m.sum()) / (height.size_m[0] * height.size_m[1])) > _LEAST_SEEN
 
 
 def _by_height(population: Population, rows: Rows) -> list[Rows]:
@@ -206,7 +222,8 @@ def _layer(
     blocks = Blocks(members, cell, population.position_m[members, :2] - (cell + 0.5) * side)
     far, source, place = [], [], []
     own_rng = None if rng is None else rng.spawn(1)[0]  # what cameras see changes nothing else
-    beyond = Beyond.of(replace(lattice, rng=own_rng), far_m, top_m, cameras)
+    far_sighted = [one for one in cameras if _sees(one, population, members, height, far_m)]
+    beyond = Beyond.of(replace(lattice, rng=own_rng), far_m, top_m, far_sighted)
     every, far_own, far_turn = (
         np.concatenate(pair) for pair in ((at, beyond.at), (own, beyond.own), (turn, beyond.turn))
     )

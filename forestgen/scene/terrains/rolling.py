@@ -39,7 +39,7 @@ class RollingKeys(Terrain):
         22.0,
         ge=0,
         le=500,
-        description="Standard deviation of the height of the hills around rolling ground, metres; none around level one.",
+        description="Standard deviation of the height of hills around rolling ground, metres; level ground has none.",
     )
 
 

@@ -251,20 +251,20 @@ HILLS = rolling((60.0, 60.0), 2.0, 60.0, np.random.default_rng(2), 60.0)
 
 
 def beyond(height, look_at_m, kind=np.random.default_rng):
-    """The middles, half sides and feet's planes of all far meshes of trees on the site, for one camera above them."""
+    """What is around a site of trees for one camera above them."""
     rng = np.random.default_rng(4)
     plants = population(300, rng)
     place = np.column_stack([rng.random((300, 2)) * 60.0, np.zeros(300)])
     plants = stand_on(replace(plants, position_m=place, height_m=np.full(300, 20.0)), height)
     camera = camera_of("perspective", (96, 64), (30.0, 30.0, 90.0), look_at_m)
     (found,) = layers_around(plants, np.arange(300), height, kind(1), [camera])
-    return camera, found
+    return found
 
 
 @pytest.mark.parametrize("kind", [np.random.default_rng, lambda seed: None], ids=["forest", "repeat"])
 def test_forest_goes_on_to_the_horizon_without_gap_or_overlap(kind):
     """Each place in view belongs to one block or square, and feet are as near to its ground as can be seen."""
-    camera, found = beyond(HILLS, (30.0, 3000.0, 60.0), kind)
+    found = beyond(HILLS, (30.0, 3000.0, 60.0), kind)
     assert any(one.wide for one in found.far)
     rng = np.random.default_rng(0)
     distance, aside = rng.uniform(900.0, 5500.0, 400), rng.uniform(-0.4, 0.4, 400)
@@ -284,11 +284,19 @@ def test_forest_goes_on_to_the_horizon_without_gap_or_overlap(kind):
 
 
 def test_only_what_a_camera_sees_goes_on_to_the_horizon():
-    _, down = beyond(HILLS, (30.0, 31.0, 0.0))
+    down = beyond(HILLS, (30.0, 31.0, 0.0))
     assert not any(one.wide for one in down.far)
-    _, north = beyond(HILLS, (30.0, 3000.0, 60.0))
+    north = beyond(HILLS, (30.0, 3000.0, 60.0))
     assert all((one.transform[:, 1, 3] > -600.0).all() for one in north.far if one.wide)
     np.testing.assert_array_equal(down.position_m, north.position_m)  # near ones do not depend on cameras
+
+
+def test_a_camera_deep_in_a_stand_does_not_see_so_far():
+    plants = replace(population(300, np.random.default_rng(4)), height_m=np.full(300, 20.0))
+    camera = camera_of("perspective", (96, 64), (30.0, 30.0, 2.0), (30.0, 3000.0, 2.0))
+    above = replace(camera, position_m=(30.0, 30.0, 25.0))
+    seen = [layers_around(plants, np.arange(300), HeightField((60.0, 60.0)), None, [one]) for one in (camera, above)]
+    assert [any(block.wide for block in found.far) for (found,) in seen] == [False, True]
 
 
 def test_hills_are_as_high_as_asked_for():
