@@ -118,7 +118,7 @@ def render_frame(
     kept = None if key is None else unfinished(key, seed, camera.name)
     radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept, tracer=tracer)
     extinction = extinction_towards(camera, tracer.spec.sky, settings.mode)
-    wanted = [] if extinction is None else [seen_values(extinction)]
+    wanted = [] if extinction is None else [seen_values(tracer, camera, extinction)]
     if settings.denoise:
         wanted.insert(0, guide_values(tracer, camera))
     sums = []

@@ -173,7 +173,7 @@ def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
         return ()
     rows = np.setdiff1d(np.arange(len(population)), list(plan.community.obstacles.rows_of(population)))
     rng = child_rng(seed, "surroundings") if kind == "forest" else None
-    return layers_around(population, rows, plan.views.height, rng)
+    return layers_around(population, rows, plan.views.height, rng, plan.views.all_cameras)
 
 
 def _fresh_litter(plan: Plan, population: Population) -> FreshLitter | None:
