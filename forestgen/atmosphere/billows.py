@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache, partial
 from typing import Any, NamedTuple
 
@@ -127,7 +127,8 @@ def detail_of(
             if store is not None:
                 store.write(key, pack(found))
                 store.trim()
-        return found
+        # Read-only arrays, as of the disk, would be a second kernel.
+        return _Kept(*(np.require(getattr(found, one.name), None, ["C", "W"]) for one in fields(found)))
 
     kept = _kept.get(key, find)
     return kept.inside_per_m, Detail(kept.brick, kept.depth, billow_tile(), kept.octave, kept.unit)
@@ -254,15 +255,13 @@ def _shifted(
 ) -> _Field:  # fmt: skip
     """The field with the depths at which the cells have their water."""
     rng = child_rng(0, "places")
-    places = (np.stack(np.meshgrid(*[np.arange(_SAMPLES)] * 3, indexing="ij"), -1).reshape(-1, 3)) + rng.random(
-        (_SAMPLES**3, 3)
-    )
-    places = places / _SAMPLES - 0.5
+    corner = np.stack(np.meshgrid(*[np.arange(_SAMPLES)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = (corner + rng.random(corner.shape)) / _SAMPLES - 0.5
     given = np.empty((len(cells), len(places), 4), dtype=np.float32)
     _over(cells, lambda a, b: _folds(field, cells, places, a, b, given))
     z, y, x = cells.T
-    depth_m, side = field.depth_m, min(cell_m)
-    core = depth_m[(slice(_BORDER, -_BORDER),) * 3].copy()
+    side = min(cell_m)
+    core = field.depth_m[(slice(_BORDER, -_BORDER),) * 3].copy()
     found, speed = np.empty(len(cells)), np.zeros(len(cells))
     wanted = mean[z, y, x]
     for _ in range(_ROUNDS):
