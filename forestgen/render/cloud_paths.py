@@ -45,7 +45,7 @@ from forestgen.core.compiled import compiled, inlined, inlined_exactly, unowned_
 from forestgen.core.randomness import SPLIT_MIX_STEP, mixed
 from forestgen.core.threads import parallel_for
 
-BRICK = 8  # cells along its side
+BRICK, DETAIL_BRICK = 8, 2  # cells along its side, and where clouds have detail
 _FAINT = 0.1  # weight below which a path may end by chance
 _LONG, _STAYS = 1024, 0.999  # scatterings from which on it may too, and the chance that it does not
 _DIM = 0.25  # transmittance below which a ray to the sun may end by chance
@@ -65,7 +65,7 @@ class CloudField:
     low_m: Floats  # (3,) world
     per_m: Floats  # (3,) cells a metre along x, y, z
     scattering: Floats  # (4,) albedo, and the phase function's forward, backward, forward_share
-    detail: Detail = NO_DETAIL  # with detail `value` is the extinction of the clouds' inside, and a brick is one cell
+    detail: Detail = NO_DETAIL  # with detail `value` is the extinction of the clouds' inside, and bricks are small
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +98,15 @@ class Gathered(NamedTuple):
 def field_of(clouds: CloudGrid) -> CloudField:
     """The grid with its border repeated and the largest value of each brick."""
     grid, detail = np.asarray(clouds.inside_per_m, dtype=np.float32), clouds.detail
-    side = 1 if detail.brick.size else BRICK
-    value, most = np.pad(grid, 1, mode="edge"), largest_in_boxes(grid, [np.arange(0, n, side) for n in grid.shape])
+    value = np.pad(grid, 1, mode="edge")
     if detail.brick.size:
+        most = largest_in_boxes(grid, [np.arange(n) for n in grid.shape])
         most = np.where(detail.brick == EMPTY, np.float32(0), most)
+        for axis, count in enumerate(grid.shape):
+            most = np.maximum.reduceat(most, np.arange(0, count, DETAIL_BRICK), axis=axis)
+        most = np.ascontiguousarray(most)
+    else:
+        most = largest_in_boxes(grid, [np.arange(0, n, BRICK) for n in grid.shape])
     low, high = np.asarray(clouds.low_m, dtype=np.float64), np.asarray(clouds.high_m, dtype=np.float64)
     phase = clouds.phase
     scattering = np.array([clouds.albedo, phase.forward, phase.backward, phase.forward_share])
@@ -133,7 +138,7 @@ def gather(
     goes_on = max(light.ground_albedo, _GOES_ON)
     ground = np.array([light.ground_albedo, light.ground_m - field.low_m[2], goes_on])
     rays = max(1, _CALL_PATHS // samples)
-    side = BRICK if not field.detail.brick.size else 1
+    side = DETAIL_BRICK if field.detail.brick.size else BRICK
     volume = (field.value, field.most, field.detail, side)
     given = (volume, field.per_m, field.scattering, sky, sun, ground, start, way, np.uint64(seed))
     for begin in range(0, count, rays):
