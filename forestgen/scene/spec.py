@@ -15,7 +15,7 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
-from forestgen.recipe.cameras import Exposure
+from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.registries import DEFAULT_PROJECTION
 from forestgen.recipe.species import LeafType
 
