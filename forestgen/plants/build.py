@@ -14,6 +14,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh, surface_area_m2
+from forestgen.plants.dead_branches import dead_branches
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
 from forestgen.plants.leaf_fall import with_leaves
@@ -38,6 +39,7 @@ _LARGEST_M = 1e4  # plant that keeps the size at which it grows
 _TRIANGLES_PER_NODE = 10  # of wood: twigs have three to five sides, stems more
 _ROUNDS = 12  # of the fit
 _STRETCH = (0.3, 3.0)
+_WOOD_STREAM = 6  # of a tree's random streams in `build_exemplar`, that of its dead branches
 _FARTHEST = 1e15  # a grown point, in the generator's own unit; single precision squares no more
 
 
@@ -96,15 +98,16 @@ def build_exemplar(
     skeleton = _with_visible_organs(fitted, templates)
     triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
     check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
-    in_leaf_m = 0.0
+    in_leaf_m, (season_rng, wood_rng) = 0.0, rng.spawn(2)
     if not leaves.is_whole:
         feet, _, upper = organ_boxes(skeleton.organs, templates)
         in_leaf_m = float((feet + upper)[:, 2].max())
-        skeleton = with_leaves(skeleton, plant.shapes, leaves, rng.spawn(1)[0])
+        skeleton = with_leaves(skeleton, plant.shapes, leaves, season_rng)
     seen = simplified(skeleton, templates, pixel_m, level_rng)
     organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=pixel_m)
-    check_materials(species_name, organs, species.materials)
     low, high = box_of(organs, species_name)
+    organs = (*organs, *_dead_wood(species, skeleton, tree, pixel_m, wood_rng))
+    check_materials(species_name, organs, species.materials)
     top_m = max(float(high[2]), in_leaf_m)
     _check_fitted(species_name, plant.fit, top_m, height_m)
     return Exemplar(
@@ -117,6 +120,16 @@ def build_exemplar(
         wood_volume_m3=skeleton.volume_m3(),
         foliage=() if pixel_m > 0.0 else seen.organs,
     )
+
+
+def _dead_wood(
+    species: Species, skeleton: Skeleton, tree: TreeSize | None, pixel_m: float, rng: np.random.Generator
+) -> tuple[OrganMesh, ...]:
+    """What is dead on a living tree; `skeleton` at its final size."""
+    if tree is None or species.wood is None or species.wood.dead_branches is None:
+        return ()
+    found = dead_branches(skeleton, species.wood.dead_branches, tree, pixel_m, rng)
+    return () if found is None else (found,)
 
 
 def _grown(
@@ -321,6 +334,8 @@ def sway(
     size = size_m(species, radius_m) if tree is None else (tree.height_m, tree.crown_width_m)
     for skeleton in generator.poses(parameters, *size, anew(), times_s, tree):
         organs = organ_meshes(skeleton, parameters.shapes, parameters.wood)
+        wood_rng = anew().spawn(_WOOD_STREAM + 1)[_WOOD_STREAM]
+        organs = (*organs, *_dead_wood(species, skeleton, tree, 0.0, wood_rng))
         first = first or organs
         posed = replace(still, organs=_with_the_faces_of(first, organs))
         low, high = posed.bounds_m()
