@@ -7,9 +7,9 @@ d = b - h below the lowest living branch, was at the base of the crown when that
 
 long, R being the radius of the crown today: crowns were narrower. Of that
 
-    L exp(-E (d / keeps)^2)        E: of each branch, exponential with the mean 1
+    L exp(-E (d / keeps)^2)        E: of each branch, gamma with the mean 1 and shape 2
 
-is left, in the median half at d = 0.83 keeps: dead branches keep their length at first, and break as they rot. Of all
+is left, in the median half at d = 0.91 keeps: dead branches keep their length at first, and break as they rot. Of all
 branches exp(-d / gone) are left: over the others the stem has closed. Branches of Scots pine die 7 years after they
 cease to grow, and a stem takes more than 40 years to close over them (Mäkinen 1999, Canadian Journal of Forest Research
 29, 585-594), in which the tree grows by 10 m.
@@ -63,16 +63,17 @@ def dead_branches(
     depth_m = base_m - height_m
     whole_m = law.longest * 0.5 * tree.crown_width_m * (1.0 / 3.0 + 2.0 / 3.0 * height_m / base_m) * thin
     whole_m = np.minimum(whole_m * form_rng.uniform(0.6, 1.2, len(whole_m)), _MOST * 0.5 * tree.crown_width_m)
-    left_m = whole_m * np.exp(-form_rng.exponential(1.0, len(whole_m)) * (depth_m / law.keeps_m) ** 2)
+    left_m = whole_m * np.exp(-form_rng.gamma(2.0, 0.5, len(whole_m)) * (depth_m / law.keeps_m) ** 2)
     left_m = np.maximum(left_m, _LEAST_M)
     kept = (form_rng.random(len(whole_m)) < np.exp(-depth_m / law.gone_m)) & (left_m >= pixel_m)
     branches = _Branches.of(stem, law, height_m, whole_m, left_m, form_rng).at(np.flatnonzero(kept))
     if not len(branches.left_m):
         return None
-    meshes = [sweep_tubes(*branches.tubes(), pointed=branches.are_whole)[0]]
+    tile_m = law.tile_m or (1.0, 1.0)
+    meshes = [sweep_tubes(*branches.tubes(), pointed=branches.are_whole, tile_m=tile_m)[0]]
     if law.twigs_per_m > 0.0 and pixel_m <= 0.0:
         twigs = _twigs(branches, law, (base_m - branches.height_m) / law.keeps_m, twig_rng)
-        meshes += [] if twigs is None else [sweep_tubes(twigs, np.full(len(twigs.lengths), 3))[0]]
+        meshes += [] if twigs is None else [sweep_tubes(twigs, np.full(len(twigs.lengths), 3), tile_m=tile_m)[0]]
     return OrganMesh(Part.BRANCH, law.material, concatenate(meshes))
 
 

@@ -83,8 +83,6 @@ class ExemplarRequest:
             "leaves": [self.leaves.share, self.leaves.size, self.leaves.flowers],
             "code": code_hash(_SOURCES, _COMPUTE_WITH),
         }
-        if self.species.wood is not None:
-            content["of_years"] = self.species.wood.model_dump(mode="json")
         if self.grows_alone:
             content["modules"] = self.species.modules and self.species.modules.model_dump(mode="json")
             content["growth"] = code_hash(("community",), _COMPUTE_WITH, (scenes_dir() / "modules",))

@@ -375,6 +375,17 @@ class Species(Section):
             raise violation(expected, problem=problem, got=got)
         return self
 
+    @model_validator(mode="after")
+    def _wood_has_materials(self) -> Self:
+        for name in self.wood.materials if self.wood is not None else ():
+            if name not in self.materials:
+                problem, expected = (
+                    "the wood names a material that the species does not have",
+                    ", ".join(self.materials),
+                )
+                raise violation(f"one of {expected}", problem=problem, got=name, at="wood")
+        return self
+
     @property
     def mature_height_m(self) -> float:
         """Height at ``ecology.max_radius_m``, metres."""

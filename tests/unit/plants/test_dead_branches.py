@@ -98,7 +98,10 @@ def test_far_versions_have_no_twigs_and_no_stubs() -> None:
 @pytest.mark.parametrize("name", ["spruce", "beech"])
 def test_the_living_tree_stays_as_it_is(name: str) -> None:
     request = request_of(plan_of(name, 1), name, 12.0, 1)
-    bare = replace(request, species=request.species.model_copy(update={"wood": None}))
+    wood = request.parameters.wood
+    years = wood.years.model_copy(update={"dead_branches": None})
+    bare = request.parameters.model_copy(update={"wood": wood.model_copy(update={"years": years})})
+    bare = replace(request, parameters=bare)
     with_dead, without = grow_exemplar(request), grow_exemplar(bare)
     assert with_dead.triangles > without.triangles
     assert (with_dead.leaf_area_m2, with_dead.height_m) == (without.leaf_area_m2, without.height_m)
