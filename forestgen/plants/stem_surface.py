@@ -37,8 +37,8 @@ _COARSER_M = 2.0  # height at which they are twice as large
 _ROUNDS = 10  # of refinement
 _WAVES_M = (1.6, 0.8, 0.4, 0.2)  # lengths of the noise's waves; shorter ones are weaker
 _ACROSS = 0.6  # of the waves' length up the stem, round it
-_ZONE_NOISE = 0.35  # of the noise in a zone's beginning
-_NEAR = 0.08  # of a contour, within which noise between vertices may cross it
+_ZONE_NOISE = 0.5  # of the noise in a zone's beginning
+_NEAR_ZONE, _NEAR_COVER = 0.35, 0.08  # of a contour, within which noise between vertices may cross it
 
 
 def covered_name(bark: str, cover: str, level: int) -> str:
@@ -98,6 +98,8 @@ class _Waves:
 class _ZoneField:
     """Above 0 where another bark is."""
 
+    near = _NEAR_ZONE
+
     def __init__(self, zone: BarkZone, waves: _Waves, top_m: float) -> None:
         low, high = zone.above or zone.below or (0.0, 0.0)
         self._sign, self._waves = (1.0 if zone.above else -1.0), waves
@@ -110,6 +112,8 @@ class _ZoneField:
 
 class _CoverField:
     """Above 0 where a cover grows: its share less an even noise."""
+
+    near = _NEAR_COVER
 
     def __init__(self, cover: Cover, waves: _Waves, shift: float) -> None:
         self._cover, self._waves, self._shift = cover, waves, shift
@@ -129,6 +133,8 @@ class _CoverField:
 class _Raised:
     """The same field, less what thin cover takes."""
 
+    near = _NEAR_COVER
+
     def __init__(self, field: _CoverField) -> None:
         self._field = field
 
@@ -145,7 +151,7 @@ def _split(
     for _ in range(_ROUNDS):
         corners = mesh.faces.astype(np.int64)
         most_m = edge_m * (1.0 + np.maximum(mesh.vertices_m[corners[:, 0], 2], 0.0) / _COARSER_M)
-        coarse = _near(mesh, value) & (edge_lengths_m(mesh, corners).max(axis=1) > most_m)
+        coarse = _near(mesh, value, field.near) & (edge_lengths_m(mesh, corners).max(axis=1) > most_m)
         if not coarse.any():
             break
         mesh, of = bisected(mesh, coarse)
@@ -172,7 +178,7 @@ def _tiled(organ: OrganMesh, old_m: tuple[float, float], new_m: tuple[float, flo
     return replace(organ, mesh=replace(organ.mesh, uv=uv * factor))
 
 
-def _near(mesh: Mesh, value: Floats) -> Bools:
+def _near(mesh: Mesh, value: Floats, within: float) -> Bools:
     """(F,) faces that a contour may pass through."""
     of = value[mesh.faces]
-    return np.asarray((of.min(axis=1) < _NEAR) & (of.max(axis=1) > -_NEAR))
+    return np.asarray((of.min(axis=1) < within) & (of.max(axis=1) > -within))

@@ -235,7 +235,7 @@ def place_instances(
     sizes = tree_sizes_of(population)
     scale, across = instance_scales(sizes, population.height_m, exemplar_of_plant, heights, made)
     angle = np.array([child_rng(seed, "plant", int(i)).random() for i in population.plant_id]) * 2 * np.pi
-    weather = np.array([exemplar.has_weather_side for exemplar in exemplars])[exemplar_of_plant]
+    weather = np.array([exemplar.has_weather_side for exemplar in exemplars], dtype=np.bool_)[exemplar_of_plant]
     angle = np.where(weather, (angle / np.pi - 1.0) * _MOST_TURN_RAD, angle)
     if "azimuth_deg" in population.columns:
         turned = -np.radians(population.columns["azimuth_deg"].astype(np.float64))
