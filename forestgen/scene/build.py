@@ -120,7 +120,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             cameras=tuple(camera for entry in views for camera in entry),
         )
         ground = ground_cover(plan, population, spec.cameras)
-        spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars)))
+        spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars), recipe.time_of_year))
         notes = [*_notes(plan, (*simulated.notes, *ground.notes)), *check_trunks(drawn, views, trunks)]
         notes += [*plan.views.check_outside_of_buildings(), *infrared_notes(base_materials, plan.views.all_cameras)]
         sway = _sway(drawn, instances, exemplars, around)
