@@ -5,8 +5,8 @@ sit in two rows along a twig, their upper sides towards z, each with its petiole
 as those of plants that vary through growth (Streit et al. 2005, figure 11). They are as far from the spray's foot as
 the large leaf, in the mean. Needles stand all around their shoots, at the golden angle from one bundle to the next,
 their flat sides as level, in the mean, as those of the coarse shoot, or at random where that one is of crossed strips.
-Single needles are denser above, and stand along the twig below the shoot too (`twig_needles`). Where there are too many for one shoot they are on
-side shoots too: in its plane, or of bundles in a whorl.
+Single needles are denser above, and stand along the twig below the shoot too (`twig_needles`). Where there are too many
+for one shoot they are on side shoots too: in its plane, or of bundles in a whorl.
 
 Where a pixel is too coarse for single needles one stands for `merged` of them: longer, wider, and closer to its shoot,
 which stays as thick.
