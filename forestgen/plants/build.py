@@ -14,6 +14,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh, surface_area_m2
+from forestgen.plants.clothed_twigs import clothed_twigs
 from forestgen.plants.dead_branches import dead_branches
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
@@ -21,6 +22,7 @@ from forestgen.plants.leaf_fall import with_leaves
 from forestgen.plants.levels import simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.organs.base import OrganForm
+from forestgen.plants.organs.needles import bears_on_twigs
 from forestgen.plants.parameters import Fit, ShapesTrees, Sways
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
@@ -117,9 +119,17 @@ def build_exemplar(
         crown_width_m=float(np.mean((high - low)[:2])),
         leaf_area_m2=leaf_area_m2(organs, plant.shapes),
         wood_volume_m3=skeleton.volume_m3(),
-        foliage=() if pixel_m > 0.0 else seen.organs,
+        foliage=() if pixel_m > 0.0 else _on_twigs(seen, plant.shapes),
         roots_m=_roots_m(plant, skeleton, pixel_m),
         has_weather_side=years is not None and years.has_weather_side,
+    )
+
+
+def _on_twigs(skeleton: Skeleton, shapes: Mapping[str, OrganForm]) -> tuple[OrganPlacements, ...]:
+    """The organs, with the twigs that bear needles of theirs."""
+    return tuple(
+        replace(one, twigs=clothed_twigs(skeleton, one)) if bears_on_twigs(shapes[one.shape]) else one
+        for one in skeleton.organs
     )
 
 

@@ -58,6 +58,8 @@ class Exemplar:
         ]
         arrays += [one for organ in self.organs for one in (organ.mark, organ.organ)]
         arrays += [one for placed in self.foliage for one in (placed.frame, placed.node)]
+        twigs = [placed.twigs for placed in self.foliage if placed.twigs is not None]
+        arrays += [one for each in twigs for one in (each.ends_m, each.radius_m, each.organ)]
         return sum(one.nbytes for one in arrays if one is not None)
 
     def marks(self) -> NDArray[np.uint32] | None:

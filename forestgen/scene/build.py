@@ -122,7 +122,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             cameras=tuple(camera for entry in views for camera in entry),
         )
         ground = ground_cover(plan, population, spec.cameras)
-        spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars)))
+        spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars), recipe.time_of_year))
         spec = in_weather(spec, drawn, plan.views.height)
         known = (*simulated.notes, *ground.notes, *weather_notes(drawn))
         notes = [*_notes(plan, known), *check_trunks(drawn, views, trunks)]

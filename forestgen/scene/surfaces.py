@@ -36,9 +36,9 @@ from forestgen.plants.bark.texture import bark_texture, covered_texture
 from forestgen.plants.stem_surface import LEVELS, covered_name
 from forestgen.recipe import species as recipe_species
 from forestgen.recipe.phenology import SUMMER, LeafState
-from forestgen.recipe.spectra import load_spectra, load_table, mixed, surface_columns
+from forestgen.recipe.spectra import SEASONS, load_spectra, load_table, mixed, of_season, surface_columns
 from forestgen.scene.colour import Channels, colours_of_surface
-from forestgen.scene.spec import BareGround, Camera, Material, Terrain, WetGround
+from forestgen.scene.spec import BareGround, Camera, Material, SeasonShare, Terrain, WetGround
 
 Floats = NDArray[np.float64]
 _INDEX = 1.33
@@ -230,6 +230,7 @@ def surface_of(material: recipe_species.Material, leaves: LeafState, name: str) 
     """A recipe's material on a plant with such leaves; `name`, such as "birch/bark", seeds its texture."""
     file = material.spectrum
     spectra: tuple[Spectrum | None, Spectrum | None] = None, None
+    seasons: tuple[SeasonShare, ...] = ()
     if file is None:
         assert material.reflectance is not None  # the recipe's own check
         reflectance, transmittance = material.reflectance, material.transmittance
@@ -237,6 +238,12 @@ def surface_of(material: recipe_species.Material, leaves: LeafState, name: str) 
         columns = load_spectra(file.name) if file.text is None else surface_columns(file.text, file.name)
         own = leaves if material.season is None else LeafState.of_season(material.season)
         found = spectra = mixed(columns, own.spectra)
+        if material.leaf_type is not None:
+            seasons = tuple(
+                SeasonShare(season, share, *one)
+                for season, share in zip(SEASONS, own.spectra, strict=True)
+                if (one := of_season(columns, season)) is not None
+            )
         reflectance, transmittance = colours_of_surface(*found)
     return Material(
         reflectance,
@@ -246,6 +253,7 @@ def surface_of(material: recipe_species.Material, leaves: LeafState, name: str) 
         material.gloss,
         *spectra,
         leaf_type=material.leaf_type,
+        seasons=seasons,
     )
 
 
