@@ -26,7 +26,7 @@ from forestgen.plants.registry import GENERATORS
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.assets import list_assets
 from forestgen.recipe.curves import CURVE_SCHEMA
-from forestgen.recipe.registries import BUILDINGS, GROUND_LAYERS, RIGS
+from forestgen.recipe.registries import BUILDINGS, GROUND_LAYERS, RIGS, WEATHER
 from forestgen.recipe.schema import Recipe
 from forestgen.recipe.species import PlantType
 
@@ -53,6 +53,7 @@ _SECTIONS = {
     "Camera": "cameras (each)",
     "CameraPath": "cameras: path",
     "Exposure": "cameras: exposure",
+    "Jpeg": "cameras: exposure: jpeg",
     "Render": "render",
     "Labels": "labels",
     "Wind": "wind",
@@ -125,6 +126,7 @@ def recipe_page() -> str:
         (f"site.ground.layers: {name}", GROUND_LAYERS.load(name).Parameters.model_json_schema())
         for name in GROUND_LAYERS
     ]
+    sections += [(f"weather: {name}", WEATHER.load(name).Parameters.model_json_schema()) for name in WEATHER]
     for title, definition in sections:
         text += [
             f"## {title}\n",

@@ -1,6 +1,7 @@
 """Pictures of light and cameras, for docs/light.md; `docs/pictures.py` runs them.
 
 light.jpg    light    one stand under other skies, in another season, in other bands, a panel each
+weather_views.jpg    weather_views    one stand at dusk, by moonlight, in fog, rain and snow, a panel each
 """
 
 from __future__ import annotations
@@ -25,6 +26,31 @@ PANELS = {
     "autumn, a low sun": (f"{{{VIEW}}}", ("plants.season=autumn", "sky.sun={elevation_deg: 12, azimuth_deg: 250}")),
     INFRARED: (f"{{{VIEW}, bands: drone_multispectral}}", ()),
 }
+
+
+SMALL = VIEW.replace("[450, 300]", "[240, 160]")
+WEATHER_PANELS = {
+    "dusk": ("sky.sun={elevation_deg: -5, azimuth_deg: 300}",),
+    "moon": ("sky.sun={elevation_deg: -30}", "sky.moon={elevation_deg: 30, azimuth_deg: 120, illuminated: 1}"),
+    "ground_fog": ("sky.sun={elevation_deg: 18, azimuth_deg: 10}", "weather=[{what: ground_fog, depth_m: 25}]"),
+    "rain": ("sky.kind=overcast", "weather=[{what: rain, rate_mm_per_h: 25}]"),
+    "snow_cover": ("plants.season=winter", "weather=[{what: snow_cover, depth_m: 0.2}]"),
+}
+
+
+def weather_views(scratch: Path) -> None:
+    """One stand in other weather and light, a row."""
+    panels = [
+        titled(_preview(_rendered(scratch / f"weather-{name}", f"{{{SMALL}}}", settings)), name)
+        for name, settings in WEATHER_PANELS.items()
+    ]
+    sheet = Image.new("RGB", (sum(one.width + GAP_PX for one in panels) - GAP_PX, panels[0].height), "white")
+    left = 0
+    for one in panels:
+        sheet.paste(one, (left, 0))
+        left += one.width + GAP_PX
+    sheet.save(PICTURES / "weather_views.jpg", quality=86)
+    sys.stdout.write(f"{PICTURES / 'weather_views.jpg'}\n")
 
 
 def light(scratch: Path) -> None:

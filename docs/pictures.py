@@ -221,6 +221,7 @@ PICTURES_OF = {
     "biomes": biome_pictures.biomes,
     "labels": label_pictures.labels,
     "light": light_pictures.light,
+    "weather_views": light_pictures.weather_views,
     "plant_types": plant_types.plant_types,
     "report": report_picture.report,
 }

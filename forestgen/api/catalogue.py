@@ -25,8 +25,8 @@ from forestgen.recipe.suggestions import did_you_mean
 
 _KINDS: tuple[Registry, ...] = (  # in the order in which `models` lists them
     COMMUNITY_MODELS, COMPETITION_MODELS, GENERATORS, parts.DATASET_FORMATS, parts.PACKS, parts.LABEL_CHANNELS,
-    parts.CLOUD_SOURCES, parts.SKIES, parts.TERRAINS, parts.GROUND_COVERS, parts.GROUND_LAYERS, parts.PROJECTIONS,
-    parts.RIGS, parts.INSTRUMENTS, parts.BUILDINGS, MESH_EXPORTERS,
+    parts.CLOUD_SOURCES, parts.SKIES, parts.TERRAINS, parts.GROUND_COVERS, parts.GROUND_LAYERS, parts.WEATHER,
+    parts.PROJECTIONS, parts.RIGS, parts.INSTRUMENTS, parts.BUILDINGS, MESH_EXPORTERS,
 )  # fmt: skip
 _REGISTRIES = {one.kind.replace(" ", "_"): one for one in _KINDS}
 _WITHOUT_COMMENT = {  # files of a format that has none

@@ -58,6 +58,7 @@ _PRESSURE_PA = 101300.0  # that the model's air masses refer to
 STANDARD_WATER_MM, STANDARD_OZONE_DU = 14.16, 344.0  # U.S. Standard Atmosphere 1976
 _AEROSOL_EXPONENT = 1.3  # that belongs to beta
 _MEAN_TEMPERATURE_C = 12.0
+_HORIZON_LIFT_DEG, _UNLIFTED_DEG = 0.57, 6.0  # by refraction at the horizon; depth of a sun that is not lifted
 AEROSOL_SCALE_M, _VAPOUR_SCALE_M = 1500.0, 2000.0  # heights in which they thin by e
 _DIFFUSE_MASS = 1.66
 
@@ -146,7 +147,7 @@ def _coefficients() -> tuple[Floats, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Daylight:
-    """Light that reaches the ground from above, W/m²/nm."""
+    """Light that reaches the ground from above, W/m²/nm. By night the moon is in the place of the sun."""
 
     sun: Spectrum  # on a plane that faces the sun; zero under a sky without one
     sky: Spectrum  # on a level plane, without the sun
@@ -318,15 +319,20 @@ def sun_position(
     import pandas
     from pvlib.solarposition import nrel_earthsun_distance, spa_python
 
+    air_pressure_pa = pressure_pa(altitude_m) if air_pressure_pa is None else air_pressure_pa
     times = pandas.DatetimeIndex([moment])
     one = spa_python(
         times,
         latitude_deg,
         longitude_deg,
         altitude=altitude_m,
-        pressure=pressure_pa(altitude_m) if air_pressure_pa is None else air_pressure_pa,
+        pressure=air_pressure_pa,
         temperature=temperature_c,
         delta_t=None,  # by year and month
     ).iloc[0]
     distance = nrel_earthsun_distance(times, delta_t=None).iloc[0]
-    return SunPosition(float(one["apparent_elevation"]), float(one["azimuth"]) % 360.0, float(distance))
+    # Below the horizon refraction lifts less and less, down to _UNLIFTED_DEG, so that the sun sinks steadily.
+    lift = _HORIZON_LIFT_DEG * air_pressure_pa / _PRESSURE_PA
+    sunk = float(one["elevation"]) + lift * min(max(1.0 + float(one["elevation"]) / _UNLIFTED_DEG, 0.0), 1.0)
+    seen = float(one["apparent_elevation"])
+    return SunPosition(seen if seen > 0 else min(sunk, 0.0), float(one["azimuth"]) % 360.0, float(distance))

@@ -43,6 +43,7 @@ from forestgen.atmosphere.grid import AirGrid, CloudGrid, PhaseFunction, Weather
 from forestgen.core.errors import RecipeError
 
 ALBEDO = 0.999999
+KOSCHMIEDER = 3.912  # -log of the contrast 0.02: extinction times the distance at which a black thing is just seen
 THINNEST_PER_M = 1e-5
 MOST_CUT = 1e-3  # share of the field's extinction that may be cut with thin air
 _WATER_KG_PER_M3 = 1000.0

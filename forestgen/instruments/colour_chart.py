@@ -45,7 +45,7 @@ from forestgen.recipe.fields import Flag, Section, Whole
 from forestgen.render.cloud_shadow import check_far_clouds, near_base_of
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.irradiance import WAVELENGTHS_NM, ChartImages, measure, render_chart
-from forestgen.render.skies.model import sky_model_of
+from forestgen.render.skies.model import casts_shadows
 from forestgen.scene import colour_checker as checker
 from forestgen.scene.build import BuiltScene
 from forestgen.scene.plan import Plan
@@ -181,7 +181,7 @@ def find_regions(spec: SceneSpec, camera: Camera, progress: Progress) -> tuple[N
     if hidden > 0.001:
         notes.append(f"{100 * hidden:.1f}% of the chart is hidden from its camera; the rest of each patch was measured")
     lit = float(surface.sun_visible[inside >= 0].mean())
-    if lit < 1 and sky_model_of(spec.sky).has_sun:
+    if lit < 1 and casts_shadows(spec.sky):
         notes.append(
             "the sun does not reach the chart" if lit == 0 else f"the sun reaches {100 * lit:.0f}% of the chart"
         )

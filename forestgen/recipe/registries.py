@@ -110,6 +110,17 @@ GROUND_LAYERS = Registry(
     contract="forestgen.scene.ground_layers.layer:GroundLayerKind",
 )
 
+_AIR = "forestgen.scene.weather"
+WEATHER = Registry(
+    "weather",
+    {
+        "ground_fog": (f"{_AIR}.ground_fog:KIND", "fog on the ground, of a visibility and depth"),
+        "rain": (f"{_AIR}.rain:KIND", "rain: streaks, dim air, wet plants and ground"),
+        "snow_cover": (f"{_AIR}.snow_cover:KIND", "snow that lies on the ground and on plants"),
+    },
+    contract="forestgen.scene.weather.kind:WeatherKind",
+)
+
 BUILDINGS = Registry(
     "building",
     {DEFAULT_BUILDING: ("forestgen.scene.buildings.house:BUILDING", "a detached house with a gable roof")},

@@ -32,6 +32,7 @@ from forestgen.recipe.registries import DEFAULT_CHANNELS, LABEL_CHANNELS, TERRAI
 from forestgen.recipe.sampler import Sampling
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.species import Building, Species
+from forestgen.recipe.weather import MOST_WEATHER, Weather, Wind
 
 SCHEMA_VERSION = 1
 MOST_LIBRARY = 1000  # plants of a size
@@ -343,13 +344,6 @@ class Labels(fields.Section):
         return value
 
 
-class Wind(fields.Section):
-    """Wind at each plant's top, in which it leans and sways; it blows from site.wind_from_deg, by default the west."""
-
-    speed_m_per_s: fields.NonNegative = Field(0.0, le=40, description="Mean speed, metres per second; 0: still air.")
-    gustiness: fields.Fraction = Field(0.5, description="Amplitude of the sway by the mean lean, 0 to 1.")
-
-
 def _is_same_stand(value: Any) -> Any:
     if isinstance(value, bool) or value == "by_split":
         return value
@@ -382,6 +376,12 @@ class Recipe(fields.Section):
     render: Render = Field(Render.model_validate({}), description="The light's computation.")
     labels: Labels = Field(Labels.model_validate({}), description="The labels' computation.")
     wind: Wind = Field(Wind.model_validate({}), description="How plants lean and sway.")
+    weather: tuple[SerializeAsAny[Weather], ...] = Field(
+        (),
+        max_length=MOST_WEATHER,
+        description="What is in the air near the ground, and what it leaves on plants and ground. Default: nothing. "
+        "`forestgen models --kind weather` lists the kinds.",
+    )
     dataset: Dataset = Field(Dataset.model_validate({}), description="Files for training and measuring.")
     sampling: Sampling | None = Field(None, description="How draws are spread over the images, correlated and shared.")
 

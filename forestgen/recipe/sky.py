@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from forestgen.recipe.fields import GivenSection, Number, PartSection, Text, shorthand, violation
+from forestgen.recipe.fields import Fraction, GivenSection, Number, PartSection, Text, shorthand, violation
 from forestgen.recipe.map_files import Sha256
 from forestgen.recipe.registries import CLOUD_SOURCES, SKIES
 
@@ -56,7 +56,11 @@ class Sun(GivenSection):
     """Where the sun stands: by its angles, or by date, time and the site's place on earth."""
 
     elevation_deg: Number | None = Field(
-        None, gt=0, le=90, description="Height above the horizon as it is seen, degrees. Default 40, without a date."
+        None,
+        ge=-90,
+        le=90,
+        description="Height above the horizon as it is seen, degrees; below 0 it is dusk, below -18 night. Default 40, "
+        "without a date.",
     )
     azimuth_deg: Number | None = Field(
         None,
@@ -143,6 +147,17 @@ class Sun(GivenSection):
         return self
 
 
+class Moon(GivenSection):
+    """Where the moon stands, and its phase."""
+
+    elevation_deg: Number = Field(40.0, ge=-90, le=90, description="Height above the horizon, degrees.")
+    azimuth_deg: Number = Field(140.0, ge=-360, le=360, description="Direction clockwise from north, degrees.")
+    illuminated: Fraction | None = Field(
+        None,
+        description="Share of its disc that is lit: 1 is full, 0.5 half. Default: by its angle from the sun.",
+    )
+
+
 _EXAMPLES = {"date": "2026-06-21", "time": "'14:30'", "utc_offset_h": "2"}
 
 
@@ -165,6 +180,11 @@ class SkySection(PartSection):
 
     kind: Text = Field("clear", description="Model of the sky.")
     sun: Sun = Field(Sun.model_validate({}), description="Where the sun stands, by angles or by date.")
+    moon: Moon | None = Field(
+        None,
+        description="Where the moon stands. Its light counts, and cameras see it, while the sun is below the horizon. "
+        "None: where the sun's date puts it; without a date there is none.",
+    )
     turbidity: Number = Field(3.0, ge=1, le=10, description="Haze: 1 is pure air, 3 clear, 10 hazy; no unit.")
     precipitable_water_mm: Number = Field(
         14.16,

@@ -166,7 +166,13 @@ def cloud_transport_of(
 
 
 def check_far_clouds(spec: SceneSpec, point_m: Sequence[float]) -> None:
-    """`RecipeError`: clouds so near that the plane of their shadow would lie among the plants or below a point."""
+    """`RecipeError`: clouds so near that the plane of their shadow would lie among the plants or below a point; fog."""
+    if spec.fog or spec.snow is not None:
+        problem, expected = "light at a point cannot be measured in fog, rain or snow", "weather without them"
+        hint = "measure with `set='weather=[]'`"
+        raise RecipeError(
+            problem, where="weather", expected=expected, got="weather that its light does not know", hint=hint
+        )
     near = _too_near(spec, [("the point", float(point_m[2]))], [np.asarray(point_m)])
     if near is not None:
         problem = "light at a point cannot be measured in clouds or fog, or close below them"
@@ -258,7 +264,7 @@ def shadow_of(clouds: CloudGrid, to_sun: Floats, base_m: float) -> tuple[Floats,
 def shadow_plane_of(spec: SceneSpec, eye_m: Floats) -> ShadowPlane | None:
     """The plane above a scene and an eye at (3,) world metres; None where no cloud is."""
     assert spec.clouds is not None
-    height_m, to_sun = shadow_height_m(spec, float(eye_m[2])), spec.sky.to_sun
+    height_m, to_sun = shadow_height_m(spec, float(eye_m[2])), spec.sky.to_light
     if height_m is None or to_sun[2] <= 0.0:
         return None
     return ShadowPlane(*shadow_of(spec.clouds, to_sun, height_m), height_m)

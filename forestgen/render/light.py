@@ -5,12 +5,15 @@ Decisions
 - The sun is a disc of its own, far away, so that penumbrae are right, and shadow rays go to it alone. It has one
   radiance, the mean; in truth its middle is up to a quarter brighter than that and its limb half as bright, which only
   penumbrae could show. Its size is that of the mean distance.
+- By night the moon is in its place. It has the sun's size, which is 3% more than its own. Its phase is seen by
+  Lommel and Seeliger's law, in which a full moon is even; dark plains on it are left out.
 - A colour outside of Rec. 709, as of a sun at the horizon, is cut off at its edge, its luminance kept.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -28,6 +31,7 @@ SUN_RADIUS_DEG = 0.2665  # at the earth's mean distance
 _SUN_SOLID_ANGLE_SR = float(np.pi * np.sin(np.radians(SUN_RADIUS_DEG)) ** 2)  # projected on a plane that faces it
 Floats = NDArray[np.float64]
 _SUN_DISTANCE_M = 1e6
+_NEWEST_DEG = 175.0  # of a phase: a thinner crescent has no width
 
 
 def along(values: NDArray[np.floating], direction: Floats) -> Floats:
@@ -62,9 +66,30 @@ def sun_radiance(sky: Sky, channels: Channels, aloft_m: float = 0.0) -> Floats:
     light = daylight_of(sky).sun
     if aloft_m > 0.0 and light.value.any():
         air = air_of(sky.turbidity, sky.altitude_m, sky.precipitable_water_mm, sky.ozone_du)
-        light = sunlight_aloft(light, sky.sun_elevation_deg, air, sky.altitude_m, aloft_m)
+        light = sunlight_aloft(light, float(np.degrees(np.arcsin(sky.to_light[2]))), air, sky.altitude_m, aloft_m)
     radiance = channels.of_light(light) / _SUN_SOLID_ANGLE_SR
     return np.asarray(_within_gamut(radiance) if channels.wavelength_nm is None else radiance)
+
+
+@dataclass(frozen=True)
+class MoonPhase:
+    """Which part of the moon's disc shines."""
+
+    to_sun: Floats  # (3,) unit, world
+    angle_rad: float  # at the moon, between sun and site
+    mean: float  # of the law over the whole disc
+
+
+def moon_phase(sky: Sky) -> MoonPhase | None:
+    """Of the disc of a sky; None: it is the sun's, which shines all over."""
+    if sky.moon_by_night is None:
+        return None
+    angle = float(np.radians(min(sky.moon_by_night.phase_angle_deg, _NEWEST_DEG)))
+    x, y = np.meshgrid(*[(np.arange(400) + 0.5) / 200 - 1.0] * 2)
+    up = np.sqrt(np.maximum(1.0 - x**2 - y**2, 0.0))
+    facing = np.maximum(np.sin(angle) * x + np.cos(angle) * up, 0.0)
+    law = facing / np.maximum(facing + up, 1e-9)
+    return MoonPhase(sky.to_sun, angle, float(law[x**2 + y**2 < 1].mean()))
 
 
 def sun_irradiance(sky: Sky, channels: Channels, aloft_m: float = 0.0) -> Floats:
@@ -100,7 +125,7 @@ def sky_light(sky: Sky, channels: Channels) -> dict[str, Any]:
 
 def sun_disc(sky: Sky, channels: Channels) -> dict[str, Any]:
     """The sun: a disc that shines."""
-    to_sun = sky.to_sun
+    to_sun = sky.to_light
     radius = _SUN_DISTANCE_M * np.tan(np.radians(SUN_RADIUS_DEG))
     centre = (_SUN_DISTANCE_M * to_sun).tolist()
     up = [1.0, 0.0, 0.0] if abs(to_sun[0]) < 0.9 else [0.0, 1.0, 0.0]

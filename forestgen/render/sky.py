@@ -111,7 +111,7 @@ class TracedClouds:
     def under(self, radiance: NDArray[np.float32]) -> CloudLight:
         """Under a sky of (MAP_ROWS, MAP_COLUMNS, C) radiance."""
         mean = float(self.albedo(RGB).mean())
-        return CloudLight(self.sky.to_sun, SUN_RADIUS_DEG, np.moveaxis(radiance, -1, 0), mean, self.ground_m)
+        return CloudLight(self.sky.to_light, SUN_RADIUS_DEG, np.moveaxis(radiance, -1, 0), mean, self.ground_m)
 
 
 def traced_clouds_of(spec: SceneSpec) -> TracedClouds:

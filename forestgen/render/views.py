@@ -19,6 +19,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render import sky
@@ -43,6 +44,10 @@ Floats = NDArray[np.float64]
 
 def build_view(job: RenderJob, progress: Progress, timer: Timer, tracer: SceneTracer | None = None) -> View:
     """Build the scene of a job; `tracer` is that of its scene, if there is one already."""
+    if job.is_exact and (job.spec.fog or job.spec.snow is not None):
+        problem, expected = "light through the clouds' volume knows no other weather", "clouds far above the plants"
+        hint = "raise the clouds, or leave out the weather"
+        raise RecipeError(problem, where="weather", expected=expected, got="clouds near the plants", hint=hint)
     if job.is_exact:
         from forestgen.render.exact_view import ExactView
 

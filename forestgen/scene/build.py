@@ -34,6 +34,7 @@ from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.tree_exemplars import instance_scales, tree_sizes_of
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.views import check_trunks, drawn_cameras, next_frame
+from forestgen.scene.weather.kind import in_weather, weather_notes
 from forestgen.scene.wind import Sway, spec_at, sway_in
 
 Timer = Callable[[str], AbstractContextManager[None]]
@@ -121,7 +122,9 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         )
         ground = ground_cover(plan, population, spec.cameras)
         spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars)))
-        notes = [*_notes(plan, (*simulated.notes, *ground.notes)), *check_trunks(drawn, views, trunks)]
+        spec = in_weather(spec, drawn, plan.views.height)
+        known = (*simulated.notes, *ground.notes, *weather_notes(drawn))
+        notes = [*_notes(plan, known), *check_trunks(drawn, views, trunks)]
         notes += [*plan.views.check_outside_of_buildings(), *infrared_notes(base_materials, plan.views.all_cameras)]
         sway = _sway(drawn, instances, exemplars, around)
     errors = errors_of_sizes(plan, population, chosen, exemplars)
@@ -170,7 +173,7 @@ def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
         return ()
     rows = np.setdiff1d(np.arange(len(population)), list(plan.community.obstacles.rows_of(population)))
     rng = child_rng(seed, "surroundings") if kind == "forest" else None
-    return layers_around(population, rows, plan.views.height, rng)
+    return layers_around(population, rows, plan.views.height, rng, plan.views.all_cameras)
 
 
 def _fresh_litter(plan: Plan, population: Population) -> FreshLitter | None:

@@ -28,9 +28,10 @@ from forestgen.recipe.suggestions import did_you_mean
 from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
 from forestgen.scene.ground_view import MOST_TILES
 from forestgen.scene.phenology import leaf_states
-from forestgen.scene.site import check_sun, check_wet_soil, community_site
+from forestgen.scene.site import check_wet_soil, community_site
 from forestgen.scene.triangles import exemplar_triangles, near_triangles
 from forestgen.scene.views import Views, place_key
+from forestgen.scene.weather.kind import check_weather
 
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
@@ -218,8 +219,8 @@ def collect_plan(drawn: DrawnRecipe, errors: ErrorList, stand_ins: frozenset[str
         errors.attempt(views.check_above_ground)
         if not {"sky", "render"} & stand_ins:
             errors.attempt(_check_clouds, views)
-    if not {"sky", "site"} & stand_ins:
-        errors.attempt(check_sun, drawn)
+    if not {"weather", "sky", "render"} & stand_ins:
+        errors.attempt(check_weather, drawn)
     if not {"site", "species"} & stand_ins:
         for index, layer in enumerate(drawn.recipe.site.ground.layers):
             check = GROUND_LAYERS.load(layer.what).check

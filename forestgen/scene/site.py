@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from forestgen.atmosphere.daylight import SunPosition, sun_position
+from forestgen.atmosphere.moon import MEAN_DISTANCE_KM, MoonPosition, moon_position
 from forestgen.community.capabilities import SoilWater, capability, models_with
 from forestgen.community.population import Population, Site
 from forestgen.community.simulation import CommunityPlan
@@ -18,7 +19,7 @@ from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import TERRAINS
 from forestgen.recipe.schema import Recipe, Terrain, WetSoil
 from forestgen.recipe.sky import SkySection
-from forestgen.scene.spec import Sky
+from forestgen.scene.spec import Moon, Sky, towards
 from forestgen.scene.surfaces import Wetness
 from forestgen.scene.terrain import HeightField, smooth_step
 
@@ -38,7 +39,7 @@ def sun_of(recipe: Recipe) -> SunPosition:
 
 
 def sky_of(recipe: Recipe, ground_albedo: float) -> Sky:
-    """Sun and sky of a recipe whose sun is up; see `check_sun`."""
+    """Sun, moon and sky of a recipe."""
     sun = sun_of(recipe)
     own = [key for key in type(recipe.sky).model_fields if key not in SkySection.model_fields]
     return Sky(
@@ -53,26 +54,37 @@ def sky_of(recipe: Recipe, ground_albedo: float) -> Sky:
         ozone_du=recipe.sky.ozone_du,
         visibility_m=recipe.sky.visibility_m,
         own=tuple((key, getattr(recipe.sky, key)) for key in own),
+        moon=_moon_of(recipe, sun),
     )
 
 
-def check_sun(drawn: DrawnRecipe) -> None:
-    """Raise `RecipeError` if the sun is below the horizon at the recipe's date, time and place."""
-    moment = drawn.recipe.sky.sun.moment
-    if moment is None:
-        return
-    sun, site = sun_of(drawn.recipe), drawn.recipe.site
-    if sun.elevation_deg <= 0:
-        where = drawn.where("sky", "sun", "time" if drawn.recipe.sky.sun.time is not None else "date")
-        expected = f"a time of day at latitude {site.latitude_deg:g}, longitude {site.longitude_deg:g}"
-        got = f"{moment:%Y-%m-%d %H:%M:%S %Z}, when the sun stands at {sun.elevation_deg:.1f} degrees"
-        hint = "choose another time; check utc_offset_h and the sign of longitude_deg, which is positive in the east"
-        raise RecipeError("the sun is below the horizon", where=where, expected=expected, got=got, hint=hint)
+def _moon_of(recipe: Recipe, sun: SunPosition) -> Moon | None:
+    """The moon by the recipe's angles or by the sun's date; None: there is none, or the sun is up."""
+    section, moment, site = recipe.sky.moon, recipe.sky.sun.moment, recipe.site
+    if sun.elevation_deg > 0 or (section is None and moment is None):
+        return None
+    if section is not None:
+        place = MoonPosition(section.elevation_deg, section.azimuth_deg, MEAN_DISTANCE_KM)
+    else:
+        assert moment is not None
+        assert site.longitude_deg is not None
+        place = moon_position(moment, site.latitude_deg, site.longitude_deg)
+    if section is not None and section.illuminated is not None:
+        phase = math.acos(2.0 * section.illuminated - 1.0)
+    else:  # the sun is so far away that the angle at the moon is what is left of the half circle
+        to_moon, to_sun = (towards(one.elevation_deg, one.azimuth_deg) for one in (place, sun))
+        phase = math.pi - math.acos(float(np.clip(to_moon @ to_sun, -1.0, 1.0)))
+    return Moon(place.elevation_deg, place.azimuth_deg, math.degrees(phase), place.distance_km)
 
 
 def sun_notes(recipe: Recipe) -> list[str]:
-    """Whether the sun stands by its angles where it never is on the plants' day."""
+    """Whether the sun is down at its date, or stands by its angles where it never is on the plants' day."""
     sun, site = recipe.sky.sun, recipe.site
+    if sun.moment is not None and sun_of(recipe).elevation_deg <= 0:
+        told = (
+            f"the sun is {-sun_of(recipe).elevation_deg:.1f} degrees below the horizon at {sun.moment:%Y-%m-%d %H:%M}"
+        )
+        return [f"{told}; if no night is meant, check utc_offset_h and longitude_deg, which is positive in the east"]
     if site.date is None or sun.moment is not None or sun.elevation_deg is None:
         return []
     day = datetime.date.fromisoformat(site.date).timetuple().tm_yday

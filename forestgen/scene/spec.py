@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,7 +15,7 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
-from forestgen.recipe.cameras import Exposure
+from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.registries import DEFAULT_PROJECTION
 from forestgen.recipe.species import LeafType
 
@@ -105,10 +105,20 @@ class Terrain:
 
 
 @dataclass(frozen=True)
-class Sky:
-    """Sun and sky by direction, haze and kind; atmosphere/daylight.py has their spectra."""
+class Moon:
+    """The moon in a sky."""
 
-    sun_elevation_deg: float
+    elevation_deg: float
+    azimuth_deg: float  # clockwise from north
+    phase_angle_deg: float  # 0 full, 180 new
+    distance_km: float = 384_400.0
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Sun, moon and sky by direction, haze and kind; atmosphere/daylight.py has their spectra."""
+
+    sun_elevation_deg: float  # below 0 at night
     sun_azimuth_deg: float  # clockwise from north (y), so east (x) is 90
     turbidity: float
     ground_albedo: float = 0.2
@@ -119,12 +129,65 @@ class Sky:
     ozone_du: float = 344.0  # Dobson units
     visibility_m: float | None = None  # meteorological range of the haze before the camera; None: there is none
     own: tuple[tuple[str, Any], ...] = ()  # keys of the model's own, with their values
+    moon: Moon | None = None  # None: there is none
 
     @property
     def to_sun(self) -> NDArray[np.float64]:
         """(3,) unit vector from the site to the sun, world."""
-        elevation, azimuth = np.radians([self.sun_elevation_deg, self.sun_azimuth_deg])
-        return np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
+        return towards(self.sun_elevation_deg, self.sun_azimuth_deg)
+
+    @property
+    def is_night(self) -> bool:
+        """Whether the sun is below the horizon."""
+        return self.sun_elevation_deg <= 0
+
+    @property
+    def moon_by_night(self) -> Moon | None:
+        """The moon, where it is up and the sun is not: by day its light does not count."""
+        return self.moon if self.moon is not None and self.moon.elevation_deg > 0 and self.is_night else None
+
+    @property
+    def to_light(self) -> NDArray[np.float64]:
+        """(3,) unit vector to the disc that casts shadows: the sun, or by night the moon."""
+        moon = self.moon_by_night
+        return self.to_sun if moon is None else towards(moon.elevation_deg, moon.azimuth_deg)
+
+
+def towards(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:
+    """(3,) unit vector, world; the azimuth is clockwise from north."""
+    elevation, azimuth = np.radians([elevation_deg, azimuth_deg])
+    return np.array([np.cos(elevation) * np.sin(azimuth), np.cos(elevation) * np.cos(azimuth), np.sin(elevation)])
+
+
+@dataclass(frozen=True)
+class Falling:
+    """Drops, whose diameters above a least one have an exponential distribution."""
+
+    number_per_m3: float  # of those above the least diameter
+    least_mm: float
+    mean_excess_mm: float  # of the diameters over the least one
+    drift_m_per_s: tuple[float, float]  # east, north
+    shutter_s: float  # of cameras without one of their own
+    fall: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # m/s by mm
+
+
+@dataclass(frozen=True)
+class SnowCover:
+    """Snow on sides of plants and things that face up."""
+
+    share: float  # of level ones
+    reflectance: tuple[float, float, float]  # linear Rec. 709
+    spectrum: Spectrum  # of which it is the colour
+
+
+@dataclass(frozen=True)
+class FogLayer:
+    """A level layer of drops that scatter and do not absorb: even up to its top, thinner by e in `fade_m` above it."""
+
+    extinction_per_m: float
+    top_m: float  # height, world
+    fade_m: float
+    asymmetry: float  # Henyey and Greenstein's g
 
 
 @dataclass(frozen=True)
@@ -177,3 +240,6 @@ class SceneSpec:
     sky: Sky
     clouds: CloudGrid | None
     cameras: tuple[Camera, ...]
+    fog: tuple[FogLayer, ...] = ()  # what light goes through near the ground
+    snow: SnowCover | None = None  # on plants; None: there is none
+    falling: tuple[Falling, ...] = ()  # what falls before the cameras

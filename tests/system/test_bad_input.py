@@ -36,7 +36,7 @@ MISTAKES = {
     "unknown model": ("multiset_lsystem", "multiset"),
     "camera in the clouds": ("render: {", "sky: {clouds: {type: noise, base_m: 1}}\nrender: {clouds: farfield, "),
     "clouds too thick": ("seed: 3", "sky: {clouds: {type: noise, extinction_per_m: 1, thickness_m: 20000}}"),
-    "sun below the horizon": ("seed: 3", "sky: {sun: {elevation_deg: -4}}"),
+    "sun below the nadir": ("seed: 3", "sky: {sun: {elevation_deg: -94}}"),
     "no YAML": ("seed: 3", "seed: [3"),
     "a key twice": ("seed: 3", "seed: 3\nseed: 4"),
     "other version": ("forestgen: 1", "forestgen: 99"),

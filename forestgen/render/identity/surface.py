@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ from forestgen.core.parts import Part
 from forestgen.render.build import origin_of
 from forestgen.render.frame import Identity, Surface
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, sample_offsets
-from forestgen.render.skies.model import sky_model_of
+from forestgen.render.skies.model import casts_shadows
+from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import dr, mi
 from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
@@ -25,6 +26,11 @@ _RAYS_AT_ONCE, _SUMMED_AT_ONCE = 2_000_000, 1_000_000
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
 # a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
 LIFT = 1e-5
+_SNOW_GROUPS = (7, 4)  # bits of a face's number that are alike for neighbours: of a shoot, and of a leaf
+# Vertical parts of normals: no snow on steeper wood, all of its share on less steep one; and on leaves, which together
+# hold it however each one stands.
+_STEEPEST, _LESS_STEEP, _LEVEL_LEAF = 0.15, 0.6, 0.35
+_SNOW_ON_WOOD = 0.35  # share of snow above which it lies on all level wood
 
 
 def trace_identity(
@@ -177,8 +183,38 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
     colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
     of_ground = tracer.table.far_albedo, tracer.table.film_factor, tracer.table.bare_factor
-    ground = ground_colour(tracer, hits, corners, colour, of_ground)
-    return dr.select(hits.valid, ground, 0.0)
+    shown = ground_colour(tracer, hits, corners, colour, of_ground)
+    if tracer.spec.snow is not None:
+        shown = dr.select(under_snow(tracer, hits).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
+    return dr.select(hits.valid, shown, 0.0)
+
+
+@dataclass(frozen=True)
+class UnderSnow:
+    """Which hits of plants and things have snow on their upper side."""
+
+    covered: Any  # Bool, wherever the ray comes from
+    seen: Any  # Bool, and the ray sees that side
+
+
+def under_snow(tracer: SceneTracer, hits: Hits) -> UnderSnow:
+    """By the slope of facets, and of leaves by chance, alike for some neighbours: those of a shoot."""
+    assert tracer.spec.snow is not None
+    up = tracer.geometric_normal(hits).z
+    part = dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)
+    leaflike = mi.Bool(False)
+    for one in LEAFLIKE:
+        leaflike |= part == int(one)
+    groups = [mi.sample_tea_32(hits.instance, hits.face >> size, 4)[0] for size in _SNOW_GROUPS]
+    luck = sum(mi.Float(one >> 8) * 2.0**-24 for one in groups) / len(groups)
+    # Of the mean of two even numbers, the share below a number (Irwin and Hall's distribution).
+    luck = dr.select(luck < 0.5, 2.0 * luck * luck, 1.0 - 2.0 * dr.square(1.0 - luck))
+    luck = dr.select(leaflike, luck, _SNOW_ON_WOOD)
+    level = dr.select(leaflike, dr.abs(up) / _LEVEL_LEAF, (dr.abs(up) - _STEEPEST) / (_LESS_STEEP - _STEEPEST))
+    slope = dr.clip(level, 0.0, 1.0)
+    share = dr.opaque(mi.Float, tracer.spec.snow.share)
+    covered = hits.valid & (hits.instance > 0) & (luck < share * slope)
+    return UnderSnow(covered, covered & (up > 0))
 
 
 def ground_colour(
@@ -235,11 +271,19 @@ def _wrapped(index: Any, size: Any) -> Any:
 
 
 def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) -> Any:
-    """Whether nothing of the scene, clouds left out, hides the sun's centre; False under a sky without a sun."""
+    """Whether nothing of the scene, clouds left out, hides the sun's centre, or by night the moon's; else False."""
+    active = hits.valid & casts_shadows(tracer.spec.sky)
+    return unhidden(tracer, camera, hits, normal, tracer.to_light, active)
+
+
+def unhidden(
+    tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any, direction: Any, active: Any | None = None
+) -> Any:
+    """Whether nothing of the scene lies in a direction from the hits, by default from all that are valid."""
     point = tracer.start_of(camera, hits.rays) + hits.rays.direction * hits.distance_m
-    sunny = dr.select(dr.dot(normal, tracer.to_sun) < 0, -normal, normal)  # leaves are lit through from below, too
+    bright = dr.select(dr.dot(normal, direction) < 0, -normal, normal)  # leaves are lit through from below, too
     lift = LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
-    ray = mi.Ray3f(point + sunny * lift, tracer.to_sun)
+    ray = mi.Ray3f(point + bright * lift, direction)
     # Single rays: from leaf to leaf neighbours lose each other, and packets take 1.7 times as long.
-    lit = hits.valid & sky_model_of(tracer.spec.sky).has_sun
+    lit = hits.valid if active is None else active
     return lit & ~tracer.scene.ray_test(ray, coherent=False, active=lit)

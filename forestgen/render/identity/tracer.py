@@ -294,7 +294,7 @@ class SceneTracer:
             self.scene = load(_slim(scene) if self.variant == LLVM else scene)
             self._row_of_registry = self._registry_rows(len(spec.instances))
             self.table = uploaded(hit_tables(spec))
-            self.to_sun = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in spec.sky.to_sun])
+            self.to_light = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in spec.sky.to_light])
             dr.eval()
 
     def _registry_rows(self, instances: int) -> Any:

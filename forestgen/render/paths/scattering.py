@@ -14,6 +14,7 @@ from forestgen.render.identity.surface import (
     corners_of,
     ground_colour,
     shading_normal,
+    under_snow,
     vertex_uv,
     weighted_sum,
 )
@@ -230,6 +231,10 @@ class Surfaces:
     def show(self, channels: Channels) -> None:
         """Have the paint of a pass' channels."""
         self._paint = uploaded(paint_of(self._tracer.spec, channels))
+        snow = self._tracer.spec.snow
+        if snow is not None:
+            colour = channels.of_surface(snow.reflectance, snow.spectrum)
+            self._snow = mi.Color3f(*[dr.opaque(mi.Float, float(value)) for value in colour])
 
     def at(self, hits: Hits) -> Local:
         """The surfaces at hits; where none is hit, anything."""
@@ -251,16 +256,16 @@ class Surfaces:
         of_ground = self._paint.far, self._paint.film_factor, self._paint.bare_factor
         colour = ground_colour(tracer, hits, corners, colour, of_ground)
         matt = dr.select(textured, colour, matt)
-        return Local(
-            towards,
-            geometric,
-            normal,
-            self._facet(hits, normal, towards, relief, textured),
-            matt,
-            dr.gather(mi.Color3f, self._paint.through, hits.organ, valid),
-            dr.gather(mi.Vector3f, self._paint.gloss, hits.organ, valid),
-            dr.gather(mi.Vector2f, self._paint.chance, hits.organ, valid),
-        )
+        through = dr.gather(mi.Color3f, self._paint.through, hits.organ, valid)
+        gloss = dr.gather(mi.Vector3f, self._paint.gloss, hits.organ, valid)
+        chance = dr.gather(mi.Vector2f, self._paint.chance, hits.organ, valid)
+        if tracer.spec.snow is not None:
+            snow = under_snow(tracer, hits)
+            matt, through = dr.select(snow.seen, self._snow, matt), dr.select(snow.covered, 0.0, through)
+            gloss.x = dr.select(snow.seen, 0.0, gloss.x)
+            chance.x, chance.y = dr.select(snow.covered, 0.0, chance.x), dr.select(snow.seen, 0.0, chance.y)
+        facet = self._facet(hits, normal, towards, relief, textured)
+        return Local(towards, geometric, normal, facet, matt, through, gloss, chance)
 
     def _facet(self, hits: Hits, normal: Any, towards: Any, relief: Any, textured: Any) -> Any:
         """Normals of the relief; one that leans away from where the path came from is turned about the surface's."""

@@ -31,8 +31,9 @@ from forestgen.render.cloud_shadow import ShadowPlane
 from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.surface import LIFT
 from forestgen.render.identity.tracer import pixel_rays
-from forestgen.render.light import SUN_RADIUS_DEG, has_sun, sun_irradiance, sun_radiance
-from forestgen.render.paths.scattering import Surfaces
+from forestgen.render.light import SUN_RADIUS_DEG, MoonPhase, has_sun, moon_phase, sun_irradiance, sun_radiance
+from forestgen.render.paths.fog import FAR_M, Fog, Place
+from forestgen.render.paths.scattering import Local, Surfaces
 from forestgen.render.variant import ROULETTE_DEPTH, dr, mi, renderer_errors, using
 from forestgen.scene.colour import Channels
 from forestgen.scene.projection import DeviceRays
@@ -43,6 +44,7 @@ _SQUARES = ((16, 0xFFFFFFFF), (8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333),
 Floats = NDArray[np.float64]
 _PATHS_AT_ONCE = 1_500_000
 _MOST_LIKELY = 0.95  # a path to go on, once chance may end it
+_FOG_CHOICE = 1 << 16  # the first of the pairs that fog takes
 _CHOICES = 4  # pairs of numbers for a scattering: sun, which lobe and whether to go on, onwards, sky
 Array = NDArray[np.float32]
 
@@ -159,14 +161,21 @@ def sky_shares(radiance: NDArray[np.float32]) -> tuple[Floats, Floats]:
 
 
 class Sun:
-    """The sun's disc."""
+    """The sun's disc, or by night the moon's."""
 
     def __init__(
-        self, to_sun: Floats, irradiance: Floats, radiance: Floats, shadow: ShadowPlane | None, origin_m: Floats
+        self,
+        to_sun: Floats,
+        irradiance: Floats,
+        radiance: Floats,
+        shadow: ShadowPlane | None,
+        origin_m: Floats,
+        phase: MoonPhase | None = None,
     ) -> None:
-        """By (3,) irradiance on a surface that faces the sun, and radiance of its disc.
+        """By (3,) irradiance on a surface that faces the sun, and mean radiance of its disc.
 
         `shadow` is what clouds let through; None: all. `origin_m` (3,), world, is that of the paths' coordinates.
+        `phase` None: the whole disc shines.
         """
         self.centre = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in to_sun])
         self.irradiance, self.radiance = (
@@ -174,6 +183,11 @@ class Sun:
         )
         self._axes = mi.Frame3f(self.centre)
         self._radius = dr.opaque(mi.Float, float(np.tan(np.radians(SUN_RADIUS_DEG))))
+        self._phase = phase
+        if phase is not None:
+            aside = phase.to_sun - (phase.to_sun @ to_sun) * to_sun
+            aside = aside / max(float(np.linalg.norm(aside)), 1e-12)
+            self._lit_side = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in aside])
         self._shadow = shadow
         if shadow is not None:
             self._texel = mi.Float(np.ascontiguousarray(shadow.transmittance, dtype=np.float32).ravel())
@@ -192,7 +206,14 @@ class Sun:
     def seen(self, direction: Any) -> Any:
         """Color3f, the radiance of the disc towards directions; 0 beside it."""
         aside = dr.norm(dr.cross(direction, self.centre))
-        return dr.select((aside < self._radius) & (dr.dot(direction, self.centre) > 0), self.radiance, 0.0)
+        inside = (aside < self._radius) & (dr.dot(direction, self.centre) > 0)
+        if self._phase is None:
+            return dr.select(inside, self.radiance, 0.0)
+        sine, cosine = dr.sincos(dr.opaque(mi.Float, self._phase.angle_rad))
+        up = dr.safe_sqrt(1.0 - dr.square(aside / self._radius))
+        facing = dr.maximum(sine * dr.dot(direction, self._lit_side) / self._radius + cosine * up, 0.0)
+        law = facing / dr.maximum(facing + up, 1e-6) / self._phase.mean  # Lommel and Seeliger's
+        return dr.select(inside, self.radiance * law, 0.0)
 
     def share(self, point: Any, direction: Any, active: Any) -> Any:
         """Float, what clouds let through of the light that comes to points from directions."""
@@ -228,16 +249,18 @@ class Image:
 
 @dataclass(frozen=True)
 class Paths:
-    """Paths on their way, as device arrays."""
+    """Paths on their way, as device arrays. In fog a path may scatter before its hit, or without one."""
 
     index: Any  # UInt32, where each began
     start: Any  # Point3f
     direction: Any  # Vector3f
     carried: Any  # Color3f
     hit: Any  # PreliminaryIntersection3f
+    flight_m: Any | None = None  # Float, to where the path scatters in fog; None: there is no fog
+    asymmetry: Any | None = None  # Float, of the fog there
 
     def kept(self, rows: Any) -> Paths:
-        return Paths(*(dr.gather(type(one), one, rows) for one in vars(self).values()))
+        return Paths(*(None if one is None else dr.gather(type(one), one, rows) for one in vars(self).values()))
 
 
 class PathTracer:
@@ -261,6 +284,7 @@ class PathTracer:
         self._sun: Sun | None = None
         with using(tracer.variant):
             self._surfaces = Surfaces(tracer)
+            self._fog = Fog(tracer.spec.fog, tracer.origin_m) if tracer.spec.fog else None
 
     def show(self, channels: Channels) -> None:
         """Have the surfaces and lights of these channels."""
@@ -272,7 +296,9 @@ class PathTracer:
             self._sky = Sky(self._radiance(channels), sampled=spec.clouds is not None)
             if has_sun(spec.sky):
                 light, disc = sun_irradiance(spec.sky, channels), sun_radiance(spec.sky, channels)
-                self._sun = Sun(spec.sky.to_sun, light, disc, self._shadow, self._tracer.origin_m)
+                self._sun = Sun(
+                    spec.sky.to_light, light, disc, self._shadow, self._tracer.origin_m, moon_phase(spec.sky)
+                )
         self._shown = channels
 
     def take(self, samples: int, seed: int) -> Image:
@@ -300,15 +326,16 @@ class PathTracer:
 
         index = dr.arange(mi.UInt32, size)
         rays, hit, active = self._first(sequence(index), base + index // each, index - index // each * each, key)
-        found = hit.is_valid() & active
-        past = active & ~hit.is_valid()
+        start = self._tracer.start_of(self._camera, rays) + mi.Vector3f(0.0)
+        flight, met = self._flight(sequence(index), 0, start, rays.direction, hit)
+        found = (hit.is_valid() | met) & active
+        past = active & ~found
         beyond = dr.select(past, self._sky.towards(rays.direction, past), 0.0)
         if self._sun is not None:
             beyond += dr.select(past, self._sun.seen(rays.direction), 0.0)
-        start = self._tracer.start_of(self._camera, rays) + mi.Vector3f(0.0)
-        begun = Paths(index, start, rays.direction, mi.Color3f(1.0) + dr.zeros(mi.Color3f, size), hit)
+        begun = Paths(index, start, rays.direction, mi.Color3f(1.0) + dr.zeros(mi.Color3f, size), hit, *flight)
         by_sky, by_sun = (dr.zeros(mi.Color3f, size) for _ in range(2))
-        dr.eval(begun.start, begun.direction, begun.carried, hit, found, past, beyond, by_sky, by_sun)
+        dr.eval(begun.start, begun.direction, begun.carried, hit, *flight, found, past, beyond, by_sky, by_sun)
         paths = begun.kept(dr.compress(found))
         del begun, rays, hit, start
         for depth in range(1, self._max_depth):
@@ -317,7 +344,7 @@ class PathTracer:
             goes_on, paths, own_sky, own_sun = self._round(paths, sequence(paths.index), depth)
             for total, own in ((by_sky, own_sky), (by_sun, own_sun)):
                 dr.scatter(total, dr.gather(mi.Color3f, total, paths.index) + own, paths.index)
-            dr.eval(paths.start, paths.direction, paths.carried, paths.hit, goes_on, by_sky, by_sun)
+            dr.eval(*vars(paths).values(), goes_on, by_sky, by_sun)
             paths = paths.kept(dr.compress(goes_on))
         sums = [*by_sky, *by_sun, *beyond, dr.select(past, mi.Float(1.0), 0.0)]
         means = [dr.block_sum(one, samples) / samples for one in sums]
@@ -334,15 +361,30 @@ class PathTracer:
         ray = mi.Ray3f(self._tracer.start_of(self._camera, rays), rays.direction)
         return rays, self._tracer.scene.ray_intersect_preliminary(ray, coherent=True, active=active), active
 
+    def _flight(self, sequence: Sequence, depth: int, start: Any, direction: Any, hit: Any) -> tuple[list[Any], Any]:
+        """Where rays scatter in fog, as `Paths` holds it, and whether they do so before their hit."""
+        if self._fog is None:
+            return [None, None], mi.Bool(False)
+        choice = dr.opaque(mi.UInt32, _FOG_CHOICE + depth * self._fog.pairs)
+        numbers = [one for k in range(self._fog.pairs) for one in sequence.pair(choice + k)]
+        flight = self._fog.flights(start, direction, numbers)
+        met = flight.distance_m < dr.select(hit.is_valid(), hit.t, FAR_M)
+        return [dr.select(met, flight.distance_m, FAR_M), flight.asymmetry], met
+
     def _round(self, paths: Paths, sequence: Sequence, depth: int) -> tuple[Any, Paths, Any, Any]:
         """Whether each path goes on, the paths one scattering later, and what they brought of sky and sun."""
         sky, sun = self._sky, self._sun
         rays = DeviceRays(paths.direction, mi.Float(1.0), None, None)
         hits = self._tracer.looked_up(rays, paths.hit, mi.Bool(True))
-        point = paths.start + paths.direction * hits.distance_m
-        surface = self._surfaces.at(hits)
+        local = self._surfaces.at(hits)
+        surface: Local | Place = local
+        distance_m = hits.distance_m
+        if paths.flight_m is not None:
+            surface = Place(local, paths.flight_m < FAR_M, paths.direction, paths.asymmetry)
+            distance_m = dr.select(surface.in_fog, paths.flight_m, distance_m)
+        point = paths.start + paths.direction * distance_m
         # A hit is as uncertain as the largest number that its place was made of.
-        lift = LIFT * dr.maximum(dr.maximum(dr.max(dr.abs(point)), hits.distance_m), 1.0)
+        lift = LIFT * dr.maximum(dr.maximum(dr.max(dr.abs(point)), distance_m), 1.0)
         choice = dr.opaque(mi.UInt32, 1 + (depth - 1) * _CHOICES)
 
         def leaving(direction: Any) -> Any:
@@ -353,6 +395,7 @@ class PathTracer:
         if sun is not None:
             to_sun = sun.sample(*sequence.pair(choice))
             light = paths.carried * surface.value(to_sun) * sun.share(point, to_sun, mi.Bool(True)) * sun.irradiance
+            light *= self._through(point, to_sun)
             wanted = dr.max(light) > 0
             lit = wanted & ~self._tracer.scene.ray_test(leaving(to_sun), coherent=False, active=wanted)
             by_sun = dr.select(lit, light, 0.0)
@@ -366,19 +409,24 @@ class PathTracer:
         carried *= dr.rcp(dr.maximum(likely, 1e-9))
         ray = leaving(direction)
         hit = self._tracer.scene.ray_intersect_preliminary(ray, coherent=False, active=goes_on)
-        away = goes_on & ~hit.is_valid()
+        flight, met = self._flight(sequence, depth, ray.o, direction, hit)
+        away = goes_on & ~hit.is_valid() & ~met
         found = carried * sky.towards(direction, away)
         by_sky = mi.Color3f(0.0)
         if sky.sampled:
             # Both ways to the sky count by their densities (Veach 1997, the balance heuristic).
             chosen, density = sky.sample(*sequence.pair(choice + 3))
             light = paths.carried * surface.value(chosen) * sky.towards(chosen, mi.Bool(True))
-            light *= dr.rcp(density + surface.density(chosen))
+            light *= dr.rcp(density + surface.density(chosen)) * self._through(point, chosen)
             wanted = (density > 0) & (dr.max(light) > 0)
             lit = wanted & ~self._tracer.scene.ray_test(leaving(chosen), coherent=False, active=wanted)
             by_sky = dr.select(lit, light, 0.0)
             own = surface.density(direction)
             found *= own * dr.rcp(dr.maximum(own + sky.density(direction), 1e-30))
         by_sky += dr.select(away, found, 0.0)
-        later = Paths(paths.index, ray.o, direction, carried, hit)
-        return goes_on & hit.is_valid(), later, by_sky, by_sun
+        later = Paths(paths.index, ray.o, direction, carried, hit, *flight)
+        return goes_on & (hit.is_valid() | met), later, by_sky, by_sun
+
+    def _through(self, point: Any, direction: Any) -> Any:
+        """Share of the light of the sky, or the sun, that fog lets through to points."""
+        return 1.0 if self._fog is None else self._fog.through(point, direction)

@@ -3,6 +3,8 @@
 Spectra are those of SPCTRL2 (`forestgen.atmosphere.daylight`). The radiance at a wavelength is distributed as that of
 Hosek and Wilkie (2012), from Mitsuba's `sunsky`. Their data go from 320 to 720 nm: the shape beyond is that at the end.
 
+With the sun below the horizon it is twilight, and night with its moon: skies/night.py.
+
 Example
 -------
     sky: {kind: clear, turbidity: 4}
@@ -14,22 +16,17 @@ Hosek, L., Wilkie, A. (2012): An analytic model for full spectral sky-dome radia
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.daylight import Daylight, daylight
+from forestgen.atmosphere.daylight import Daylight
 from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.sky import SkySection
-from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, SkyModel, map_directions, row_weights
-from forestgen.render.variant import dr, mi, on_device
+from forestgen.render.skies.hosek import hosek_shape, radiance_by
+from forestgen.render.skies.model import SkyModel
+from forestgen.render.skies.night import clear_daylight, night_of
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import Sky
-
-_NODES_NM = np.arange(320.0, 721.0, 40.0)  # of the model's data
-_SPECTRAL = "llvm_ad_spectral"
 
 
 class ClearKeys(SkySection):
@@ -37,55 +34,18 @@ class ClearKeys(SkySection):
 
 
 class Clear(SkyModel):
-    """A clear sky with its sun."""
+    """A clear sky with its sun, or its moon."""
 
     Parameters = ClearKeys
 
     def daylight(self, sky: Sky) -> Daylight:
-        return daylight(
-            sky.sun_elevation_deg,
-            sky.turbidity,
-            sky.ground_albedo,
-            sky.altitude_m,
-            sun_distance_au=sky.sun_distance_au,
-            precipitable_water_mm=sky.precipitable_water_mm,
-            ozone_du=sky.ozone_du,
-        )
+        return night_of(sky).daylight if sky.is_night else clear_daylight(sky, sky.sun_elevation_deg)
 
     def radiance(self, sky: Sky, light: Spectrum, channels: Channels) -> NDArray[np.floating]:
-        shape = _shape(sky.sun_elevation_deg, sky.sun_azimuth_deg, sky.turbidity, sky.ground_albedo)
-        # The radiance is a sum over the nodes, each times a hat function of wavelength.
-        hats = (np.interp(light.wavelength_nm, _NODES_NM, hat) for hat in np.eye(len(_NODES_NM)))
-        parts = [channels.of_light(Spectrum(light.wavelength_nm, light.value * hat)) for hat in hats]
-        return np.asarray(shape @ np.array(parts, dtype=np.float32))
-
-
-@lru_cache(maxsize=4)
-def _shape(elevation_deg: float, azimuth_deg: float, turbidity: float, albedo: float) -> NDArray[np.float32]:
-    """(MAP_ROWS // 2 + 1, columns, nodes) radiance over irradiance on a level plane, 1/sr."""
-    directions = map_directions(MAP_ROWS, MAP_COLUMNS)[: MAP_ROWS // 2 + 1]
-    directions[-1, :, 2] = 1e-4  # the model has no light at the horizon itself
-    flat = directions.reshape(-1, 3).astype(np.float32)
-    to_sun = Sky(elevation_deg, azimuth_deg, turbidity).to_sun
-    before = mi.variant()
-    mi.set_variant(_SPECTRAL)
-    try:
-        emitter: Any = mi.load_dict(
-            {"type": "sunsky", "sun_direction": [float(x) for x in to_sun], "turbidity": turbidity, "albedo": albedo,
-             "sun_scale": 0.0}
-        )  # fmt: skip
-        interaction = dr.zeros(mi.SurfaceInteraction3f, len(flat))
-        interaction.wi = mi.Vector3f(*(-on_device(mi.Float, flat[:, k]) for k in range(3)))
-        values = []
-        for first in range(0, len(_NODES_NM), 4):
-            four = np.resize(_NODES_NM[first : first + 4], 4)
-            interaction.wavelengths = [float(x) for x in four]
-            values.append(np.array(emitter.eval(interaction), dtype=np.float64)[: len(_NODES_NM) - first])
-    finally:
-        mi.set_variant(before)
-    radiance = np.maximum(np.concatenate(values), 0.0).T.reshape(*directions.shape[:2], -1)
-    irradiance = np.einsum("rck,r->k", radiance, row_weights())
-    return np.asarray(radiance / irradiance, dtype=np.float32)
+        if sky.is_night:
+            return night_of(sky).radiance(light, channels)
+        shape = hosek_shape(sky.sun_elevation_deg, sky.sun_azimuth_deg, sky.turbidity, sky.ground_albedo)
+        return radiance_by(shape, light, channels)
 
 
 SKY = Clear()

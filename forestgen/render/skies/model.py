@@ -41,6 +41,11 @@ class SkyModel:
         raise NotImplementedError
 
 
+def casts_shadows(sky: Sky) -> bool:
+    """Whether a sky has a sun that is up, or by night a moon."""
+    return sky_model_of(sky).has_sun and float(sky.to_light[2]) > 0
+
+
 def sky_model_of(sky: Sky) -> SkyModel:
     """The model of a scene's sky."""
     model: SkyModel = SKIES.load(sky.kind)

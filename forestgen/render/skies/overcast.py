@@ -5,6 +5,9 @@ CIE D65 up to 700 nm. Beyond, where no standard says anything, it is the clear s
 transmittance of a cloud of water, joined to the other by their light from 600 to 700 nm: Bohren's two streams (1987)
 for an optical depth of 40 and drops of 10 micrometres, whose absorption is that of water (Hale and Querry 1973).
 
+With the sun below the horizon its light keeps that share of the clear twilight's that it has with a sun on the horizon;
+the moon's light counts as that of a sun in its place. The spectrum stays D65.
+
 The radiance is (1 + 2 sin elevation) / 3 of the zenith's (ISO 15469).
 
 Example
@@ -22,6 +25,7 @@ ISO 15469:2004 (CIE S 011): Spatial distribution of daylight, CIE standard gener
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -29,12 +33,14 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from forestgen.atmosphere.daylight import Daylight, illuminance
+from forestgen.atmosphere.moon import moonlight_share
 from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.fields import violation
 from forestgen.recipe.sky import SkySection
 from forestgen.recipe.spectra import load_table
 from forestgen.render.skies.clear import SKY as CLEAR
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, Floats, SkyModel, row_weights
+from forestgen.render.skies.night import clear_daylight, night_of
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import Sky
 
@@ -67,7 +73,9 @@ class Overcast(SkyModel):
     has_sun = False
 
     def daylight(self, sky: Sky) -> Daylight:
-        return overcast_daylight(CLEAR.daylight(sky))
+        if not sky.is_night:
+            return overcast_daylight(CLEAR.daylight(sky))
+        return overcast_daylight(night_of(sky).daylight, _night_illuminance(sky))
 
     def radiance(self, sky: Sky, light: Spectrum, channels: Channels) -> NDArray[np.floating]:
         return np.asarray(_shape()[:, None, None] * channels.of_light(light))
@@ -78,8 +86,19 @@ def overcast_illuminance(sun_elevation_deg: float) -> float:
     return float(300.0 + 21000.0 * np.sin(np.radians(sun_elevation_deg)))
 
 
-def overcast_daylight(clear: Daylight) -> Daylight:
-    """Spectra under an overcast sky, by those of the clear one."""
+def _night_illuminance(sky: Sky) -> float:
+    """Of level ground at night, lux: of twilight and the night's own light the share of a sun on the horizon."""
+    moon, share = sky.moon_by_night, overcast_illuminance(0.0) / illuminance(clear_daylight(sky, 1e-3).on_level)
+    result = share * illuminance(night_of(replace(sky, moon=None)).daylight.on_level)
+    if moon is not None:
+        sun = load_table("standards/spctrl2")["sun"]
+        light = Spectrum(sun.wavelength_nm, sun.value * moonlight_share(moon.phase_angle_deg, sun.wavelength_nm))
+        result += overcast_illuminance(moon.elevation_deg) * illuminance(light) / illuminance(sun)
+    return result
+
+
+def overcast_daylight(clear: Daylight, level_lux: float | None = None) -> Daylight:
+    """Spectra under an overcast sky, by those of the clear one; `level_lux` None: by the sun's elevation."""
     wavelength = np.union1d(clear.sky.wavelength_nm, np.arange(300.0, 721.0, 5.0))
     visible = load_table("standards/d65")["power"].at(wavelength)
     beyond = clear.on_level.at(wavelength) * _cloud_transmittance(wavelength)
@@ -87,7 +106,8 @@ def overcast_daylight(clear: Daylight) -> Daylight:
     beyond *= np.trapezoid(visible[red], wavelength[red]) / np.trapezoid(beyond[red], wavelength[red])
     share = np.interp(wavelength, [680.0, 720.0], [1.0, 0.0])
     shape = Spectrum(wavelength, share * visible + (1.0 - share) * beyond)
-    scale = overcast_illuminance(clear.sun_elevation_deg) / illuminance(shape)
+    level_lux = overcast_illuminance(clear.sun_elevation_deg) if level_lux is None else level_lux
+    scale = level_lux / illuminance(shape)
     none = Spectrum(clear.sun.wavelength_nm, np.zeros_like(clear.sun.value))
     return Daylight(none, Spectrum(wavelength, shape.value * scale), clear.sun_elevation_deg)
 

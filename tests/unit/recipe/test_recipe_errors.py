@@ -123,7 +123,7 @@ def test_duplicate_keys_name_both_lines(tmp_path: Path) -> None:
         "species.elm.plant.generator=3",
         "community=null",
         "community={steps: 3}",
-        "sky.sun.elevation_deg=0",
+        "sky.sun.elevation_deg=-91",
         "sky.turbidity=11",
         "sky.clouds=altostratus",
         "cameras=[]",

@@ -80,7 +80,7 @@ def test_without_a_date_angles_count_and_have_defaults(write: Write, sun: str, a
         "{date: 2026-06-21, time: {uniform: [8, 30]}, utc_offset_h: 1}",
         "{date: 2026-06-21, time: 12, utc_offset_h: 200}",
         "{dat: 2026-06-21}",
-        "{elevation_deg: -3}",
+        "{elevation_deg: -93}",
         "{elevation_deg: 91}",
     ],
 )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.daylight import illuminance
 from forestgen.render import light as light_module
 from forestgen.render.light import SUN_RADIUS_DEG, sky_map, sun_radiance
-from forestgen.render.skies import clear, model
+from forestgen.render.skies import hosek, model
 from forestgen.render.skies.model import daylight_of, map_directions
 from forestgen.render.variant import drjit
 from forestgen.scene.colour import RGB, Channels
@@ -24,7 +24,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 @pytest.fixture(autouse=True)
 def _no_map_of_another_size() -> Iterator[None]:
     yield
-    clear._shape.cache_clear()
+    hosek.hosek_shape.cache_clear()
 
 
 def level_light(image: NDArray[np.float32], part: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
@@ -139,10 +139,10 @@ def test_a_finer_map_has_the_same_aureole(monkeypatch: pytest.MonkeyPatch) -> No
     sky = Sky(30.0, 140.0, 8.0)
     near = {}
     for rows, columns in ((129, 256), (257, 512), (513, 1024)):
-        for module in (clear, model, light_module):
+        for module in (hosek, model, light_module):
             monkeypatch.setattr(module, "MAP_ROWS", rows)
             monkeypatch.setattr(module, "MAP_COLUMNS", columns)
-        clear._shape.cache_clear()
+        hosek.hosek_shape.cache_clear()
         image = sky_map(sky, VISIBLE)
         angle_deg = np.degrees(np.arccos(np.clip(map_directions(rows, columns) @ sky.to_sun, -1, 1)))
         near[rows] = [level_light(image, angle_deg < degrees)[1] for degrees in (5.0, 10.0, 20.0)] + [image.max()]
@@ -159,7 +159,7 @@ def test_the_number_of_threads_does_not_matter() -> None:
     try:
         for threads in (1, 3):
             dr.set_thread_count(threads)
-            clear._shape.cache_clear()
+            hosek.hosek_shape.cache_clear()
             images.append(sky_map(Sky(33.0, 77.0, 4.0), VISIBLE))
     finally:
         dr.set_thread_count(before)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from forestgen.core.errors import RecipeError
+from forestgen.atmosphere.daylight import sun_position
 from forestgen.recipe.load import load_recipe
 from forestgen.scene.plan import check_plan
 from forestgen.scene.site import sky_of, sun_notes
-from support.error_messages import raises_error
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 GOLDEN = ["site.latitude_deg=39.742476", "site.longitude_deg=-105.1786", "site.altitude_m=1830.14"]
@@ -36,26 +37,39 @@ def test_a_date_and_a_place_give_the_sun_of_nrels_example() -> None:
     assert sky.to_sun[1] < 0 < sky.to_sun[2]
 
 
-@pytest.mark.parametrize(
-    "sun",
-    [
-        "{date: 2026-06-21, time: '23:30', utc_offset_h: 2}",
-        "{date: 2026-06-21, time: {uniform: [10, 23.5]}, utc_offset_h: 2}",
-        "{date: 2026-12-21T12:00-12:00}",
-    ],
-)
-def test_a_sun_below_the_horizon_is_told_before_anything_is_simulated(sun: str) -> None:
-    recipe = load_recipe(QUICKSTART, [f"sky.sun={sun}", "site.latitude_deg=51", "site.longitude_deg=13.7"])
-    with raises_error(RecipeError):
-        check_plan(recipe)
+def test_a_night_by_date_is_noted_and_has_its_moon() -> None:
+    """On 2026-06-30 at 0 o'clock UTC the moon is full (1:57 the night before) and low in the south of Dresden."""
+    place = ["site.latitude_deg=51", "site.longitude_deg=13.7"]
+    plan = check_plan(load_recipe(QUICKSTART, ["sky.sun={date: 2026-06-29T23:30Z}", *place]))
+    sky = sky_of(plan.drawn.recipe, 0.2)
+    assert sky.moon is not None
+    assert sky.moon.phase_angle_deg < 8
+    assert 5 < sky.moon.elevation_deg < 15
+    assert sky.to_light[1] < -0.9
+    assert ["below the horizon" in one for one in sun_notes(plan.drawn.recipe)] == [True]
 
 
-def test_polar_night_is_told_and_the_midnight_sun_shines() -> None:
+def test_the_moons_phase_follows_from_its_angle_from_the_sun_unless_it_is_given() -> None:
+    night = ["sky.sun={elevation_deg: -20, azimuth_deg: 270}"]
+    for moon, phase_deg in (
+        ("{elevation_deg: 20, azimuth_deg: 90}", 0.0),
+        ("{elevation_deg: 20, illuminated: 0.5}", 90.0),
+    ):
+        sky = sky_of(check_plan(load_recipe(QUICKSTART, [*night, f"sky.moon={moon}"])).drawn.recipe, 0.2)
+        assert sky.moon is not None
+        assert sky.moon.phase_angle_deg == pytest.approx(phase_deg, abs=1e-6)
+    day = sky_of(check_plan(load_recipe(QUICKSTART, ["sky.moon={elevation_deg: 20}"])).drawn.recipe, 0.2)
+    assert day.moon is None
+
+
+def test_the_sun_sinks_steadily_and_shines_at_midnight_in_the_polar_day() -> None:
     place = ["site.latitude_deg=78.2", "site.longitude_deg=15.6"]
-    with raises_error(RecipeError, place="sky.sun.date"):
-        check_plan(load_recipe(QUICKSTART, ["sky.sun={date: 2026-12-21T11:00Z}", *place]))
     plan = check_plan(load_recipe(QUICKSTART, ["sky.sun={date: 2026-06-21T23:00Z}", *place]))
     assert 10 < sky_of(plan.drawn.recipe, 0.2).sun_elevation_deg < 13
+    minutes = [datetime(2026, 3, 20, 16, tzinfo=UTC) + timedelta(minutes=k) for k in range(0, 120, 2)]
+    sinking = np.diff([sun_position(moment, 51.0, 13.7).elevation_deg for moment in minutes])
+    assert (sinking < 0.01).all()
+    assert sinking.min() > -0.45
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,81 @@
+"""What a part of the weather is: it changes a finished scene.
+
+It may add media that light goes through (`SceneSpec.fog`), things that fall before a camera (`SceneSpec.falling`), or
+change surfaces. Labels come from the scene's geometry, so media and falling things never change them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.load import DrawnRecipe
+from forestgen.recipe.registries import WEATHER
+from forestgen.recipe.weather import Weather
+from forestgen.scene.spec import SceneSpec
+from forestgen.scene.terrain import HeightField
+
+KeysT = TypeVar("KeysT", bound=Weather)
+Place = tuple[str | int, ...]
+
+
+@dataclass(frozen=True)
+class WeatherRequest:
+    """What a part may need besides the scene."""
+
+    drawn: DrawnRecipe
+    ground: HeightField
+    place: Place  # of its section in the recipe
+
+    @property
+    def ground_m(self) -> float:
+        """Mean height of the site's ground, world."""
+        x, y = np.meshgrid(*[(np.arange(32) + 0.5) / 32 * size for size in self.ground.size_m])
+        return float(np.mean(self.ground(x.ravel(), y.ravel())))
+
+
+class WeatherKind(Generic[KeysT]):
+    """A part of the weather, which `weather: [{what: ...}]` names."""
+
+    Parameters: type[KeysT]
+
+    def check(self, keys: KeysT, drawn: DrawnRecipe, place: Place) -> None:
+        """Raise `RecipeError`, before the simulation, for what the recipe cannot have."""
+
+    def on(self, keys: KeysT, spec: SceneSpec, request: WeatherRequest) -> SceneSpec:
+        """The scene in this weather."""
+        raise NotImplementedError
+
+    def notes(self, keys: KeysT, drawn: DrawnRecipe) -> list[str]:
+        """What people should know."""
+        return []
+
+
+def check_weather(drawn: DrawnRecipe) -> None:
+    """Raise `RecipeError` for weather that a recipe cannot have, before anything is simulated."""
+    for index, keys in enumerate(drawn.recipe.weather):
+        WEATHER.load(keys.what).check(keys, drawn, ("weather", index))
+
+
+def in_weather(spec: SceneSpec, drawn: DrawnRecipe, ground: HeightField) -> SceneSpec:
+    """A finished scene in its recipe's weather."""
+    for index, keys in enumerate(drawn.recipe.weather):
+        spec = WEATHER.load(keys.what).on(keys, spec, WeatherRequest(drawn, ground, ("weather", index)))
+    return spec
+
+
+def weather_notes(drawn: DrawnRecipe) -> list[str]:
+    """What people should know of a recipe's weather."""
+    return [note for keys in drawn.recipe.weather for note in WEATHER.load(keys.what).notes(keys, drawn)]
+
+
+def check_followed(drawn: DrawnRecipe, place: Place) -> None:
+    """Raise `RecipeError` where light is traced through the clouds' volume, which knows no other medium."""
+    if drawn.recipe.render.clouds == "exact" and drawn.recipe.sky.clouds.has_clouds:
+        problem, expected = "light through the clouds' volume meets no other weather", "render.clouds: farfield or auto"
+        hint = "raise the clouds far above the plants and leave render.clouds out, or leave out this weather"
+        where = drawn.where(*place, "what")
+        raise RecipeError(problem, where=where, expected=expected, got="exact", hint=hint)

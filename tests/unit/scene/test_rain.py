@@ -1,0 +1,45 @@
+"""Rain: its drops, and that streaks cover what they should."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from forestgen.render.falling import coverage
+from forestgen.scene.spec import Falling
+from forestgen.scene.weather.rain import extinction_per_m, fall_m_per_s, slope_per_mm
+from support.scenes import camera_at
+
+
+def test_drops_are_as_many_as_fall_and_dim_the_air() -> None:
+    """The water of Marshall and Palmer's drops at Gunn and Kinzer's speeds is the rate, within a fifth."""
+    diameter = np.linspace(0.01, 10.0, 4000)
+    for rate in (2.0, 8.0, 30.0):
+        number = 8000.0 * np.exp(-slope_per_mm(rate) * diameter)
+        fallen = np.trapezoid(number * np.pi / 6.0 * diameter**3 * fall_m_per_s(diameter), diameter) * 3600.0 * 1e-6
+        assert fallen == pytest.approx(rate, rel=0.2)
+        taken = np.trapezoid(number * 2.0 * np.pi / 4.0 * diameter**2, diameter) * 1e-6
+        assert extinction_per_m(rate) == pytest.approx(taken, rel=0.01)
+
+
+def falling(shutter_s: float) -> Falling:
+    return Falling(60.0, 2.0, 0.5, (0.0, 0.0), shutter_s, fall_m_per_s)
+
+
+@pytest.mark.parametrize("shutter_s", [0.001, 0.02])
+def test_streaks_cover_as_much_as_the_drops_themselves(shutter_s: float) -> None:
+    """Summed over the image: the number of drops times their mean cross-section, seen between 1 and 12 m."""
+    camera = camera_at((0.0, 0.0, 2.0), (0.0, 50.0, 2.0), (240, 160), 60.0)
+    rng = np.random.default_rng(5)
+    covered = coverage(falling(shutter_s), camera, np.full((160, 240), np.inf, np.float32), rng)
+    square_m2 = (2.0**2 + 2.0 * 2.0 * 0.5 + 2.0 * 0.5**2) * 1e-6
+    assert covered.mean() == pytest.approx(60.0 * 11.0 * np.pi / 4.0 * square_m2, rel=0.15)
+
+
+def test_a_near_surface_hides_them() -> None:
+    camera = camera_at((0.0, 0.0, 2.0), (0.0, 50.0, 2.0), (120, 80), 60.0)
+    wall = np.full((80, 120), np.inf, np.float32)
+    wall[:, :60] = 0.9
+    covered = coverage(falling(0.01), camera, wall, np.random.default_rng(5))
+    assert covered[:, :60].max() == 0.0
+    assert covered[:, 60:].max() > 0.0
