@@ -41,6 +41,8 @@ class Exemplar:
     wood_volume_m3: float  # of the skeleton, see `Skeleton.volume_m3`
     is_unique: bool = False  # of one plant alone, with that plant's own branches
     lying_m3: float = 0.0  # volume of a dead tree's stem that lies on the ground
+    has_weather_side: bool = False  # what grows on its stem does so on one side
+    roots_m: float = 0.0  # height up to which roots run out from its stem; 0: it has none above the ground
     foliage: tuple[OrganPlacements, ...] = ()  # its leaves, flowers and fruits, where it has all detail
 
     @property

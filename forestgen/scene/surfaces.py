@@ -26,12 +26,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.spectrum import LUMINANCE, Spectrum
-from forestgen.plants.bark.texture import bark_texture
+from forestgen.plants.bark.texture import bark_texture, covered_texture
+from forestgen.plants.stem_surface import LEVELS, covered_name
 from forestgen.recipe import species as recipe_species
 from forestgen.recipe.phenology import SUMMER, LeafState
 from forestgen.recipe.spectra import load_spectra, load_table, mixed, surface_columns
@@ -184,7 +186,39 @@ def materials_of(
             for key, material in one.materials.items():
                 first = found[name, key] if index and material.bark is not None else None  # bark has no season
                 found[name, material_of_class(key, index)] = first or surface_of(material, state, f"{name}/{key}")
+        covered = _covered(name, one, found)
+        for index in range(len((leaves or {}).get(name, [SUMMER]))):
+            found |= {(name, material_of_class(key, index)): material for key, material in covered.items()}
     return found
+
+
+def _covered(name: str, species: Species, found: Mapping[tuple[str, str], Material]) -> dict[str, Material]:
+    """The barks of a species' stem under each of its covers, which have no season."""
+    made: dict[str, Material] = {}
+    wood = species.wood
+    if wood is None or not wood.covers:
+        return made
+    own = species.plant.parameters.get("wood", {}).get("material")
+    barks = {own, *(zone.material for zone in wood.bark_zones)} & species.materials.keys()
+    for bark, cover, level in product(sorted(barks), wood.covers, range(len(LEVELS))):
+        key, below = covered_name(bark, cover.material, level), species.materials[bark]
+        under, over = found[name, bark], found[name, cover.material]
+        made[key] = _mixed(under, over, LEVELS[level], below.bark, f"{name}/{bark}")
+    return made
+
+
+def _mixed(bark: Material, cover: Material, share: float, pattern: recipe_species.Bark | None, name: str) -> Material:
+    """A bark of which something covers a share."""
+    r, g, b = (under + share * (over - under) for under, over in zip(bark.reflectance, cover.reflectance, strict=True))
+    mean, spectrum, of_bark, of_cover = (r, g, b), None, bark.reflectance_spectrum, cover.reflectance_spectrum
+    if of_bark is not None and of_cover is not None:
+        grid = np.union1d(of_bark.wavelength_nm, of_cover.wavelength_nm)
+        spectrum = Spectrum(grid, of_bark.at(grid) + share * (of_cover.at(grid) - of_bark.at(grid)))
+        mean = colours_of_surface(spectrum, None)[0]
+    texture = None
+    if pattern is not None:
+        texture = covered_texture(pattern, bark.reflectance, name, cover.reflectance, share, mean)
+    return Material(mean, roughness=bark.roughness, texture=texture, reflectance_spectrum=spectrum)
 
 
 def material_of_class(material: str, index: int) -> str:
