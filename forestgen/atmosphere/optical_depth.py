@@ -291,3 +291,53 @@ def _shares(detail, value, start, step, first, last, count):  # type: ignore[no-
             i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
             total += share * mixed(corners(value, i, j, k), x - i, y - j, z - k)
     return 0.5 * size * total
+
+
+def distance_to_depth(
+    grid: CloudGrid, origin_m: NDArray[np.float64], direction: NDArray[np.float64], depth: float
+) -> NDArray[np.float64]:
+    """(...) metres along rays to where clouds with detail have an optical depth, within a step; inf: nowhere."""
+    low, high = np.asarray(grid.low_m, dtype=np.float64), np.asarray(grid.high_m, dtype=np.float64)
+    per_m = np.array(grid.inside_per_m.shape[::-1]) / (high - low)
+    shape = direction.shape[:-1]
+    start = np.broadcast_to((np.asarray(origin_m, dtype=np.float64) - low) * per_m - 0.5, (*shape, 3))
+    start = np.ascontiguousarray(start.reshape(-1, 3))
+    step = np.ascontiguousarray((direction * per_m).reshape(-1, 3), dtype=np.float64)
+    value, out = np.ascontiguousarray(grid.inside_per_m), np.full(len(step), np.inf)
+    parallel_for(len(out), lambda first, end: _reach(grid.detail, value, start, step, depth, first, end, out))
+    return out.reshape(shape)
+
+
+@compiled
+def _reach(detail, value, start, step, depth, first_ray, end_ray, out):  # type: ignore[no-untyped-def]
+    """Fill `out` (R,) with t at which a ray's integral of the field with detail has passed `depth`."""
+    detail, value = unowned_view((detail, value))
+    layers, rows, columns = value.shape
+    cells = (columns, rows, layers)
+    for ray in range(first_ray, end_ray):
+        place = (start[ray, 0], start[ray, 1], start[ray, 2])
+        way = (step[ray, 0], step[ray, 1], step[ray, 2])
+        t, end = clipped(place, way, np.inf, -0.5, (columns - 0.5, rows - 0.5, layers - 0.5))
+        if not t < end:
+            continue
+        box, leaves = entered(place, way, t, -0.5, 1, 0, cells)
+        cells_per_m = max(abs(way[0]), abs(way[1]), abs(way[2]))
+        total = 0.0
+        while total < depth:
+            ahead = min(leaves)
+            until = min(ahead, end)
+            if until > t:
+                if detail.brick[box[2], box[1], box[0]] != EMPTY:
+                    count = int(np.ceil((until - t) * cells_per_m * 2.0 * SUB))
+                    size = (until - t) / count
+                    for n in range(count):
+                        total += _shares(detail, value, place, way, t + n * size, t + (n + 1) * size, 1)
+                        if total >= depth:
+                            out[ray] = t + (n + 1) * size
+                            break
+                t = until
+            if ahead >= end:
+                break
+            box, leaves = advanced(box, leaves, place, way, -0.5, 1)
+            if not inside(box, 0, cells):
+                break

@@ -11,7 +11,7 @@ from forestgen.atmosphere import billows
 from forestgen.atmosphere.billows import detail_of
 from forestgen.atmosphere.cloud_detail import EMPTY, FULL, NO_DETAIL, SUB
 from forestgen.atmosphere.grid import CloudGrid
-from forestgen.atmosphere.optical_depth import optical_depth
+from forestgen.atmosphere.optical_depth import distance_to_depth, optical_depth
 
 CELL_M = (75.0, 75.0, 62.5)
 UP = np.array([0.0, 0.0, 1.0])
@@ -134,6 +134,22 @@ def test_bases_are_flatter_than_tops(clouds: CloudGrid) -> None:
 def depth_upwards_to(clouds: CloudGrid, x_m: np.ndarray, y_m: np.ndarray, z_m: float) -> np.ndarray:
     origin = np.stack([x_m, y_m, np.full(x_m.shape, -10.0)], axis=-1)
     return optical_depth(clouds, origin, np.broadcast_to(UP, origin.shape), z_m + 10.0)
+
+
+def test_the_place_at_an_optical_depth_is_where_the_integral_has_it(clouds: CloudGrid) -> None:
+    x, y = np.meshgrid(np.linspace(400.0, 1400.0, 40), np.linspace(400.0, 1400.0, 40))
+    origin = np.stack([x, y, np.full(x.shape, -10.0)], axis=-1)
+    up = np.broadcast_to(UP, origin.shape)
+    distance = distance_to_depth(clouds, origin, up, 0.7)
+    met = np.isfinite(distance)
+    whole = optical_depth(clouds, origin, up, np.inf)
+    assert ((whole > 0.72)[~met]).sum() == 0
+    assert met.sum() > 100
+    step_m = CELL_M[2] / 16
+    at = optical_depth(clouds, origin[met], up[met], distance[met] + 0.5 * step_m)
+    before = optical_depth(clouds, origin[met], up[met], distance[met] - 2.0 * step_m)
+    assert np.quantile(at, 0.02) > 0.65
+    assert np.quantile(before, 0.98) < 0.75
 
 
 def test_rain_gets_no_edge() -> None:
