@@ -2,8 +2,9 @@
 
 Guides are nearly noise-free pictures of the scene's colours in sun and shade, and of its normals. Tracing a ray is much
 cheaper than a light path, so they can have many samples. The sun's share is in the colours since its shadows are edges
-too: a denoiser that knows albedo alone takes them for noise and smears them. Clouds and what lies between are left to
-the denoiser.
+too: a denoiser that knows albedo alone takes them for noise and smears them. Clouds with detail have edges and billows
+that are lost in the noise of their light: there the guide is how much of the sun comes to where a pixel's rays end in
+the cloud. Other clouds and what lies between are left to the denoiser.
 
 For the same reason, under a sky without a sun each of a pixel's samples has a place of the sky, hidden or not: the
 shade between leaves is in the colours. All pixels have the same places, so that the guide has no noise.
@@ -19,6 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.optical_depth import distance_to_depth, optical_depth
 from forestgen.render.identity.surface import (
     SAMPLES,
     Values,
@@ -32,8 +35,13 @@ from forestgen.render.identity.tracer import LENS_STEPS, Hits, SceneTracer
 from forestgen.render.paths.fog import Fog
 from forestgen.render.skies.model import casts_shadows
 from forestgen.render.variant import dr, mi, mitsuba
+from forestgen.render.views import lens_rays
 from forestgen.scene.spec import Camera
 
+_CLOUD_RAYS = 4  # of a pixel
+_SEEN_DEPTH = 0.7  # optical depth of the place in a cloud that a ray sees
+_CLEAR, _CLOUD_SHADE, _CLOUD_FALL, _DARK_DEPTH = 0.35, 0.5, 0.3, 12.0  # of guides: light falls slowly inside clouds
+Floats = NDArray[np.float64]
 _SHADE = 0.15  # light in the shade, by that of a surface that faces the sun
 _HIDDEN = 0.2  # light where the sky is hidden, by that in the open: leaves let light through and scatter it
 _PLACES = 37  # of the sky, between one sample's and the next one's; it has no divisor in common with `SAMPLES`
@@ -71,6 +79,25 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
         return [*colour, *smooth]
 
     return values
+
+
+def with_clouds(guides: Guides, clouds: CloudGrid, camera: Camera, to_sun: NDArray[np.float64], sky: Floats) -> Guides:
+    """The guides with those of clouds with detail in the `sky` (H, W), the share of a pixel that sees nothing else."""
+    total = np.zeros(sky.shape)
+    rows, columns = np.nonzero(sky > 0)
+    for number in range(_CLOUD_RAYS):
+        along, down = (number + 0.5) / _CLOUD_RAYS, (number * 0.6180339887498949 + 0.5) % 1.0
+        places = np.broadcast_to(np.array([along, down, 0.5, 0.5])[:, None], (4, len(rows)))
+        origin, direction, _ = lens_rays(camera, rows, columns, places)
+        distance = distance_to_depth(clouds, origin, direction, _SEEN_DEPTH)
+        met = np.isfinite(distance)
+        seen = np.full(len(rows), _CLEAR)
+        at = (np.broadcast_to(origin, direction.shape) + np.where(met, distance, 0.0)[:, None] * direction)[met]
+        depth = optical_depth(clouds, at, np.broadcast_to(to_sun, at.shape), np.inf, enough=_DARK_DEPTH)
+        seen[met] = _CLOUD_SHADE + (1.0 - _CLOUD_SHADE) * np.exp(-_CLOUD_FALL * depth)
+        total[rows, columns] += seen / _CLOUD_RAYS
+    colour = guides.colour + (sky * (total - 1.0))[..., None].astype(np.float32)
+    return Guides(np.clip(colour, 0.0, None).astype(np.float32), guides.normal)
 
 
 def _sky_places(rays: int) -> Any:

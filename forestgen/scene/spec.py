@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,15 @@ from forestgen.recipe.registries import DEFAULT_PROJECTION
 from forestgen.recipe.species import LeafType
 
 
+class SeasonShare(NamedTuple):
+    """Leaves of one season's colour in a crown."""
+
+    name: str
+    share: float  # of the crown's leaves; may be 0
+    reflectance: Spectrum
+    transmittance: Spectrum | None
+
+
 @dataclass(frozen=True)
 class Material:
     """A surface's colour, linear Rec. 709 RGB in [0, 1]; a thin leaf also lets light through."""
@@ -32,6 +41,7 @@ class Material:
     reflectance_spectrum: Spectrum | None = None  # of which the reflectance is the colour; None: the colour is all
     transmittance_spectrum: Spectrum | None = None
     leaf_type: LeafType | None = None  # as which its leaves vary; None: all are alike
+    seasons: tuple[SeasonShare, ...] = ()  # of leaves beside each other, whose mean the spectra are
 
 
 @dataclass(frozen=True)
