@@ -53,6 +53,7 @@ _SECTIONS = {
     "Camera": "cameras (each)",
     "CameraPath": "cameras: path",
     "Exposure": "cameras: exposure",
+    "Jpeg": "cameras: exposure: jpeg",
     "Render": "render",
     "Labels": "labels",
     "Wind": "wind",

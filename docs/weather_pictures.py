@@ -3,6 +3,7 @@
 weather_profiles.png    weather_profiles    four skies: a thermal and the air around it by height, and their cloud
 weather_story.png       weather_story       recipes/weather_story.yaml: its eight skies, cut through and from below
 weather_cumulus.jpg     weather_cumulus     recipes/weather_cumulus.yaml, rendered
+cloud_detail.jpg        cloud_detail        its clouds from below, without detail and with it
 """
 
 from __future__ import annotations
@@ -178,7 +179,24 @@ def weather_cumulus(scratch: Path) -> None:
     sys.stdout.write(f"{path}\n")
 
 
-PICTURES_OF = {one.__name__: one for one in (weather_profiles, weather_story, weather_cumulus)}
+def cloud_detail(scratch: Path) -> None:
+    """Side by side; some three minutes the first time."""
+    recipe = PICTURES.parents[1] / "recipes" / "weather_cumulus.yaml"
+    camera = "{position_m: [40, 40, 30], look_at_m: [-10, 70, 85], size_px: [400, 300], hfov_deg: 45}"
+    common = ["--set", f"cameras=[{camera}]", "--set", "community.steps=4", "--set", "render.samples=48"]
+    parts = []
+    for detail in ("false", "true"):
+        out = scratch / f"detail-{detail}"
+        clouds = f"sky.clouds={{type: cumulus, detail: {detail}}}"
+        command = [sys.executable, "-m", "forestgen", "render", recipe, "-o", out, *common, "--set", clouds]
+        subprocess.run(command, check=True)
+        parts.append(np.asarray(Image.open(next(out.glob("train/*/preview.png"))).convert("RGB")))
+    path = PICTURES / "cloud_detail.jpg"
+    Image.fromarray(np.hstack(parts)).save(path, quality=88, optimize=True)
+    sys.stdout.write(f"{path}\n")
+
+
+PICTURES_OF = {one.__name__: one for one in (weather_profiles, weather_story, weather_cumulus, cloud_detail)}
 
 
 if __name__ == "__main__":

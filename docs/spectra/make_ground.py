@@ -35,6 +35,8 @@ BARKS = {
     "wood/bare": ((0.235, 0.215, 0.190), "wood"),
     "wood/end_grain": ((0.360, 0.260, 0.155), "wood"),
     "wood/moss": ((0.062, 0.074, 0.022), "stem"),
+    "wood/algae": ((0.120, 0.145, 0.055), "stem"),
+    "bark/birch_foot": ((0.085, 0.078, 0.070), "bark"),
     "stems/bracken_stipe": ((0.140, 0.135, 0.055), "stem"),
     "stems/bramble_cane": ((0.135, 0.070, 0.050), "stem"),
     "stems/daisy_stalk": ((0.080, 0.120, 0.045), "stem"),

@@ -27,6 +27,7 @@ pressure of the place's altitude and 12 degrees Celsius.
 
 References
 ----------
+Elsasser, W. M. (1942): Heat transfer by infrared radiation in the atmosphere. Harvard Meteorological Studies 6.
 Bird, R. E., Riordan, C. (1984): Simple solar spectral model for direct and diffuse irradiance on horizontal and tilted
 planes at the earth's surface for cloudless atmospheres. SERI/TR-215-2436. Also J. Climate Appl. Meteor. 25 (1986) 87.
 Kasten, F., Young, A. T. (1989): Revised optical air mass tables and approximation formula. Appl. Opt. 28, 4735.
@@ -58,6 +59,8 @@ STANDARD_WATER_MM, STANDARD_OZONE_DU = 14.16, 344.0  # U.S. Standard Atmosphere 
 _AEROSOL_EXPONENT = 1.3  # that belongs to beta
 _MEAN_TEMPERATURE_C = 12.0
 _HORIZON_LIFT_DEG, _UNLIFTED_DEG = 0.57, 6.0  # by refraction at the horizon; depth of a sun that is not lifted
+AEROSOL_SCALE_M, _VAPOUR_SCALE_M = 1500.0, 2000.0  # heights in which they thin by e
+_DIFFUSE_MASS = 1.66
 
 
 @dataclass(frozen=True)
@@ -168,6 +171,17 @@ def aerosol_optical_depth(turbidity: float, wavelength_nm: float = 500.0) -> flo
     return float(beta * (wavelength_nm / 1000.0) ** -_AEROSOL_EXPONENT)
 
 
+def air_of(turbidity: float, altitude_m: float, precipitable_water_mm: float, ozone_du: float) -> Air:
+    """Air over a place above sea level; see `daylight`."""
+    return Air(
+        aerosol_500nm=aerosol_optical_depth(turbidity),
+        aerosol_exponent=_AEROSOL_EXPONENT,
+        water_cm=precipitable_water_mm / 10.0,
+        ozone_cm=ozone_du / 1000.0,
+        pressure_pa=pressure_pa(altitude_m),
+    )
+
+
 @lru_cache(maxsize=64)
 def daylight(
     sun_elevation_deg: float,
@@ -192,16 +206,36 @@ def daylight(
     """
     if not 0.0 < sun_elevation_deg <= 90.0:
         raise ValueError(f"the sun must stand above the horizon, up to 90 degrees, not at {sun_elevation_deg:g}")
-    air = Air(
-        aerosol_500nm=aerosol_optical_depth(turbidity),
-        aerosol_exponent=_AEROSOL_EXPONENT,
-        water_cm=precipitable_water_mm / 10.0,
-        ozone_cm=ozone_du / 1000.0,
-        pressure_pa=pressure_pa(altitude_m),
-    )
+    air = air_of(turbidity, altitude_m, precipitable_water_mm, ozone_du)
     wavelength, sun, sky = clear_spectra(sun_elevation_deg, air, ground_albedo, sun_distance_au)
     sky = sky / (air_mass(sun_elevation_deg) * np.sin(np.radians(sun_elevation_deg)))  # of air around a globe
     return Daylight(Spectrum(wavelength, sun), Spectrum(wavelength, sky), sun_elevation_deg)
+
+
+def sunlight_aloft(light: Spectrum, sun_elevation_deg: float, air: Air, altitude_m: float, height_m: float) -> Spectrum:
+    """Sunlight as clouds at a height above the ground scatter it down to the ground, of that `light` at the ground.
+
+    It has not come through the air below the clouds on the sun's way, but once through it on its way down, by the
+    diffusivity factor 1.66 (Elsasser 1942) of light from all directions. The aerosol thins by e in 1500 m, vapour in
+    2000 m. With the sun higher than 37 degrees, where its own way is the shorter one, the light stays as it is.
+    """
+    mass = air_mass(sun_elevation_deg)
+    if mass <= _DIFFUSE_MASS:
+        return light
+    thinned = Air(
+        air.aerosol_500nm * float(np.exp(-height_m / AEROSOL_SCALE_M)),
+        air.aerosol_exponent,
+        air.water_cm * float(np.exp(-height_m / _VAPOUR_SCALE_M)),
+        air.ozone_cm,
+        air.pressure_pa * pressure_pa(altitude_m + height_m) / pressure_pa(altitude_m),
+    )
+
+    def through(one: Air, mass: float) -> Floats:
+        rayleigh, aerosol, gases, *_ = _transmittances(one, sun_elevation_deg, mass, with_ozone=False)
+        return np.maximum(rayleigh * aerosol * gases, 1e-9)
+
+    gain = through(thinned, mass) / through(air, mass) * through(air, _DIFFUSE_MASS) / through(thinned, _DIFFUSE_MASS)
+    return Spectrum(light.wavelength_nm, light.value * np.interp(light.wavelength_nm, _coefficients()[0], gain))
 
 
 def illuminance(irradiance: Spectrum) -> float:

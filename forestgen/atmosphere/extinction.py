@@ -33,10 +33,12 @@ Marshall and Palmer 1948 (Journal of Meteorology 5, 165-166).
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.billows import detail_of
 from forestgen.atmosphere.grid import AirGrid, CloudGrid, PhaseFunction, Weather
 from forestgen.core.errors import RecipeError
 
@@ -77,7 +79,12 @@ def droplet_phase(radius_um: float) -> PhaseFunction:
 
 
 def cloud_grid_of(
-    weather: Weather, *, centre_m: tuple[float, float] | None, droplet_radius_um: float, tiles: int = 1
+    weather: Weather,
+    *,
+    centre_m: tuple[float, float] | None,
+    droplet_radius_um: float,
+    tiles: int = 1,
+    detailed: bool = False,
 ) -> CloudGrid | None:
     """The clouds and rain of a snapshot as the renderer gets them; None where there are none.
 
@@ -88,6 +95,7 @@ def cloud_grid_of(
     centre_m : world x and y of the middle of the field; None: where the weather's own grid lies, as over terrain.
     droplet_radius_um : effective radius.
     tiles : copies of a periodic field side by side, along x and along y.
+    detailed : with edges and billows within the cells; see `forestgen.atmosphere.billows`.
     """
     low_um, high_um = _RADII_UM
     if not low_um <= droplet_radius_um <= high_um:
@@ -110,9 +118,16 @@ def cloud_grid_of(
         return None
     # An empty layer stays on either side: the renderer interpolates towards it, and holds a border's values outwards.
     first, last = max(int(layers[0]) - 1, 0), min(int(layers[-1]) + 2, len(extinction))
-    extinction = np.tile(extinction[first:last], (1, tiles, tiles))
+    extinction, copies = extinction[first:last], (1, tiles, tiles)
     low, high = _corners(weather.grid, centre_m, tiles, first, last)
-    return CloudGrid(np.ascontiguousarray(extinction), low, high, ALBEDO, droplet_phase(droplet_radius_um))
+    phase = droplet_phase(droplet_radius_um)
+    grid = CloudGrid(np.ascontiguousarray(np.tile(extinction, copies)), low, high, ALBEDO, phase)
+    if not detailed:
+        return grid
+    rainy = rain_extinction(rain[first:last]) > 0.5 * extinction
+    full, detail = detail_of(extinction, rainy, weather.grid.cell_m, periodic=weather.grid.periodic)
+    brick = np.ascontiguousarray(np.tile(detail.brick, copies))
+    return replace(grid, full_per_m=np.ascontiguousarray(np.tile(full, copies)), detail=detail._replace(brick=brick))
 
 
 def without_thin_air(extinction: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.cloud_detail import NO_DETAIL, Detail
 from forestgen.core.errors import ResourceError
 from forestgen.core.processes import free_bytes
 
@@ -56,6 +57,13 @@ class CloudGrid:
     high_m: tuple[float, float, float]  # world corner after the last cell
     albedo: float = 0.999
     phase: PhaseFunction = PhaseFunction()
+    full_per_m: NDArray[np.float32] | None = None  # (Z, Y, X) with detail: of the clouds' inside, without the air
+    detail: Detail = NO_DETAIL  # within the cells
+
+    @property
+    def inside_per_m(self) -> NDArray[np.float32]:
+        """(Z, Y, X) what the detail's shares multiply."""
+        return self.extinction_per_m if self.full_per_m is None else self.full_per_m
 
     @property
     def cell_m(self) -> tuple[float, float, float]:

@@ -43,7 +43,7 @@ _NOISE_K = 0.1
 _CHANGES = 3.0  # times change_s, after which the mean air is left to itself
 _ONE_PATCH_SHARE = 0.25  # of the box: larger patches are moved so that the warmest lies in its middle
 SOURCES = ("atmosphere", "core")  # layers that shape weather
-_COMPUTE_WITH = ("numpy", "scipy", "numba")
+COMPUTED_WITH = ("numpy", "scipy", "numba")
 
 
 def weather_store() -> DiskCache | None:
@@ -239,7 +239,7 @@ class _Work:
 
     def _key(self, stop: _Stop) -> str:
         until_then = self._scenario.phases[: stop.phase + 1]
-        return weather_key(code_hash(SOURCES, _COMPUTE_WITH), self._seed, stop.time_s, until_then)
+        return weather_key(code_hash(SOURCES, COMPUTED_WITH), self._seed, stop.time_s, until_then)
 
     def _fresh(self, number: int) -> Weather:
         conditions = self._scenario.phases[number].conditions

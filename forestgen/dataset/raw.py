@@ -4,6 +4,7 @@ From luminance L (cd/m²) to digital numbers, pixel by pixel:
 
     illuminance on the sensor   E = pi L V / (4 N²)                a lens focused far away that loses no light
     vignetting                  V = 1 - v + v cos⁴(theta)          theta: between the pixel's ray and the axis
+    lens                        falloff, lateral colour, glare     dataset/optics.py
     exposure                    H = E t                            lux seconds
     saturation                  H_sat = 78 / S                     ISO 12232; S: iso
     electrons expected          n = H F S_0 / 78                   F: full_well_electrons; S_0: base_iso
@@ -34,6 +35,8 @@ no colour camera's, ``raw-NAME.png`` a channel (readers of 16-bit grey are many,
 has the numbers that lead back::
 
     radiance of the channel = (D - black_level) radiance_per_dn[channel] / V
+
+V includes the falloff; lateral colour and glare are not undone by it. dataset/photo.py makes the camera's picture.
 """
 
 from __future__ import annotations
@@ -50,9 +53,10 @@ from numpy.typing import NDArray
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Spectrum
 from forestgen.dataset.files import write_json
+from forestgen.dataset.optics import falloff, through_lens
 from forestgen.dataset.png import write_png
 from forestgen.dataset.tonemap import picture_bands
-from forestgen.recipe.cameras import Exposure
+from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.spectra import load_table
 from forestgen.render.frame import Radiance
 from forestgen.scene.colour import colour_of_radiance
@@ -69,7 +73,9 @@ _SUN_SHARE = 0.5  # per cent of pixels that the meter leaves out, the brightest
 _D65_KELVIN, _D65_END_NM, _LAST_NM = 6504.0, 780, 2500
 _MOSAIC = ((0, 1), (1, 2))  # red, green over green, blue: index of the channel by row and column
 
-_EXPOSURE = ("read_noise_electrons", "full_well_electrons", "f_number", "iso", "base_iso", "vignetting")
+_EXPOSURE = (
+    "read_noise_electrons", "full_well_electrons", "f_number", "iso", "base_iso", "vignetting", "veiling_glare"
+)  # fmt: skip
 
 Floats = NDArray[np.float64]
 
@@ -80,6 +86,7 @@ class Raw:
 
     planes: Mapping[str, NDArray[np.uint16]]  # file -> (H, W) digital numbers
     facts: Mapping[str, Any]  # raw.json
+    is_colour: bool  # of three colours
 
 
 @dataclass(frozen=True)
@@ -106,11 +113,13 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
     mosaic = exposure.mosaic and sensor.is_colour
     names = ("",) if mosaic else sensor.names
     numbers = np.empty((*light.shape[:2], len(names)), dtype=np.uint16)
-    shade = vignetting(camera, exposure.vignetting)[..., None] * electrons_per_luminance
+    shade = vignetting(camera, exposure.vignetting) * falloff(camera.size_px, exposure.falloff)
+    shade = shade[..., None] * electrons_per_luminance
+    arrives = _arriving(light, sensor, exposure)
     shot, read = child_rng(seed, "raw", camera.name).spawn(2)
     for first in range(0, len(light), _ROWS):  # not all in float64 at once; no number depends on it
         rows = slice(first, first + _ROWS)
-        expected = _luminance(light[rows], sensor) * shade[rows]
+        expected = (_luminance(light[rows], sensor) if arrives is None else arrives[rows]) * shade[rows]
         if mosaic:
             expected = mosaiced(expected)[..., None]
         # Far above white nothing differs, and Poisson's numbers are bounded.
@@ -132,6 +141,8 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
         "electrons_per_dn": gain,
         "shutter_s": float(shutter_s),
         **{name: float(getattr(exposure, name)) for name in _EXPOSURE},
+        "falloff": list(exposure.falloff),
+        "chromatic_aberration": list(exposure.chromatic_aberration if sensor.is_colour else (0.0, 0.0)),
         "projection": camera.projection,
         "hfov_deg": float(camera.hfov_deg),
         "radiance_per_dn": dict(zip(sensor.names, per_dn.tolist(), strict=True)),
@@ -139,7 +150,7 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
         "radiance_unit": "W m-2 sr-1 nm-1" if radiance.bands else "cd/m2",
         "of": "radiance" if radiance.denoised is None else "radiance.denoised",
     }
-    return Raw(planes, facts)
+    return Raw(planes, facts, sensor.is_colour)
 
 
 def write_raw(folder: Path, raw: Raw) -> None:
@@ -179,6 +190,14 @@ def mosaiced(values: Floats) -> Floats:
 def _luminance(light: NDArray[np.float32], sensor: _Sensor) -> Floats:
     """(H, W, C) what L is by channel, cd/m²."""
     return np.asarray(light[..., list(sensor.columns)].astype(np.float64).clip(0.0) * sensor.luminance_per_radiance)
+
+
+def _arriving(light: NDArray[np.float32], sensor: _Sensor, exposure: Exposure) -> Floats | None:
+    """(H, W, C) what L is behind the lens; None: the lens changes nothing."""
+    colours = exposure.chromatic_aberration if sensor.is_colour else (0.0, 0.0)
+    if not any(colours) and not exposure.veiling_glare:
+        return None
+    return through_lens(_luminance(np.nan_to_num(light), sensor), colours, exposure.veiling_glare)
 
 
 def _metered_luminance(light: NDArray[np.float32], sensor: _Sensor, camera: Camera) -> float:

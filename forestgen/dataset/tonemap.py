@@ -91,10 +91,15 @@ def tone_map(radiance: NDArray[np.float32], exposure: float | None = None, view:
     return _developed(light * factor, white, view)
 
 
+def filmic(exposed: NDArray[np.float32], white: float) -> NDArray[np.uint8]:
+    """(H, W, 3) picture of light whose middle grey is 0.18; `white` and what is brighter becomes white."""
+    return _encode(_curve(exposed, white))
+
+
 def _developed(exposed: NDArray[np.float32], white: float, view: View) -> NDArray[np.uint8]:
     if view == "acescct":
         return _acescct(exposed)
-    return _encode(_curve(exposed, white) if view == "filmic" else exposed)
+    return filmic(exposed, white) if view == "filmic" else _encode(exposed)
 
 
 def _metered(light: NDArray[np.float32]) -> tuple[np.float32, float]:

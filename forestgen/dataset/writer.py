@@ -74,9 +74,11 @@ def write_frame(
     png.write_png(folder / "overlay.png", png.overlay(made.picture, pixels.instance))
     write_exr(folder / "frame.exr", labelled, {"view": settings.view, **attributes})
     if camera.exposure is not None:
+        from forestgen.dataset.photo import with_photo
         from forestgen.dataset.raw import raw_image, write_raw
 
-        write_raw(folder, raw_image(radiance, camera, camera.exposure, int(attributes.get("image_seed", "0"))))
+        raw = raw_image(radiance, camera, camera.exposure, int(attributes.get("image_seed", "0")))
+        write_raw(folder, with_photo(folder, raw, camera.exposure))
     write_plants(folder / "plants.parquet", labelled)
     write_json(folder / "camera.json", camera_model(camera))
     if projection_of(camera).is_equidistant:

@@ -14,16 +14,21 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh, surface_area_m2
+from forestgen.plants.clothed_twigs import clothed_twigs
+from forestgen.plants.dead_branches import dead_branches
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
 from forestgen.plants.leaf_fall import with_leaves
 from forestgen.plants.levels import simplified
 from forestgen.plants.meshing import organ_meshes
 from forestgen.plants.organs.base import OrganForm
+from forestgen.plants.organs.needles import bears_on_twigs
 from forestgen.plants.parameters import Fit, ShapesTrees, Sways
 from forestgen.plants.plan import PlantPlan
 from forestgen.plants.registry import GENERATORS
+from forestgen.plants.roots import HIGH, roots_of
 from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
+from forestgen.plants.stem_surface import COVERED
 from forestgen.plants.tree_fit import fit_tree, organ_boxes, stalk_materials
 from forestgen.plants.tree_size import TreeSize
 from forestgen.plants.variation.model import vary
@@ -94,29 +99,62 @@ def build_exemplar(
         height_m, leaf_rng = tree.height_m, rng.spawn(1)[0]
         fitted = fit_tree(skeleton, plant, templates, tree, leaf_rng).skeleton
     skeleton = _with_visible_organs(fitted, templates)
-    triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
-    check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
-    in_leaf_m = 0.0
+    _check_organs(skeleton, templates)
+    in_leaf_m, years, (season_rng, wood_rng) = 0.0, plant.wood.years, rng.spawn(2)
     if not leaves.is_whole:
         feet, _, upper = organ_boxes(skeleton.organs, templates)
         in_leaf_m = float((feet + upper)[:, 2].max())
-        skeleton = with_leaves(skeleton, plant.shapes, leaves, rng.spawn(1)[0])
+        skeleton = with_leaves(skeleton, plant.shapes, leaves, season_rng)
     seen = simplified(skeleton, templates, pixel_m, level_rng)
     organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=pixel_m)
-    check_materials(species_name, organs, species.materials)
     low, high = box_of(organs, species_name)
-    top_m = max(float(high[2]), in_leaf_m)
-    _check_fitted(species_name, plant.fit, top_m, height_m)
+    organs = (*organs, *_dead_wood(plant, skeleton, tree, pixel_m, wood_rng))
+    check_materials(species_name, organs, species.materials)
+    _check_fitted(species_name, plant.fit, max(float(high[2]), in_leaf_m), height_m)
     return Exemplar(
         species=species_name,
         organs=organs,
         radius_m=radius_m,
-        height_m=top_m,
+        height_m=max(float(high[2]), in_leaf_m),
         crown_width_m=float(np.mean((high - low)[:2])),
         leaf_area_m2=leaf_area_m2(organs, plant.shapes),
         wood_volume_m3=skeleton.volume_m3(),
-        foliage=() if pixel_m > 0.0 else seen.organs,
+        foliage=() if pixel_m > 0.0 else _on_twigs(seen, plant.shapes),
+        roots_m=_roots_m(plant, skeleton, pixel_m),
+        has_weather_side=years is not None and years.has_weather_side,
     )
+
+
+def _on_twigs(skeleton: Skeleton, shapes: Mapping[str, OrganForm]) -> tuple[OrganPlacements, ...]:
+    """The organs, with the twigs that bear needles of theirs."""
+    return tuple(
+        replace(one, twigs=clothed_twigs(skeleton, one)) if bears_on_twigs(shapes[one.shape]) else one
+        for one in skeleton.organs
+    )
+
+
+def _check_organs(skeleton: Skeleton, templates: Mapping[str, Mesh]) -> None:
+    """Raise `RecipeError`: more leaves and flowers than memory holds."""
+    triangles = sum(len(organs.node) * templates[organs.shape].triangles for organs in skeleton.organs)
+    check_budget("triangles in leaves and flowers", triangles, _TRIANGLE_BYTES, "fewer organs, a lower detail")
+
+
+def _roots_m(plant: Any, skeleton: Skeleton, pixel_m: float) -> float:
+    """Height up to which roots run out from the stem."""
+    years, stem_m = plant.wood.years, float(skeleton.radius_m[0])
+    law = None if years is None or pixel_m > 0.0 else years.roots
+    return 0.0 if roots_of(law, stem_m) is None else HIGH * stem_m
+
+
+def _dead_wood(
+    plant: Any, skeleton: Skeleton, tree: TreeSize | None, pixel_m: float, rng: np.random.Generator
+) -> tuple[OrganMesh, ...]:
+    """What is dead on a living tree; `skeleton` at its final size."""
+    years = plant.wood.years
+    if tree is None or years is None or years.dead_branches is None:
+        return ()
+    found = dead_branches(skeleton, years.dead_branches, tree, pixel_m, rng)
+    return () if found is None else (found,)
 
 
 def _grown(
@@ -209,7 +247,7 @@ def _check_fitted(species_name: str, how: Fit, made_m: float, wanted_m: float) -
 
 def check_materials(species_name: str, organs: tuple[OrganMesh, ...], materials: Mapping[str, object]) -> None:
     for organ in organs:
-        if organ.material not in materials:
+        if organ.material.split(COVERED)[0] not in materials:
             where, expected = f"species {species_name}: plant", "one of " + ", ".join(materials)
             problem = "the plant names a material that the species does not have"
             raise RecipeError(problem, where=where, expected=expected, got=repr(organ.material))
@@ -313,7 +351,7 @@ def sway(
     """The plant of a seed at times 0, 1 / frames_per_s, ...; `tree`: its sizes; None: by the radius."""
     species, parameters = plan.drawn.species[species_name], plan.generators[species_name]
     generator: Sways = GENERATORS.load(parameters.generator)
-    parameters = generator.in_wind(parameters)
+    parameters = without_covers(generator.in_wind(parameters))  # poses share their faces
     anew = partial(child_rng, seed, "exemplar", species_name)
     still = build_exemplar(species_name, species, parameters, radius_m, anew(), tree=tree)
     first: tuple[OrganMesh, ...] | None = None
@@ -331,6 +369,15 @@ def sway(
             crown_width_m=float(np.mean((high - low)[:2])),
             leaf_area_m2=leaf_area_m2(posed.organs, parameters.shapes),
         )
+
+
+def without_covers(plant: Any) -> Any:
+    """The plant's parameters without what its stem's place decides on: covers, bark zones and dead branches."""
+    years = plant.wood.years
+    if years is None:
+        return plant
+    years = years.model_copy(update={"dead_branches": None, "bark_zones": (), "covers": ()})
+    return plant.model_copy(update={"wood": plant.wood.model_copy(update={"years": years})})
 
 
 def _with_the_faces_of(first: tuple[OrganMesh, ...], posed: tuple[OrganMesh, ...]) -> tuple[OrganMesh, ...]:

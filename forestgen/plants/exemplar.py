@@ -41,6 +41,8 @@ class Exemplar:
     wood_volume_m3: float  # of the skeleton, see `Skeleton.volume_m3`
     is_unique: bool = False  # of one plant alone, with that plant's own branches
     lying_m3: float = 0.0  # volume of a dead tree's stem that lies on the ground
+    has_weather_side: bool = False  # what grows on its stem does so on one side
+    roots_m: float = 0.0  # height up to which roots run out from its stem; 0: it has none above the ground
     foliage: tuple[OrganPlacements, ...] = ()  # its leaves, flowers and fruits, where it has all detail
 
     @property
@@ -56,6 +58,8 @@ class Exemplar:
         ]
         arrays += [one for organ in self.organs for one in (organ.mark, organ.organ)]
         arrays += [one for placed in self.foliage for one in (placed.frame, placed.node)]
+        twigs = [placed.twigs for placed in self.foliage if placed.twigs is not None]
+        arrays += [one for each in twigs for one in (each.ends_m, each.radius_m, each.organ)]
         return sum(one.nbytes for one in arrays if one is not None)
 
     def marks(self) -> NDArray[np.uint32] | None:

@@ -28,7 +28,7 @@ from forestgen.plants.dead_exemplar import build_dead
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood, wood_key
 from forestgen.plants.registry import GENERATORS, clothes_modules
-from forestgen.plants.skeleton import OrganPlacements
+from forestgen.plants.skeleton import OrganPlacements, Twigs
 from forestgen.plants.tree_size import TreeSize
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.phenology import SUMMER, LeafState
@@ -98,7 +98,8 @@ def exemplar_store(most_bytes: int = MOST_BYTES) -> DiskCache | None:
 
 def load_exemplar(store: DiskCache, request: ExemplarRequest) -> Exemplar | None:
     """The exemplar from disk, None if it is not there or unreadable, which removes it."""
-    found: Exemplar | None = read_packed(store, request.key(), (Exemplar, OrganMesh, Mesh, Part, OrganPlacements))
+    classes = (Exemplar, OrganMesh, Mesh, Part, OrganPlacements, Twigs)
+    found: Exemplar | None = read_packed(store, request.key(), classes)
     return found
 
 

@@ -27,7 +27,10 @@ from forestgen.plants.collars import sweep_with_collars
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.levels import far_piece, mean_size
 from forestgen.plants.parameters import OrganShape, Wood
+from forestgen.plants.roots import StemRoots, roots_of
 from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.stem_surface import surfaced
+from forestgen.recipe.wood import Roots
 
 MarkedMesh = tuple[Mesh, NDArray[np.uint32] | None]  # and (F,) marks of its triangles
 
@@ -37,6 +40,8 @@ _MESHED_FLARE_RADIUS_M = 0.012  # thinner stems get no flare and no bark relief
 _FLARE_RINGS = np.array([0.0, 0.05, 0.12, 0.22, 0.36, 0.55, 0.77, 1.0])  # extra rings, shares of the flare's height
 _POINTED_M = 0.002  # radius up to which an end is a point, which saves a third of a twig's triangles
 _POINTED = 0.15  # the same as a share of the radius before
+_ROOTS_REACH = 0.4  # of a crown's width, at most: the crown stays the widest
+_SIDES_A_ROOT = 7  # of a stem at least
 _DOMED = 0.4  # an axis that ends where another of this share of its radius begins gets a dome
 
 
@@ -49,6 +54,7 @@ def wood_meshes(
     tile_m: tuple[float, float] = (1.0, 1.0),
     plain: bool = False,
     foot_m: tuple[float, float] = (0.0, np.inf),
+    roots: Roots | None = None,
 ) -> list[MarkedMesh]:
     """Closed tubes of the stems (`trunk`) or of all branches, and (F,) marks if the skeleton has some.
 
@@ -59,6 +65,7 @@ def wood_meshes(
     tile_m : extent of one repeat of the bark's texture, round and along an axis.
     plain : tubes as measured: no flare, relief, collars or domes.
     foot_m : of the branches, those alone whose diameter at the foot is within (first included, second not).
+    roots : of the stems, above the ground.
     """
     made: list[MarkedMesh] = []
 
@@ -75,8 +82,12 @@ def wood_meshes(
             own = stem_line(skeleton, int(a), int(b))
             ringed = own if plain else stem_line(skeleton, int(a), int(b), rings=True)
             if own is not None and ringed is not None:
-                mesh = _stem(_domed(ringed, np.array([forks])), flare, tile_m, plain)
+                grown = None if plain else _roots(skeleton, roots, own)
+                mesh = _stem(_domed(ringed, np.array([forks])), flare, tile_m, plain, grown)
                 add(mesh, np.array([0, len(mesh.vertices_m)]), own, _stem_nodes(skeleton, int(a), own))
+                if grown is not None:
+                    mesh, mark = grown.mesh(own.points_m[1], tile_m), skeleton.mark
+                    made.append((mesh, None if mark is None else np.full(mesh.triangles, mark[a], dtype=np.uint32)))
     chosen = ~standing & ((skeleton.order[first] == 0) == trunk) & ~skeleton.is_thread()
     if not trunk:
         foot = 2.0 * skeleton.radius_m[first]
@@ -103,7 +114,9 @@ def organ_meshes(
     """
     parts: dict[tuple[Part, str], list[MarkedMesh]] = {}
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
-    parts[stem, wood.material] = wood_meshes(skeleton, True, wood.flare, tile_m=wood.bark_tile_m)
+    years = None if wood.dead else wood.years
+    roots = None if years is None or pixel_m > 0.0 else years.roots
+    parts[stem, wood.material] = wood_meshes(skeleton, True, wood.flare, tile_m=wood.bark_tile_m, roots=roots)
     thick = np.inf if wood.thick_branch_m is None else wood.thick_branch_m
     for foot_m, material, tile_m in (
         ((0.0, thick), wood.branch_material or wood.material, wood.branch_tile_m),
@@ -131,8 +144,21 @@ def organ_meshes(
         mesh, marks = concatenate([one for one, _ in found]), [mark for _, mark in found if mark is not None]
         organ = np.concatenate(owner[part, material])
         mark = np.concatenate(marks) if len(marks) == len(found) else None
-        made.append(OrganMesh(part, material, mesh, mark, organ if organ.max() >= 0 else None))
+        organ_mesh = OrganMesh(part, material, mesh, mark, organ if organ.max() >= 0 else None)
+        if part == stem and years is not None:
+            made += surfaced(organ_mesh, years, float(skeleton.radius_m[0]), pixel_m, wood.bark_tile_m)
+        else:
+            made.append(organ_mesh)
     return tuple(made)
+
+
+def _roots(skeleton: Skeleton, law: Roots | None, line: Polylines) -> StemRoots | None:
+    """The roots of a stem, none of which reaches beyond the crown."""
+    if law is None or not _is_standing(line.points_m):
+        return None
+    return roots_of(
+        law, float(line.radius_m[0]), _ROOTS_REACH * float(np.ptp(skeleton.position_m[:, :2], axis=0).min())
+    )
 
 
 def branch_lines(skeleton: Skeleton, first: Ints, last: Ints) -> Polylines:
@@ -202,7 +228,7 @@ def _apart(stops: list[float], least_m: float) -> list[float]:
     return [*kept, stops[-1]]
 
 
-def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: bool) -> Mesh:
+def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: bool, roots: StemRoots | None) -> Mesh:
     """A stem with its flare, whose ridges run into the main roots, and faint relief further up."""
     base = float(line.radius_m[0])
     sides = sides_for_radius(line.radius_m[:1])
@@ -210,6 +236,8 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
     if base < _MESHED_FLARE_RADIUS_M or plain:
         return sweep_tubes(line, sides, pointed=pointed, tile_m=tile_m)[0]
     sides = np.maximum(3 * sides // 2, 16)  # the stem's outline is what one sees from near
+    if roots is not None:
+        sides = np.maximum(sides, _SIDES_A_ROOT * len(roots.azimuth_rad))
     step = np.linalg.norm(np.diff(line.points_m, axis=0), axis=1)
     height = np.concatenate([[0.0], np.cumsum(step)]) - (_FOOT_M if _is_standing(line.points_m) else 0.0)
     count = int(sides[0])
@@ -219,6 +247,8 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
     ridges = 1.0 + 0.55 * np.cos(5.0 * angle + phase[0]) + 0.35 * np.cos(3.0 * angle + phase[1])
     waves = 0.03 * np.sin(3.0 * angle + 1.7 * height[:, None]) + 0.025 * np.sin(2.0 * angle - 2.9 * height[:, None])
     factor = 1.0 + flare * near_ground * ridges + waves
+    if roots is not None:
+        factor += roots.widening(angle.astype(np.float64), np.maximum(height, 0.0).astype(np.float64))
     return sweep_tubes(line, sides, pointed=pointed, radial_factor=factor, tile_m=tile_m)[0]
 
 

@@ -11,14 +11,15 @@ Outlines follow too: a leaf is drawn at the level of detail that its size in pix
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.core.randomness import child_rng
+from forestgen.core.randomness import child_rng, mixed
 from forestgen.geometry.mesh import Bools, Floats, Ints, concatenate, instance, part_of, surface_area_m2
 from forestgen.geometry.patches import area_m2
 from forestgen.plants.exemplar import Exemplar, OrganMesh
@@ -26,8 +27,19 @@ from forestgen.plants.meshing import MarkedMesh
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.organs.leaves import CompoundLeaf, LobedLeaf, PalmateLeaf, SimpleLeaf
 from forestgen.plants.organs.needles import NeedleTwig
-from forestgen.plants.organs.sprays import Needles, Spray, finer_leaf, form_area_m2, leafy_twig, needle_spray, true_leaf
+from forestgen.plants.organs.sprays import (
+    WORN,
+    LeafKind,
+    Needles,
+    Spray,
+    finer_leaf,
+    form_area_m2,
+    leafy_twig,
+    needle_spray,
+    true_leaf,
+)
 from forestgen.plants.skeleton import OrganPlacements
+from forestgen.plants.twig_needles import TwigNeedles, sprays_on_twigs
 
 LEAF_PX = 2.0  # side of a square, in pixels, that has a leaf's area where it is drawn at true size
 _DETAIL_PX = (6.0, 16.0)  # side of a leaf in pixels, as of a square, from which on it has detail 1 and 2
@@ -38,6 +50,8 @@ _MOST_MERGED = 64
 _SIZE_STEP = 1.25  # between the shoots of needles that are made; others are scaled
 _VARIANTS = 5
 _COVER = 0.8  # of a needle over length times width
+_NEW_FROM = 0.7  # of a shoot, where this year's begins
+_ORGANS_LEAVES = 1 << 20  # more than one organ has
 _DRAWN = (NeedleTwig, SimpleLeaf, LobedLeaf, PalmateLeaf, CompoundLeaf)
 
 
@@ -83,7 +97,7 @@ def near_pixel_m(form: OrganForm) -> float:
     """What a pixel covers, at most, where an organ of a form's own size is drawn in another way; 0: never."""
     if form.part != "leaf" or not isinstance(form, _DRAWN):
         return 0.0
-    whole_m2 = _needles_m2(form) / _drawn_needles(form) if isinstance(form, NeedleTwig) else form_area_m2(form)
+    whole_m2 = _needles_m2(form) / form.equivalent_needles if isinstance(form, NeedleTwig) else form_area_m2(form)
     return float(np.sqrt(2.0 * _WORTH * whole_m2)) / LEAF_PX  # merged leaves may have half of the area
 
 
@@ -108,6 +122,7 @@ def _near_leaves(
     detail = np.digitize(np.sqrt(area / number) / pixel_m, _DETAIL_PX)
     drawn = (number > 1) | (detail > form.detail)
     each = np.array([true_leaf(form, true_m, k).faces.shape[0] for k in range(3)])
+    each[2] = int((1.0 + 3.0 * WORN) * each[2])  # worn ones have more
     return NearOrgans(drawn, number, merged, detail, 0 * number, int(np.sum((number * each[detail])[drawn])))
 
 
@@ -116,16 +131,11 @@ def _near_needles(form: NeedleTwig, true_m: float, size: Floats, pixel_m: Floats
     merged = _merged(true_m2, pixel_m)
     step = np.rint(np.log(np.maximum(size, 1e-6)) / np.log(_SIZE_STEP)).astype(np.int64)
     number = np.maximum(np.rint(whole_m2 * _SIZE_STEP ** (2.0 * step) / true_m2), 1).astype(np.int64)
-    coarse_m2 = size**2 * whole_m2 / _drawn_needles(form)
+    coarse_m2 = size**2 * whole_m2 / form.equivalent_needles
     drawn = merged * true_m2 < _WORTH * coarse_m2
     detail = (form.needle_width_m * merged > _NEEDLE_PX * pixel_m).astype(np.int64)
     triangles = int(np.sum(((1 + detail) * number / merged)[drawn]))
     return NearOrgans(drawn, number, merged, detail, step, triangles)
-
-
-def _drawn_needles(form: NeedleTwig) -> float:
-    every = max(round(form.per_m * form.length_m), 1)
-    return float(min(form.drawn or every, every))
 
 
 def _needles_m2(form: NeedleTwig) -> float:
@@ -138,11 +148,20 @@ def organ_sizes(frame: NDArray[np.float32]) -> Floats:
 
 
 def with_near_foliage(
-    exemplar: Exemplar, shapes: Mapping[str, OrganForm], true_m: float | None, near: tuple[NearOrgans | None, ...]
+    exemplar: Exemplar,
+    shapes: Mapping[str, OrganForm],
+    true_m: float | None,
+    near: tuple[NearOrgans | None, ...],
+    kinds: Mapping[str, Sequence[LeafKind]] = MappingProxyType({}),
+    seed: int = 0,
 ) -> Exemplar:
-    """The plant with sprays in place of some of its organs; its leaf area, and the materials of its leaves, stay.
+    """The plant with sprays in place of some of its organs; its leaf area stays, and the materials of most leaves.
 
-    `near`: how the organs of each of `exemplar.foliage` are drawn.
+    Parameters
+    ----------
+    near : how the organs of each of `exemplar.foliage` are drawn.
+    kinds : of the single leaves of a material, the last for all that is left; their materials: `material_of_kind`.
+    seed : which leaves are of which kind.
     """
     count = [len(one.node) for one in exemplar.foliage]
     gone = np.zeros(sum(count), dtype=np.bool_)
@@ -160,21 +179,78 @@ def with_near_foliage(
         if one is None or not one.drawn.any():
             continue
         form = shapes[placed.shape]
-        row = np.flatnonzero(one.drawn)
-        variant = child_rng(0, "sprays", placed.shape).integers(_VARIANTS, size=len(one.drawn))[row]
-        key = np.stack([one.step, one.number, one.merged, one.detail], axis=1)[row]
-        key = np.concatenate([key, variant[:, None], of_organ[start + row][:, None]], axis=1)
-        for chosen, group in _groups(key):
-            spray = _spray(form, true_m, chosen)
-            frame = _scaled(placed.frame[row[group]], spray, form)
-            pieces = [(Part.LEAF, materials[int(chosen[-1])], spray.leaves)]
+        for spray, frame, organ in _sprays(form, true_m, placed, one, of_organ[start : start + len(one.drawn)]):
+            mark = None if marks is None else marks[start + organ]
+            material, mesh = materials[of_organ[start + organ[0]]], instance(spray.leaves, frame)
+            of_leaf = _kinds_of_leaves(kinds.get(material, ()), spray.along, start + organ, seed)
+            for kind, chosen in of_leaf:
+                here = np.ones(mesh.triangles, np.bool_) if chosen is None else chosen[:, spray.leaf].reshape(-1)
+                if here.any():
+                    own = mesh if here.all() else part_of(mesh, mesh.faces[here])
+                    of_face = None if mark is None else np.repeat(mark, spray.leaves.triangles)[here]
+                    made[Part.LEAF, material if kind is None else material_of_kind(material, kind)].append(
+                        (own, of_face)
+                    )
             if spray.twig is not None and bark is not None:
-                pieces.append((Part.BRANCH, bark, spray.twig))
-            for part, material, mesh in pieces:
-                mark = None if marks is None else np.repeat(marks[start + row[group]], mesh.triangles)
-                made[part, material].append((instance(mesh, frame), mark))
+                of_face = None if mark is None else np.repeat(mark, spray.twig.triangles)
+                made[Part.BRANCH, bark].append((instance(spray.twig, frame), of_face))
     organs = (*(one for one in kept if one.mesh.triangles), *(_joined(*key, found) for key, found in made.items()))
     return replace(exemplar, organs=organs, foliage=())
+
+
+def material_of_kind(material: str, kind: LeafKind) -> str:
+    """Name of the material of some of the leaves of a material."""
+    return f"{material} [{kind.name}]"
+
+
+def _kinds_of_leaves(
+    kinds: Sequence[LeafKind], along: Floats, organ: Ints, seed: int
+) -> Iterator[tuple[LeafKind | None, Bools | None]]:
+    """Each kind, and (M, L) which leaves of M organs are of it; None: all are alike."""
+    if not kinds:
+        yield None, None
+        return
+    leaf = np.uint64(_ORGANS_LEAVES) * organ.astype(np.uint64)[:, None] + np.arange(len(along), dtype=np.uint64)
+    even = (mixed(mixed(leaf) + mixed(np.full(1, seed, np.uint64))) >> np.uint64(11)) * 2.0**-53
+    left = np.ones(even.shape, dtype=np.bool_)
+    below = 0.0
+    for kind in kinds[:-1]:
+        if kind.at_tip:
+            mine = left & (along > _NEW_FROM)
+        else:
+            mine = left & (even >= below) & (even < below + kind.share)
+            below += kind.share
+        left &= ~mine
+        yield kind, mine
+    yield kinds[-1], left
+
+
+def _sprays(
+    form: OrganForm, true_m: float | None, placed: OrganPlacements, one: NearOrgans, material: Ints
+) -> Iterator[tuple[Spray, NDArray[np.float32], Ints]]:
+    """What is drawn in place of organs of one shape, each with its frames and the organs that it is of.
+
+    `material`: (M,) of each organ's leaves; what is drawn together has the same.
+    """
+    row = np.flatnonzero(one.drawn)
+    variant = child_rng(0, "sprays", placed.shape).integers(_VARIANTS, size=len(one.drawn))
+    number, left_m2 = one.number, organ_sizes(placed.frame) ** 2 * _whole_m2(form)
+    if isinstance(form, NeedleTwig) and placed.twigs is not None:
+        needle_m = true_m or form.needle_length_m
+        true_m2 = _COVER * needle_m * form.needle_width_m
+        needles = TwigNeedles.of(placed.twigs, np.where(one.drawn, left_m2 / true_m2, 0.0), needle_m)
+        number = np.maximum(np.rint(number * (1.0 - needles.share)), 1).astype(np.int64)
+        alike = np.stack([one.merged, one.detail, variant, material], axis=1)
+        for spray, frame, organ in sprays_on_twigs(form, needle_m, placed.twigs, needles, alike):
+            left_m2 -= np.bincount(organ, spray.area_m2 * organ_sizes(frame) ** 2, minlength=len(left_m2))
+            yield spray, frame, organ
+    key = np.stack([one.step, number, one.merged, one.detail, variant, material], axis=1)[row]
+    for chosen, group in _groups(key):
+        spray, organ = _spray(form, true_m, chosen), row[group]
+        frame = placed.frame[organ].copy()
+        factor = np.sqrt(left_m2[organ] / spray.area_m2) / organ_sizes(frame)
+        frame[:, :, :3] *= factor[:, None, None].astype(np.float32)
+        yield spray, frame, organ
 
 
 def _joined(part: Part, material: str, found: list[MarkedMesh]) -> OrganMesh:
@@ -200,12 +276,8 @@ def _spray(form: OrganForm, true_m: float | None, key: Ints) -> Spray:
     return leafy_twig(form, (true_m or form.length_m) * float(np.sqrt(merged)), number, detail, variant)
 
 
-def _scaled(frame: NDArray[np.float32], spray: Spray, form: OrganForm) -> NDArray[np.float32]:
-    """The organs' frames, in which the spray has the area of each."""
-    whole = _needles_m2(form) if isinstance(form, NeedleTwig) else form_area_m2(form)
-    scaled = frame.copy()
-    scaled[:, :, :3] *= np.float32(np.sqrt(whole / spray.area_m2))
-    return scaled
+def _whole_m2(form: OrganForm) -> float:
+    return _needles_m2(form) if isinstance(form, NeedleTwig) else form_area_m2(form)
 
 
 def _without(organ: OrganMesh, gone: Bools) -> OrganMesh:

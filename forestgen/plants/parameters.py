@@ -19,6 +19,7 @@ from forestgen.plants.organs.needles import Fascicle, NeedleTwig
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.model import Variation
 from forestgen.recipe.fields import Section
+from forestgen.recipe.wood import Wood as YearsOfWood
 
 if TYPE_CHECKING:
     from forestgen.plants.grown import ModuleWood
@@ -53,6 +54,7 @@ class Wood(Section):
         description="repeat of the bark's texture, round the stem and up, metres; a `bark`'s `tile_m` counts",
     )
     branch_tile_m: tuple[Tile, Tile] = Field((0.25, 0.5), description="the same for branches")
+    years: YearsOfWood | None = Field(None, description="dead branches, covers, roots; the species' `wood` counts")
 
 
 class PlantParameters(Section):

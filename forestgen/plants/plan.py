@@ -53,6 +53,8 @@ def _parameters(drawn: DrawnRecipe, species: Species, plant: Plant, keys: Keys) 
         problem = "the plant has no branches that could be drawn"
         raise RecipeError(problem, where=where, expected=expected, got="none", hint=hint)
     parameters: PlantParameters = drawn.parse(generator.Parameters, plant.parameters, keys)
+    if species.wood is not None:
+        parameters = parameters.model_copy(update={"wood": parameters.wood.model_copy(update={"years": species.wood})})
     return with_bark_tiles(parameters, species.materials)
 
 

@@ -23,12 +23,22 @@ _OF_A_LARGE_PLANT, _OF_A_LARGE_PLANT_PER_M2, _OF_A_LARGE_SLENDER_PLANT_PER_M2 = 
 
 
 @dataclass(frozen=True)
+class Twigs:
+    """Straight pieces of the thin wood between organs of one shape: where needles stand near a camera too."""
+
+    ends_m: NDArray[np.float32]  # (S, 2, 3) lower and upper end, plant frame
+    radius_m: NDArray[np.float32]  # (S,)
+    organ: NDArray[np.int32]  # (S,) the organ above, whose needles a piece bears
+
+
+@dataclass(frozen=True)
 class OrganPlacements:
     """Leaves, needles or flowers of one shape, placed on a skeleton."""
 
     shape: str  # name of an organ shape in the species' file
     frame: NDArray[np.float32]  # (M, 3, 4) organ frame -> plant frame: y along the blade, z its upper side, metres
     node: NDArray[np.int32]  # (M,) the node that bears it
+    twigs: Twigs | None = None  # that bear its needles; None: none do
 
 
 @dataclass(frozen=True)

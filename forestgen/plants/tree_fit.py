@@ -10,13 +10,14 @@ A generator grows a plant of about the right height and width. Here it gets the 
   extents, the others are stretched further: leaves are as far from the axis as in an ellipsoid of even density.
 - Where the species has `crown_twigs`, they take the place of the thin wood and its leaves, and what has moved is fitted
   once more.
+- Where the species has a `sweep`, all that is at a height moves aside by as much as the stem there.
 - Wood is made thinner or thicker by a power of its radius, so that the stem has its diameter 1.3 m above the ground,
   flare included, and the finest twigs stay as they are. Then the stem gets its taper (`forestgen.core.stem_form`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -31,6 +32,7 @@ from forestgen.plants.crown_twigs import DARKEST, EXTINCTION, Leaves, fill_crown
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.tree_size import TreeSize
+from forestgen.recipe.wood import Sweep
 
 if TYPE_CHECKING:
     from forestgen.plants.parameters import PlantParameters
@@ -75,7 +77,7 @@ class FittedTree:
 
     skeleton: Skeleton
     base: Ints  # (N,) the generator's node that bears each node, or is it
-    stretches: tuple[Stretch, ...]  # of the generator's points, one after the other
+    stretches: tuple[Stretch | Bend, ...]  # of the generator's points, one after the other
 
     def points(self, points_m: Floats) -> Floats:
         """(M, 3) points of the generator's plant, stretched."""
@@ -91,13 +93,18 @@ def fit_tree(
     blade = blade_areas_m2(plant.shapes)
     leafy = fit_leaves(skeleton, plant.shapes, size, rng)
     stretch = stretch_to(leafy, templates, blade, size)
-    made, base, stretches = stretch.skeleton(leafy), np.arange(len(skeleton.parent)), [stretch]
+    made, base = stretch.skeleton(leafy), np.arange(len(skeleton.parent))
+    stretches: list[Stretch | Bend] = [stretch]
     leaves = _leaves(made, blade)
     rules = rules_of_twigs(plant.crown_twigs, plant.foliage, blade, size.height_m)
     if plant.crown_twigs is not None and rules and leaves.total_m2 > 0.0:
         made, base = fill_crown(made, plant.crown_twigs, rules, blade, leaves, rng)
         made = fit_leaves(made, plant.shapes, size, rng)
         stretches.append(stretch_to(made, templates, blade, size))
+        made = stretches[-1].skeleton(made)
+    years = plant.wood.years
+    if years is not None and years.sweep is not None:
+        stretches.append(Bend.of(years.sweep, size.height_m, rng.spawn(1)[0]))
         made = stretches[-1].skeleton(made)
     return FittedTree(fit_wood(made, plant.wood.flare, size.dbh_m), base, tuple(stretches))
 
@@ -204,18 +211,48 @@ class Stretch:
         across *= self.wide * (1.0 + self.fill) / (1.0 + self.fill * away / self.reach_m)
         return np.concatenate([across, self.heights(points[:, 2:])], axis=1)
 
-    def organs(self, organs: Sequence[OrganPlacements]) -> tuple[OrganPlacements, ...]:
-        """The organs at their stretched places, of the same size and attitude."""
-        moved = []
-        for one in organs:
-            frame = one.frame.copy()
-            frame[:, :, 3] = self.points(frame[:, :, 3].astype(np.float64))
-            moved.append(replace(one, frame=frame))
-        return tuple(moved)
+    def skeleton(self, skeleton: Skeleton) -> Skeleton:
+        return _carried(skeleton, self.points)
+
+
+@dataclass(frozen=True)
+class Bend:
+    """The way aside of all that is at a height z of a tree of the height H: a lean at the foot, and bows above.
+
+    lean fades (1 - exp(-z / fades)) + H (bow_1 sin(pi z / H) + bow_2 / 2 sin(2 pi z / H))
+    """
+
+    lean: Floats  # (2,) slopes
+    fades_m: float
+    bows: Floats  # (2, 2) over the height
+    height_m: float
+
+    @classmethod
+    def of(cls, law: Sweep, height_m: float, rng: np.random.Generator) -> Bend:
+        lean = np.tan(np.radians(law.foot_deg)) * rng.normal(size=2) / np.sqrt(2.0)
+        return cls(lean, law.fades_m, law.bow * rng.normal(size=(2, 2)) / np.sqrt(2.0), height_m)
+
+    def points(self, points: Floats) -> Floats:
+        """(M, 3) points, moved."""
+        height_m = np.maximum(points[:, 2:], 0.0)
+        share = np.minimum(height_m / self.height_m, 1.0) * np.pi
+        aside = self.lean * self.fades_m * (1.0 - np.exp(-height_m / self.fades_m))
+        aside += self.height_m * (self.bows[0] * np.sin(share) + 0.5 * self.bows[1] * np.sin(2.0 * share))
+        return np.concatenate([points[:, :2] + aside, points[:, 2:]], axis=1)
 
     def skeleton(self, skeleton: Skeleton) -> Skeleton:
-        position_m = self.points(skeleton.position_m.astype(np.float64)).astype(np.float32)
-        return replace(skeleton, position_m=position_m, organs=self.organs(skeleton.organs))
+        return _carried(skeleton, self.points)
+
+
+def _carried(skeleton: Skeleton, points: Callable[[Floats], Floats]) -> Skeleton:
+    """The skeleton at its moved places; organs keep their size and attitude."""
+    moved = []
+    for one in skeleton.organs:
+        frame = one.frame.copy()
+        frame[:, :, 3] = points(frame[:, :, 3].astype(np.float64))
+        moved.append(replace(one, frame=frame))
+    position_m = points(skeleton.position_m.astype(np.float64)).astype(np.float32)
+    return replace(skeleton, position_m=position_m, organs=tuple(moved))
 
 
 def stretch_to(

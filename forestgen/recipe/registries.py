@@ -63,6 +63,7 @@ CLOUD_SOURCES = Registry(
         "cumulonimbus": (f"{_WEATHER}:CUMULONIMBUS", "simulated weather: a thundercloud up to 8 km, with its anvil"),
         "community": ("forestgen.community.own_clouds:SOURCE", "the air that the community simulates over itself"),
         "noise": ("forestgen.atmosphere.clouds.noise:SOURCE", "small cumulus of noise, without weather"),
+        "cirrus": ("forestgen.atmosphere.clouds.cirrus:SOURCE", "thin high streaks of ice, without weather"),
         "file": ("forestgen.atmosphere.clouds.saved:SOURCE", "a saved state of the air, or a field of extinction"),
         "none": ("forestgen.atmosphere.clouds.none:SOURCE", "a sky without clouds"),
     },

@@ -35,6 +35,7 @@ from forestgen.recipe.phenology import Phenology
 from forestgen.recipe.registries import BUILDINGS, DEFAULT_BUILDING
 from forestgen.recipe.spectra import MOST_BYTES, Season
 from forestgen.recipe.tree_sizes import TreeSizes
+from forestgen.recipe.wood import Wood
 
 TALLEST_M = 200.0
 _Side = Annotated[Positive, Field(ge=0.5, le=200)]
@@ -358,10 +359,11 @@ class Species(Section):
     phenology: Annotated[Phenology | None, *shorthand("habit")] = Field(
         None, description="When it has leaves, and of what colour; null: always, of the season's spectrum."
     )
+    wood: Wood | None = Field(None, description="What the years make of its trees' wood; null: nothing.")
 
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        rare = ("phenology", "triangles")
+        rare = ("phenology", "triangles", "wood")
         return {key: value for key, value in handler(self).items() if key not in rare or value is not None}
 
     @model_validator(mode="after")
@@ -371,6 +373,17 @@ class Species(Section):
             expected, problem = f"a mature height of at most {TALLEST_M:g} m", "the allometry gives no plant's height"
             got = f"{height_m:g} m = allometry.height_m at ecology.max_radius_m"
             raise violation(expected, problem=problem, got=got)
+        return self
+
+    @model_validator(mode="after")
+    def _wood_has_materials(self) -> Self:
+        for name in self.wood.materials if self.wood is not None else ():
+            if name not in self.materials:
+                problem, expected = (
+                    "the wood names a material that the species does not have",
+                    ", ".join(self.materials),
+                )
+                raise violation(f"one of {expected}", problem=problem, got=name, at="wood")
         return self
 
     @property

@@ -38,13 +38,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.cloud_detail import EMPTY, NO_DETAIL, Detail, share_inside
 from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import advanced, clipped, entered, inside, largest_in_boxes
 from forestgen.core.compiled import compiled, inlined, inlined_exactly, unowned_view
 from forestgen.core.randomness import SPLIT_MIX_STEP, mixed
 from forestgen.core.threads import parallel_for
 
-BRICK = 8  # cells along its side
+BRICK, DETAIL_BRICK = 8, 2  # cells along its side, and where clouds have detail
 _FAINT = 0.1  # weight below which a path may end by chance
 _LONG, _STAYS = 1024, 0.999  # scatterings from which on it may too, and the chance that it does not
 _DIM = 0.25  # transmittance below which a ray to the sun may end by chance
@@ -64,6 +65,7 @@ class CloudField:
     low_m: Floats  # (3,) world
     per_m: Floats  # (3,) cells a metre along x, y, z
     scattering: Floats  # (4,) albedo, and the phase function's forward, backward, forward_share
+    detail: Detail = NO_DETAIL  # with detail `value` is the extinction of the clouds' inside, and bricks are small
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,22 +84,34 @@ class Gathered(NamedTuple):
 
     of_sky: Floats  # (N, 3, C) in the units of the sky's map
     of_sun: Floats  # (N, 3) 1/sr: times the sun's irradiance on a plane that faces it
+    of_aloft: Floats  # (N, 3) what of it clouds have scattered, and not the plain, or nothing
 
-    def radiance(self, albedo: Floats, sun: Floats) -> Floats:
-        """(N, C) over a plain of (C,) albedo, under a sun of (C,) irradiance."""
+    def radiance(self, albedo: Floats, sun: Floats, aloft: Floats | None = None) -> Floats:
+        """(N, C) over a plain of (C,) albedo, under a sun of (C,) irradiance, and another one `aloft` on the clouds."""
         power = albedo ** np.arange(ORDERS)[:, None]
-        return np.asarray(np.einsum("noc,oc->nc", self.of_sky + self.of_sun[..., None] * sun, power))
+        light = self.of_sky + self.of_sun[..., None] * sun
+        if aloft is not None:
+            light = light + self.of_aloft[..., None] * (aloft - sun)
+        return np.asarray(np.einsum("noc,oc->nc", light, power))
 
 
 def field_of(clouds: CloudGrid) -> CloudField:
     """The grid with its border repeated and the largest value of each brick."""
-    grid = np.asarray(clouds.extinction_per_m, dtype=np.float32)
-    value, most = np.pad(grid, 1, mode="edge"), largest_in_boxes(grid, [np.arange(0, n, BRICK) for n in grid.shape])
+    grid, detail = np.asarray(clouds.inside_per_m, dtype=np.float32), clouds.detail
+    value = np.pad(grid, 1, mode="edge")
+    if detail.brick.size:
+        most = largest_in_boxes(grid, [np.arange(n) for n in grid.shape])
+        most = np.where(detail.brick == EMPTY, np.float32(0), most)
+        for axis, count in enumerate(grid.shape):
+            most = np.maximum.reduceat(most, np.arange(0, count, DETAIL_BRICK), axis=axis)
+        most = np.ascontiguousarray(most)
+    else:
+        most = largest_in_boxes(grid, [np.arange(0, n, BRICK) for n in grid.shape])
     low, high = np.asarray(clouds.low_m, dtype=np.float64), np.asarray(clouds.high_m, dtype=np.float64)
     phase = clouds.phase
     scattering = np.array([clouds.albedo, phase.forward, phase.backward, phase.forward_share])
     per_m = np.array(grid.shape[::-1]) / (high - low)
-    return CloudField(np.ascontiguousarray(value), most, low, per_m, scattering)
+    return CloudField(np.ascontiguousarray(value), most, low, per_m, scattering, detail)
 
 
 def gather(
@@ -118,13 +132,15 @@ def gather(
     start = np.empty((count, 3))  # never read-only, which would be a second kernel
     start[:] = np.asarray(origin_m) - field.low_m
     way = np.ascontiguousarray(direction, dtype=np.float64)
-    out = np.zeros((count, ORDERS, channels + 1))
+    out = np.zeros((count, ORDERS, channels + 2))
     sky = np.ascontiguousarray(np.moveaxis(light.sky, 0, -1), dtype=np.float32)
     sun = np.array([*light.to_sun, np.cos(np.radians(light.sun_radius_deg))], dtype=np.float64)
     goes_on = max(light.ground_albedo, _GOES_ON)
     ground = np.array([light.ground_albedo, light.ground_m - field.low_m[2], goes_on])
     rays = max(1, _CALL_PATHS // samples)
-    given = (field.value, field.most, field.per_m, field.scattering, sky, sun, ground, start, way, np.uint64(seed))
+    side = DETAIL_BRICK if field.detail.brick.size else BRICK
+    volume = (field.value, field.most, field.detail, side)
+    given = (volume, field.per_m, field.scattering, sky, sun, ground, start, way, np.uint64(seed))
     for begin in range(0, count, rays):
         here = min(rays, count - begin)
 
@@ -134,13 +150,13 @@ def gather(
 
         parallel_for(here * samples, work)
     out /= samples
-    return Gathered(out[..., :-1], out[..., -1])
+    return Gathered(out[..., :-2], out[..., -2], out[..., -1])
 
 
 @compiled
-def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, samples, disc, first, end, out):  # type: ignore[no-untyped-def]
-    """Add the light of rays `first` to `end` to `out` (N, 3, C + 1); lengths are from the grid's low corner."""
-    value, most = unowned_view((value, most))
+def _gather(volume, per_m, scattering, sky, sun, ground, start, way, seed, samples, disc, first, end, out):  # type: ignore[no-untyped-def]
+    """Add the light of rays `first` to `end` to `out` (N, 3, C + 2); lengths are from the grid's low corner."""
+    volume = unowned_view(volume)
     per_x, per_y, per_z = per_m
     albedo, forward, backward, share = scattering
     sun_x, sun_y, sun_z, sun_cos = sun
@@ -155,7 +171,7 @@ def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, 
             dx, dy, dz = way[ray, 0], way[ray, 1], way[ray, 2]
             weight, order, reflections = 1.0, 0, 0
             while True:
-                t, _, state = _flight(value, most, x, y, z, dx, dy, dz, per_x, per_y, per_z, False, state)
+                t, _, state = _flight(volume, x, y, z, dx, dy, dz, per_x, per_y, per_z, False, state)
                 met = t < np.inf
                 if met:
                     weight *= albedo
@@ -181,8 +197,10 @@ def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, 
                 sx, sy, sz = _turned(sun_x, sun_y, sun_z, 1.0 - u * (1.0 - sun_cos), v)
                 if sz > 0.0:
                     toward = _phase(dx * sx + dy * sy + dz * sz, forward, backward, share) if met else sz / np.pi
-                    _, seen, state = _flight(value, most, x, y, z, sx, sy, sz, per_x, per_y, per_z, True, state)
+                    _, seen, state = _flight(volume, x, y, z, sx, sy, sz, per_x, per_y, per_z, True, state)
                     out[ray, min(reflections, ORDERS - 1), channels] += weight * toward * seen
+                    if met:
+                        out[ray, min(reflections, ORDERS - 1), channels + 1] += weight * toward * seen
                 state, u = _draw(state)
                 state, v = _draw(state)
                 if met:
@@ -207,8 +225,9 @@ def _gather(value, most, per_m, scattering, sky, sun, ground, start, way, seed, 
 
 
 @compiled
-def _flight(value, most, x, y, z, dx, dy, dz, per_x, per_y, per_z, ratio, state):  # type: ignore[no-untyped-def]
+def _flight(volume, x, y, z, dx, dy, dz, per_x, per_y, per_z, ratio, state):  # type: ignore[no-untyped-def]
     """Distance to the next collision, inf for none; or, by `ratio`, an estimate of the transmittance of all the way."""
+    value, most, detail, side = volume
     x, y, z = x * per_x - 0.5, y * per_y - 0.5, z * per_z - 0.5  # in cells, from the first one's centre
     dx, dy, dz = dx * per_x, dy * per_y, dz * per_z
     start, step = (x, y, z), (dx, dy, dz)
@@ -217,7 +236,7 @@ def _flight(value, most, x, y, z, dx, dy, dz, per_x, per_y, per_z, ratio, state)
     if not t < end:
         return np.inf, through, state
     bricks = (most.shape[2], most.shape[1], most.shape[0])
-    box, leaves = entered(start, step, t, -0.5, BRICK, 0, bricks)
+    box, leaves = entered(start, step, t, -0.5, side, 0, bricks)
     state, u = _draw(state)
     left = -np.log(u)  # optical depth, at the bricks' largest extinctions, to the next collision
     while True:
@@ -230,6 +249,7 @@ def _flight(value, most, x, y, z, dx, dy, dz, per_x, per_y, per_z, ratio, state)
                 break
             t += left / rate
             here = _value(value, x + t * dx, y + t * dy, z + t * dz)
+            here *= share_inside(detail, x + t * dx, y + t * dy, z + t * dz)
             if ratio:
                 through *= max(1.0 - here / rate, 0.0)
                 if through < _DIM:
@@ -246,7 +266,7 @@ def _flight(value, most, x, y, z, dx, dy, dz, per_x, per_y, per_z, ratio, state)
         t = until
         if ahead >= end:
             return np.inf, through, state
-        box, leaves = advanced(box, leaves, start, step, -0.5, BRICK)
+        box, leaves = advanced(box, leaves, start, step, -0.5, side)
         if not inside(box, 0, bricks):
             return np.inf, through, state
 

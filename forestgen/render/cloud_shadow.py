@@ -80,6 +80,13 @@ def base_of(
     return clouds.low_m[2] + max(float(full[0]) - 0.5, 0.0) * cell_m
 
 
+def height_of(clouds: CloudGrid) -> float:
+    """World height of the clouds' middle, by extinction, in metres; of their base if they are empty."""
+    layers = clouds.extinction_per_m.sum(axis=(1, 2), dtype=np.float64)
+    height = clouds.low_m[2] + (np.arange(len(layers)) + 0.5) * clouds.cell_m[2]
+    return float(np.sum(layers * height) / layers.sum()) if layers.any() else clouds.low_m[2]
+
+
 def _cells_between(low: float, high: float, start: float, cell: float, count: int) -> slice:
     """Cells along an axis whose cloud reaches between two places: half a cell farther than their own edges."""
     first, last = np.floor((low - start) / cell - 0.5), np.ceil((high - start) / cell + 0.5)
@@ -204,7 +211,8 @@ class ShadowPlane:
 
 def content_key(clouds: CloudGrid) -> str:
     """Hash of a field and how it scatters."""
-    digest = hashlib.blake2b(np.ascontiguousarray(clouds.extinction_per_m).data, digest_size=16)
+    digest = hashlib.blake2b(np.ascontiguousarray(clouds.inside_per_m).data, digest_size=16)
+    digest.update(np.ascontiguousarray(clouds.detail.brick).data)
     shape = clouds.extinction_per_m.shape
     digest.update(repr((shape, clouds.low_m, clouds.high_m, clouds.albedo, clouds.phase)).encode())
     return digest.hexdigest()

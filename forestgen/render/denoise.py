@@ -2,8 +2,14 @@
 
 Guides are nearly noise-free pictures of the scene's colours in sun and shade, and of its normals. Tracing a ray is much
 cheaper than a light path, so they can have many samples. The sun's share is in the colours since its shadows are edges
-too: a denoiser that knows albedo alone takes them for noise and smears them. Clouds and what lies between are left to
-the denoiser.
+too: a denoiser that knows albedo alone takes them for noise and smears them. Clouds with detail have edges and billows
+that are lost in the noise of their light: there the guide is how much of the sun comes to where a pixel's rays end in
+the cloud. Other clouds and what lies between are left to the denoiser.
+
+For the same reason, under a sky without a sun each of a pixel's samples has a place of the sky, hidden or not: the
+shade between leaves is in the colours. All pixels have the same places, so that the guide has no noise.
+
+`benchmarks/sharpness.py` compares power spectra of denoised images with those of nearly noise-free ones.
 """
 
 from __future__ import annotations
@@ -14,14 +20,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.render.identity.surface import SAMPLES, Values, albedo, corners_of, shading_normal, sun_visible
-from forestgen.render.identity.tracer import Hits, SceneTracer
+from forestgen.atmosphere.grid import CloudGrid
+from forestgen.atmosphere.optical_depth import distance_to_depth, optical_depth
+from forestgen.render.identity.surface import (
+    SAMPLES,
+    Values,
+    albedo,
+    corners_of,
+    shading_normal,
+    sun_visible,
+    unhidden,
+)
+from forestgen.render.identity.tracer import LENS_STEPS, Hits, SceneTracer
 from forestgen.render.paths.fog import Fog
 from forestgen.render.skies.model import casts_shadows
 from forestgen.render.variant import dr, mi, mitsuba
+from forestgen.render.views import lens_rays
 from forestgen.scene.spec import Camera
 
+_CLOUD_RAYS = 4  # of a pixel
+_SEEN_DEPTH = 0.7  # optical depth of the place in a cloud that a ray sees
+_CLEAR, _CLOUD_SHADE, _CLOUD_FALL, _DARK_DEPTH = 0.35, 0.5, 0.3, 12.0  # of guides: light falls slowly inside clouds
+Floats = NDArray[np.float64]
 _SHADE = 0.15  # light in the shade, by that of a surface that faces the sun
+_HIDDEN = 0.2  # light where the sky is hidden, by that in the open: leaves let light through and scatter it
+_PLACES = 37  # of the sky, between one sample's and the next one's; it has no divisor in common with `SAMPLES`
 
 
 @dataclass(frozen=True)
@@ -39,10 +62,14 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
     def values(hits: Hits) -> list[Any]:
         facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
         smooth = shading_normal(tracer, hits, corners, facing)
-        shade = mi.Float(1.0)
         if casts_shadows(tracer.spec.sky):
             lit = sun_visible(tracer, camera, hits, facing)
             shade = _SHADE + (1.0 - _SHADE) * dr.select(lit, dr.abs(dr.dot(smooth, tracer.to_light)), 0.0)
+        else:
+            to_sky = _sky_places(dr.width(hits.distance_m))
+            lit = unhidden(tracer, camera, hits, facing, to_sky)
+            # Of all places over level ground the mean cosine is a half.
+            shade = _HIDDEN + (1.0 - _HIDDEN) * dr.select(lit, 2.0 * dr.abs(dr.dot(smooth, to_sky)), 0.0)
         colour = dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
         smooth = dr.select(hits.valid, smooth, 0.0)
         if fog is not None:  # what is behind it is as faint as its light
@@ -52,6 +79,34 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
         return [*colour, *smooth]
 
     return values
+
+
+def with_clouds(guides: Guides, clouds: CloudGrid, camera: Camera, to_sun: NDArray[np.float64], sky: Floats) -> Guides:
+    """The guides with those of clouds with detail in the `sky` (H, W), the share of a pixel that sees nothing else."""
+    total = np.zeros(sky.shape)
+    rows, columns = np.nonzero(sky > 0)
+    for number in range(_CLOUD_RAYS):
+        along, down = (number + 0.5) / _CLOUD_RAYS, (number * 0.6180339887498949 + 0.5) % 1.0
+        places = np.broadcast_to(np.array([along, down, 0.5, 0.5])[:, None], (4, len(rows)))
+        origin, direction, _ = lens_rays(camera, rows, columns, places)
+        distance = distance_to_depth(clouds, origin, direction, _SEEN_DEPTH)
+        met = np.isfinite(distance)
+        seen = np.full(len(rows), _CLEAR)
+        at = (np.broadcast_to(origin, direction.shape) + np.where(met, distance, 0.0)[:, None] * direction)[met]
+        depth = optical_depth(clouds, at, np.broadcast_to(to_sun, at.shape), np.inf, enough=_DARK_DEPTH)
+        seen[met] = _CLOUD_SHADE + (1.0 - _CLOUD_SHADE) * np.exp(-_CLOUD_FALL * depth)
+        total[rows, columns] += seen / _CLOUD_RAYS
+    colour = guides.colour + (sky * (total - 1.0))[..., None].astype(np.float32)
+    return Guides(np.clip(colour, 0.0, None).astype(np.float32), guides.normal)
+
+
+def _sky_places(rays: int) -> Any:
+    """Unit directions upwards, even over the half sphere, of rays that are a pixel's `SAMPLES` one after another."""
+    number = dr.arange(mi.UInt32, rays) % SAMPLES
+    up = (mi.Float(number * _PLACES % SAMPLES) + 0.5) / SAMPLES
+    sine, cosine = dr.sincos(2 * np.pi * mi.Float(number * LENS_STEPS[1] >> 8) * 2.0**-24)
+    level = dr.sqrt(1.0 - up * up)
+    return mi.Vector3f(level * cosine, level * sine, up)
 
 
 def guides_of(sums: NDArray[np.float32]) -> Guides:

@@ -30,6 +30,7 @@ from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render import cloud_bricks
 from forestgen.render.build import load, origin_of, ray_corners_m, scene_dict
 from forestgen.render.capture import FilmWindow, capture, is_assembled
+from forestgen.render.cloud_shadow import height_of
 from forestgen.render.frame import RenderJob, Timer
 from forestgen.render.light import along, emitters_of, has_sun, sky_map, sun_disc, sun_radiance
 from forestgen.render.surfaces import SpectralBsdfs
@@ -232,6 +233,7 @@ class _Parts:
         job, spec = view.job, view.job.spec
         assert spec.clouds is not None
         self._field = WalkField.of(spec.clouds, origin)
+        self._aloft_m = max(height_of(spec.clouds) - float(spec.terrain.mesh.vertices_m[:, 2].min()), 0.0)
         self._disc, self._by_sun = None, None
         if has_sun(spec.sky):
             matrix = np.array(sun_disc(spec.sky, RGB)["to_world"].matrix, dtype=np.float64)  # as the renderer has it
@@ -262,7 +264,8 @@ class _Parts:
         """(H, W, 3) all other light."""
         camera = self._job.camera
         width, height = camera.size_px
-        sky, sun = sky_map(self._job.spec.sky, channels), sun_radiance(self._job.spec.sky, channels)
+        spec = self._job.spec
+        sky, sun = sky_map(spec.sky, channels), sun_radiance(spec.sky, channels, self._aloft_m)
         kinds = (
             ("seen", self._escapes.seen, _SEEN_TIMES * samples, _SEEN_WALKS),
             ("scattered", self._escapes.scattered, samples, _SCATTERED_WALKS),

@@ -18,15 +18,20 @@ T². s and T come from rays of the identity pass, much cheaper than light paths.
 are taken to be equally bright. K is known under a clear or overcast sky; with clouds it is the mean of the neighbours
 that see nothing but sky.
 
-Valid while the haze is thin over the scene: light on its way to a plant is not dimmed, and blur and shadows in the haze
-are left out. Beyond an optical depth of about 1 to the farthest plants, fog should be simulated (`sky.clouds`);
-`haze_notes` in render/rendering.py says so.
+Haze in shadow, as between the stems of a forest, shines less: the sun's part of the airlight counts by the share of the
+haze before a surface that the sun shines on, the rest by the share of the sky's upper half that is open there. Each of
+the identity pass' rays asks at one place, chosen by what the haze there adds, one way. Light that surfaces nearby send
+into shaded haze is left out.
+
+Valid while the haze is thin over the scene: light on its way to a plant is not dimmed, and blur is left out. Beyond an
+optical depth of about 1 to the farthest plants, fog should be simulated (`sky.clouds`); `haze_notes` in
+render/rendering.py says so.
 
 Under clouds the airlight is that of the sky through them at the middle of the site and of the share of the sun that
 their shadow lets through in the mean, by which the ratio at the horizon counts, too. One airlight serves all of the
-haze, in sun and shadow. Clouds fade into the clear sky behind them, by the haze on the way to where half of what they
-take of the light is taken; on this way the haze gets thinner with height, by e in 1500 m. Where clouds shade the haze,
-its airlight stands in for the clear sky, by the share of the sun that they take.
+haze, under clouds and between them. Clouds fade into the clear sky behind them, by the haze on the way to where half of
+what they take of the light is taken; on this way the haze gets thinner with height, by e in 1500 m. Where clouds shade
+the haze, its airlight stands in for the clear sky, by the share of the sun that they take.
 
 Extinction
 ----------
@@ -47,7 +52,7 @@ Bucholtz, A. (1995): Rayleigh-scattering calculations for the terrestrial atmosp
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -62,7 +67,7 @@ from forestgen.core.spectrum import Spectrum
 from forestgen.render.cloud_shadow import base_of, shadow_of
 from forestgen.render.frame import Radiance
 from forestgen.render.identity.surface import SAMPLES, Values
-from forestgen.render.identity.tracer import Hits
+from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.light import along, sky_map, sun_irradiance
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map_directions
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
@@ -81,6 +86,7 @@ _VIEW_ROWS, _VIEW_COLUMNS = 33, 64  # of the airlight's map, the sun's part left
 _DRAWS = 8  # of wavelengths
 _LEVEL_SINE = 0.17  # of the elevation at which airlight has nearly left the horizon's colour
 _CLOUD_BLUR_PX = 3.0
+_THIN = 1e-3  # of an optical depth, which is then the share that is scattered
 _SCALE_HEIGHT_M = 1500.0  # of the haze on the way to clouds
 
 
@@ -124,6 +130,12 @@ class Seen:
     inside: Floats  # (H, W) share of the samples that see anything: those in a fisheye's circle
     surface: Floats  # (H, W) of these, the share that sees a surface, or nothing below the horizon
     transmittance: Floats  # (H, W, C) mean over the latter; 1 where there are none
+    sunny: Floats = field(
+        default_factory=lambda: np.ones((1, 1))
+    )  # (H, W) share of the haze before these that the sun shines on
+    open: Floats = field(
+        default_factory=lambda: np.ones((1, 1))
+    )  # (H, W) mean share of the upper half of the sky that is seen from there
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,17 +148,18 @@ class Airlight:
     open_sky: Floats  # (MAP_ROWS, MAP_COLUMNS, C) radiance of the sky without its sun, behind all clouds
     horizon: Floats  # (MAP_COLUMNS, C) ratio of the sky's radiance at the horizon to the airlight there
 
-    def towards(self, direction: Floats) -> Floats:
-        """(..., C) by (..., 3) unit directions, world."""
+    def towards(self, direction: Floats, sunny: Floats | float = 1.0, seen_sky: Floats | float = 1.0) -> Floats:
+        """(..., C) by (..., 3) unit directions, world, and the shares (...) of the light of sun and sky that arrive."""
         level = np.exp(-((direction[..., 2:3] / _LEVEL_SINE) ** 2))
         ratio = 1.0 + level * (along(self.horizon[None], direction) - 1.0)
-        return np.asarray(self.unjoined(direction) * ratio)
+        return np.asarray(self.unjoined(direction, sunny, seen_sky) * ratio)
 
-    def unjoined(self, direction: Floats) -> Floats:
+    def unjoined(self, direction: Floats, sunny: Floats | float = 1.0, seen_sky: Floats | float = 1.0) -> Floats:
         """The same, not fitted to the horizon."""
         cosine = direction @ self.to_sun
         phases = np.stack([molecular_phase(cosine), aerosol_phase(cosine)], axis=-1)
-        return np.asarray(along(self.diffuse, direction) + phases @ self.sun / (4.0 * np.pi))
+        sun, sky = phases @ self.sun / (4.0 * np.pi), along(self.diffuse, direction)
+        return np.asarray(np.asarray(seen_sky)[..., None] * sky + np.asarray(sunny)[..., None] * sun)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,8 +286,11 @@ def _kernels() -> tuple[Floats, Floats]:
     return molecules, aerosol
 
 
-def seen_values(extinction_per_m: Floats) -> Values:
-    """Whether a ray sees anything, whether a surface, and the transmittances (C,) of the haze before that."""
+def seen_values(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats) -> Values:
+    """Whether a ray sees anything, whether a surface, the transmittances (C,) of the haze before that; and how much
+    light the haze there scatters, by rays that ask for the sky and those that ask for the sun: all, and what comes.
+    """
+    mean_per_m = float(np.mean(extinction_per_m))
 
     def values(hits: Hits) -> list[Any]:
         good = mi.Bool(True) if hits.rays.valid is None else hits.rays.valid
@@ -282,19 +298,45 @@ def seen_values(extinction_per_m: Floats) -> Values:
         ray = dr.zeros(mi.Float, dr.width(hits.distance_m))
         through = [dr.exp(-dr.opaque(mi.Float, float(value)) * hits.distance_m) for value in extinction_per_m]
         seen = [dr.select(good, 1.0, 0.0) + ray, dr.select(surface, 1.0, 0.0) + ray]
-        return seen + [dr.select(hits.valid, one, 0.0) for one in through]
+        scattered, to_sun, free = _light_between(tracer, camera, hits, dr.opaque(mi.Float, mean_per_m))
+        scattered = dr.select(hits.valid, scattered, dr.select(surface, 1.0, 0.0)) + ray
+        light = [dr.select(asks, scattered, 0.0) for asks in (~to_sun, to_sun)]
+        light += [dr.select(free | ~hits.valid, one, 0.0) for one in light]
+        return seen + [dr.select(hits.valid, one, 0.0) for one in through] + light
 
     return values
 
 
+def _light_between(tracer: SceneTracer, camera: Camera, hits: Hits, extinction_per_m: Any) -> tuple[Any, Any, Any]:
+    """Float, of rays: the share of light that haze scatters before the hit. Bools: whether a place there was asked for
+    the sun, not the sky, and whether nothing hid it.
+    """
+    direction = hits.rays.direction
+    bits = [dr.reinterpret_array(mi.UInt32, one) for one in (direction.x, direction.y)]
+    first = mi.sample_tea_32(*bits, 4)
+    place, way, rise, turn = (mi.Float(one >> 8) * 2.0**-24 for one in (*first, *mi.sample_tea_32(*first, 4)))
+    depth = extinction_per_m * hits.distance_m
+    thin = depth < _THIN
+    scattered = dr.select(thin, depth, 1.0 - dr.exp(-depth))
+    into_m = dr.select(thin, place * hits.distance_m, -dr.log(1.0 - place * scattered) / extinction_per_m)
+    sine, (turn_sine, turn_cosine) = dr.safe_sqrt(1.0 - rise * rise), dr.sincos(2.0 * np.pi * turn)
+    to_sun = way < 0.5
+    towards = dr.select(to_sun, tracer.to_light, mi.Vector3f(sine * turn_cosine, sine * turn_sine, rise))
+    start = tracer.start_of(camera, hits.rays) + direction * dr.minimum(into_m, hits.distance_m)
+    hidden = tracer.scene.ray_test(mi.Ray3f(start, towards), coherent=False, active=hits.valid)
+    return scattered, to_sun, ~hidden
+
+
 def seen_of(sums: NDArray[np.float32]) -> Seen:
-    """Of the sums (2 + C, H, W) of `seen_values`."""
-    rays, surfaces, through = (
-        np.asarray(one, dtype=np.float64) for one in (sums[0], sums[1], np.moveaxis(sums[2:], 0, -1))
+    """Of the sums (6 + C, H, W) of `seen_values`."""
+    rays, surfaces, through, light = (
+        np.asarray(one, dtype=np.float64) for one in (sums[0], sums[1], np.moveaxis(sums[2:-4], 0, -1), sums[-4:])
     )
     some = (surfaces > 0)[..., None]
     mean = np.where(some, through / np.maximum(surfaces, 1.0)[..., None], 1.0)
-    return Seen(rays / SAMPLES, surfaces / np.maximum(rays, 1.0), mean)
+    least = np.finfo(float).tiny
+    sky, sun = (np.where(light[k] > 0, light[k + 2] / np.maximum(light[k], least), 1.0) for k in range(2))
+    return Seen(rays / SAMPLES, surfaces / np.maximum(rays, 1.0), mean, sunny=sun, open=sky)
 
 
 def cloud_veil(clouds: CloudGrid, camera: Camera, extinction_per_m: Floats) -> Floats:
@@ -318,7 +360,7 @@ def hazed(radiance: Radiance, seen: Seen, light: Airlight, camera: Camera, veil:
         only_sky = surface == 0
         behind = _filled(radiance.mean, (seen.surface == 0) & (seen.inside == 1), clear)
         kept = np.where(only_sky, 1.0 - veil, through)
-    added = (1.0 - through) * ((1.0 - surface) * behind + surface * light.towards(direction))
+    added = (1.0 - through) * ((1.0 - surface) * behind + surface * light.towards(direction, seen.sunny, seen.open))
     if veil is not None:
         added += (1.0 - surface) * veil * np.where(only_sky, clear, clear - behind)
     added *= seen.inside[..., None]

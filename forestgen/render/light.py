@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.daylight import air_of, sunlight_aloft
 from forestgen.core.spectrum import LUMINANCE
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, sky_model_of
 from forestgen.render.variant import SKY_BESIDE_SUN_WEIGHT, mi
@@ -57,9 +58,16 @@ def sky_map(sky: Sky, channels: Channels) -> NDArray[np.float32]:
     return _within_gamut(result) if channels.wavelength_nm is None else result
 
 
-def sun_radiance(sky: Sky, channels: Channels) -> Floats:
-    """(3,) mean radiance of the sun's disc, in the same units; zero under an overcast sky."""
-    radiance = channels.of_light(daylight_of(sky).sun) / _SUN_SOLID_ANGLE_SR
+def sun_radiance(sky: Sky, channels: Channels, aloft_m: float = 0.0) -> Floats:
+    """(3,) mean radiance of the sun's disc, in the same units; zero under an overcast sky.
+
+    `aloft_m`: as clouds so high above the ground scatter it down; see `daylight.sunlight_aloft`.
+    """
+    light = daylight_of(sky).sun
+    if aloft_m > 0.0 and light.value.any():
+        air = air_of(sky.turbidity, sky.altitude_m, sky.precipitable_water_mm, sky.ozone_du)
+        light = sunlight_aloft(light, float(np.degrees(np.arcsin(sky.to_light[2]))), air, sky.altitude_m, aloft_m)
+    radiance = channels.of_light(light) / _SUN_SOLID_ANGLE_SR
     return np.asarray(_within_gamut(radiance) if channels.wavelength_nm is None else radiance)
 
 
@@ -84,9 +92,9 @@ def moon_phase(sky: Sky) -> MoonPhase | None:
     return MoonPhase(sky.to_sun, angle, float(law[x**2 + y**2 < 1].mean()))
 
 
-def sun_irradiance(sky: Sky, channels: Channels) -> Floats:
+def sun_irradiance(sky: Sky, channels: Channels, aloft_m: float = 0.0) -> Floats:
     """(3,) light of the disc on a plane that faces it: the radiance times its solid angle."""
-    return sun_radiance(sky, channels) * _SUN_SOLID_ANGLE_SR
+    return sun_radiance(sky, channels, aloft_m) * _SUN_SOLID_ANGLE_SR
 
 
 def _within_gamut(colour: NDArray[Any]) -> NDArray[Any]:

@@ -44,18 +44,20 @@ from numpy.typing import NDArray
 from forestgen.atmosphere.extinction import KOSCHMIEDER
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
+from forestgen.core.parts import Part
 from forestgen.core.progress import Progress, Timings
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.schema import Recipe
 from forestgen.render.capture import LEAST_SAMPLES, is_assembled
 from forestgen.render.cloud_shadow import cloud_transport_of
-from forestgen.render.denoise import denoise, denoise_bands, guide_values, guides_of
+from forestgen.render.denoise import denoise, denoise_bands, guide_values, guides_of, with_clouds
 from forestgen.render.falling import with_streaks
 from forestgen.render.frame import Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface, Timer, View
 from forestgen.render.haze import extinction_towards, seen_of, seen_values, through_haze
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.identity.surface import pixel_sums
+from forestgen.render.light import has_sun
 from forestgen.render.skies.model import daylight_of
 from forestgen.render.variant import MOST_SLICE_SAMPLES, SLICES
 from forestgen.render.views import build_view
@@ -118,7 +120,7 @@ def render_frame(
     kept = None if key is None else unfinished(key, seed, camera.name)
     radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept, tracer=tracer)
     extinction = extinction_towards(camera, tracer.spec.sky, settings.mode)
-    wanted = [] if extinction is None else [seen_values(extinction)]
+    wanted = [] if extinction is None else [seen_values(tracer, camera, extinction)]
     if settings.denoise:
         wanted.insert(0, guide_values(tracer, camera))
     sums = []
@@ -129,7 +131,11 @@ def render_frame(
         with timings("haze: airlight"):
             radiance = through_haze(radiance, tracer.spec, camera, seen_of(sums[-1]), extinction, settings.mode)
     if settings.denoise:
-        guides = guides_of(sums[0])
+        guides, clouds = guides_of(sums[0]), tracer.spec.clouds
+        if clouds is not None and clouds.detail.brick.size and has_sun(tracer.spec.sky):
+            with timings("clouds: guides"):
+                sky = (identity.part == Part.NOTHING).mean(axis=2)
+                guides = with_clouds(guides, clouds, camera, tracer.spec.sky.to_light, sky)
         with timings("denoise"):
             clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)

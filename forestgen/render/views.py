@@ -121,7 +121,7 @@ def sky_pixels(
     lights the clouds from below is never seen.
     """
     light, sun = clouds.under(sky_map(clouds.sky, channels)), sun_irradiance(clouds.sky, channels)
-    albedo = clouds.albedo(channels)
+    albedo, aloft = clouds.albedo(channels), clouds.sun_aloft(channels)
 
     def found(
         row: NDArray[np.intp], column: NDArray[np.intp], places: Floats, own: int
@@ -129,7 +129,7 @@ def sky_pixels(
         """(N, 3) radiance, and (N, 1) which rays see anything."""
         origin, direction, seen = lens_rays(camera, row, column, places)
         direction[:, 2] = np.maximum(np.abs(direction[:, 2]), _LEVEL)
-        return gather(clouds.field, light, origin, direction, seed=own).radiance(albedo, sun), seen[:, None]
+        return gather(clouds.field, light, origin, direction, seed=own).radiance(albedo, sun, aloft), seen[:, None]
 
     image = np.zeros((*wanted.shape, 3))
     rows, columns = np.nonzero(wanted)

@@ -38,6 +38,7 @@ from forestgen.scene.weather.kind import in_weather, weather_notes
 from forestgen.scene.wind import Sway, spec_at, sway_in
 
 Timer = Callable[[str], AbstractContextManager[None]]
+_MOST_TURN_RAD = np.pi / 3.0  # to either side, of a tree that has a weather side
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             cameras=tuple(camera for entry in views for camera in entry),
         )
         ground = ground_cover(plan, population, spec.cameras)
-        spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars)))
+        spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars), recipe.time_of_year))
         spec = in_weather(spec, drawn, plan.views.height)
         known = (*simulated.notes, *ground.notes, *weather_notes(drawn))
         notes = [*_notes(plan, known), *check_trunks(drawn, views, trunks)]
@@ -173,7 +174,7 @@ def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
         return ()
     rows = np.setdiff1d(np.arange(len(population)), list(plan.community.obstacles.rows_of(population)))
     rng = child_rng(seed, "surroundings") if kind == "forest" else None
-    return layers_around(population, rows, plan.views.height, rng)
+    return layers_around(population, rows, plan.views.height, rng, plan.views.all_cameras)
 
 
 def _fresh_litter(plan: Plan, population: Population) -> FreshLitter | None:
@@ -221,7 +222,7 @@ def place_instances(
 
     The angle belongs to the plant_id, so a plant keeps it through time and whatever else grows beside it; a community
     that knows how its plants stand gives it in a column `azimuth_deg`, clockwise from north, NaN where it does not. A
-    tree that lies points there.
+    tree that lies points there. Trees with a weather side are turned by at most a sixth of a circle.
 
     Parameters
     ----------
@@ -237,6 +238,8 @@ def place_instances(
     sizes = tree_sizes_of(population)
     scale, across = instance_scales(sizes, population.height_m, exemplar_of_plant, heights, made)
     angle = np.array([child_rng(seed, "plant", int(i)).random() for i in population.plant_id]) * 2 * np.pi
+    weather = np.array([exemplar.has_weather_side for exemplar in exemplars], dtype=np.bool_)[exemplar_of_plant]
+    angle = np.where(weather, (angle / np.pi - 1.0) * _MOST_TURN_RAD, angle)
     if "azimuth_deg" in population.columns:
         turned = -np.radians(population.columns["azimuth_deg"].astype(np.float64))
         angle = np.where(np.isnan(turned), angle, turned)

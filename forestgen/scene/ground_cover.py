@@ -35,6 +35,7 @@ from forestgen.geometry.mesh import Floats
 from forestgen.plants.bark.texture import with_mean
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.registries import GROUND_LAYERS
+from forestgen.scene.blocks import sheared
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import Layer, Places, Request
 from forestgen.scene.ground_tiles import COVERS, GROUND, MOST_THINGS, VARIANTS, number_per_m2, single, tile
@@ -42,7 +43,6 @@ from forestgen.scene.ground_view import MOST_TILES, TILE_M, best_pixel_m, neares
 from forestgen.scene.plan import Plan
 from forestgen.scene.spec import BareGround, Camera, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.surfaces import wet_spectrum
-from forestgen.scene.surroundings import sheared
 from forestgen.scene.terrain import HeightField
 
 _FEWEST = 4.0  # things on a tile, in the mean

@@ -1,4 +1,4 @@
-"""Which tiles of the ground cameras see, and how well."""
+"""Which tiles and spots of the ground cameras see, and how well."""
 
 from __future__ import annotations
 
@@ -73,6 +73,19 @@ def tiles_before(camera: Camera, height: HeightField, length_m: float) -> tuple[
         return at[seen], np.hypot(*(ground - middle_m).T)[seen]
     kept = (away < reach_m) & (seen | (away < _NEAR_M))
     return at[kept], away[kept]
+
+
+def in_view(cameras: Sequence[Camera], middle_m: Floats, radius_m: float) -> NDArray[np.bool_]:
+    """(N,) whether balls of a radius about (N, 3) points may be in a camera's view, were nothing before them."""
+    found = np.zeros(len(middle_m), dtype=bool)
+    for camera in cameras:
+        away = middle_m - np.asarray(camera.position_m)
+        image = project(camera, away @ camera.world_from_camera)
+        pixel_m = projection_of(camera).finest_pixel_m(camera, np.maximum(np.linalg.norm(away, axis=1), 1e-3))
+        margin, (width, tall) = radius_m / np.maximum(pixel_m, 1e-9), camera.size_px
+        seen = image.in_front & (image.x_px > -margin) & (image.x_px < width + margin)
+        found |= seen & (image.y_px > -margin) & (image.y_px < tall + margin)
+    return found
 
 
 def _footprint(camera: Camera, height: HeightField) -> tuple[Floats, Floats]:

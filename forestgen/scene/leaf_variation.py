@@ -7,6 +7,12 @@ plot and height by 16%. Both come from the table ``standards/leaf_variation``: w
 leaf of their species, as factors on the reflectance and transmittance of that leaf's spectrum, whatever its season. See
 `docs/spectra/make_leaves.py` for the measurements.
 
+Near a camera single leaves differ too, and the mean of a crown's leaves stays. Where a crown has leaves of several
+seasons, each leaf is of one of them. At any time of the year a few are yellow or dead: at most 2.2% together, as
+crowns without discoloration have up to 10% (ICP Forests' class 0; the shares are our estimate). Needles of this year's
+shoots, the outer ends of sprays, are pale from May (Norway spruce; our estimate) until they have their chlorophyll at
+the end of July: half of it is missing at first, as in young leaves of beech and oak, and none after.
+
 Materials with `leaf_type` take part. An exemplar has one chlorophyll, so plants that share an exemplar are alike,
 whatever their detail and season. One of its plants, of the lowest plant_id, decides on its place among the exemplars of
 its species, which are evenly spread over the normal distribution: their standard deviation is that of plants, however
@@ -34,6 +40,8 @@ from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import part_of
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.organs.sprays import LeafKind
+from forestgen.recipe.phenology import TimeOfYear
 from forestgen.recipe.spectra import Columns, load_table
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Material
@@ -43,6 +51,11 @@ Ints = NDArray[np.int64]
 Materials = dict[tuple[str, str], Material]
 CLASSES = ("sun", "middle", "shade")
 _CELLS = 32  # along the crown's longest side
+_LEAST = {"autumn": 0.015, "dry": 0.007}  # share of yellow and of dead leaves at any time
+_NEW_NEEDLES = 0.2  # share that this year's shoots bear, of about five years
+_PALEST = 4.0  # standard deviations of chlorophyll below the mean: about half
+_FLUSH, _GREEN = 135.0, 210.0  # days of the year on which needles unfold, and are as green as old ones
+_BY_SEASON = {"spring": 0.9, "summer": 0.3}  # paleness at a season without a date; others: none
 _RAREST = 0.02  # share of plants that are cut off at each end of the distribution
 
 
@@ -133,6 +146,53 @@ def varied_material(base: Material, light: str, deviation: float) -> Material:
     sum_of_both = np.maximum(values[0] + values[1], 1.0)
     reflectance = Spectrum(grid, values[0] / sum_of_both)
     transmittance = None if base.transmittance_spectrum is None else Spectrum(grid, values[1] / sum_of_both)
+    return _of_spectra(base, reflectance, transmittance)
+
+
+def single_leaves(base: Material, time: TimeOfYear) -> tuple[tuple[LeafKind, Material], ...]:
+    """Kinds of leaves in a crown near a camera, whose mean is the crown's; the last is what most of them are."""
+    if base.reflectance_spectrum is None or base.leaf_type is None or not base.seasons:
+        return ()
+    main = max(base.seasons, key=lambda one: one.share)
+    kinds = [
+        (
+            LeafKind(one.name, max(one.share, _LEAST.get(one.name, 0.0))),
+            _of_spectra(base, one.reflectance, one.transmittance),
+        )
+        for one in base.seasons
+        if one is not main and max(one.share, _LEAST.get(one.name, 0.0)) > 0.0
+    ]
+    pale = _paleness(time)
+    if base.leaf_type == "needle" and pale > 0.0:
+        kinds.append((LeafKind("new", _NEW_NEEDLES, at_tip=True), varied_material(base, "middle", _PALEST * pale)))
+    share = 1.0 - sum(kind.share for kind, _ in kinds)
+    reflectance = _rest(
+        base.reflectance_spectrum, [(kind.share, one.reflectance_spectrum) for kind, one in kinds], share
+    )
+    transmittance = None
+    if base.transmittance_spectrum is not None:
+        others = [(kind.share, one.transmittance_spectrum) for kind, one in kinds]
+        transmittance = _rest(base.transmittance_spectrum, others, share)
+    return (*kinds, (LeafKind(main.name, share), _of_spectra(base, reflectance, transmittance)))
+
+
+def _rest(mean: Spectrum, others: Sequence[tuple[float, Spectrum | None]], share: float) -> Spectrum:
+    """Spectrum of a share of the leaves, whose others have theirs."""
+    grid = mean.wavelength_nm
+    known = [part * one.at(grid) for part, one in others if one is not None]
+    return Spectrum(grid, np.clip((mean.at(grid) - np.sum(known, axis=0)) / share, 0.0, 1.0))
+
+
+def _paleness(time: TimeOfYear) -> float:
+    """Of needles of this year's shoots: 1 as they unfold, 0 from summer on."""
+    if time.season is not None:
+        return _BY_SEASON.get(time.season, 0.0)
+    if time.is_tropical or time.northern_day < _FLUSH:
+        return 0.0
+    return max(1.0 - (time.northern_day - _FLUSH) / (_GREEN - _FLUSH), 0.0)
+
+
+def _of_spectra(base: Material, reflectance: Spectrum, transmittance: Spectrum | None) -> Material:
     colours = colours_of_surface(reflectance, transmittance)
     return replace(
         base,

@@ -13,16 +13,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Bools, Floats
 from forestgen.plants.exemplar import Exemplar
-from forestgen.plants.near_foliage import NearOrgans, largest_pixel_m, near_organs, organ_sizes, with_near_foliage
+from forestgen.plants.near_foliage import (
+    NearOrgans,
+    largest_pixel_m,
+    material_of_kind,
+    near_organs,
+    organ_sizes,
+    with_near_foliage,
+)
 from forestgen.plants.organs.base import OrganForm
+from forestgen.plants.organs.sprays import LeafKind
 from forestgen.plants.skeleton import OrganPlacements
+from forestgen.recipe.phenology import TimeOfYear
 from forestgen.scene.exemplar_plan import ExemplarPlan
 from forestgen.scene.growth import pixel_size_m
+from forestgen.scene.leaf_variation import single_leaves
 from forestgen.scene.plan import Plan
 from forestgen.scene.projection import project, projection_of
-from forestgen.scene.spec import Camera, SceneSpec
+from forestgen.scene.spec import Camera, Material, SceneSpec
 from forestgen.scene.triangles import most_near_triangles
 
 _LEAST_M = 0.02  # distance of a leaf that touches the camera
@@ -89,12 +100,13 @@ class _NearPlant:
         return more + spec.exemplars[self.exemplar].triangles if more else 0
 
 
-def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None]) -> SceneSpec:
+def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None], time: TimeOfYear) -> SceneSpec:
     """The scene with leaves of true size near its cameras.
 
     `leaves`: the forms of the organs of its first exemplars, the plants; None of what has none. Exemplars with leaves
     of true size follow these.
     """
+    materials, of_exemplar = dict(spec.materials), dict[int, dict[str, list[LeafKind]]]()
     plants, room = len(leaves), most_near_triangles(spec.cameras)
     which = spec.instances.exemplar.copy()
     made: list[Exemplar] = []
@@ -103,10 +115,29 @@ def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None]) -> SceneS
         if organs:
             room -= plant.triangles(spec, organs)
             which[plant.row] = plants + len(made)
-            made.append(with_near_foliage(spec.exemplars[plant.exemplar], own.shapes, own.true_m, organs))
+            exemplar = spec.exemplars[plant.exemplar]
+            if plant.exemplar not in of_exemplar:
+                of_exemplar[plant.exemplar] = _leaf_kinds(exemplar, materials, time)
+            kinds = of_exemplar[plant.exemplar]
+            seed = int(spec.instances.plant_id[plant.row])
+            made.append(with_near_foliage(exemplar, own.shapes, own.true_m, organs, kinds, seed))
     which[spec.instances.exemplar >= plants] += np.uint32(len(made))
     exemplars = (*spec.exemplars[:plants], *made, *spec.exemplars[plants:])
-    return replace(spec, exemplars=exemplars, instances=replace(spec.instances, exemplar=which))
+    return replace(spec, exemplars=exemplars, materials=materials, instances=replace(spec.instances, exemplar=which))
+
+
+def _leaf_kinds(
+    exemplar: Exemplar, materials: dict[tuple[str, str], Material], time: TimeOfYear
+) -> dict[str, list[LeafKind]]:
+    """Kinds of leaves by the exemplar's materials, to which those of the kinds are added."""
+    found = {}
+    for organ in exemplar.organs:
+        if organ.part == Part.LEAF:
+            kinds = single_leaves(materials[exemplar.species, organ.material], time)
+            found[organ.material] = [kind for kind, _ in kinds]
+            for kind, material in kinds:
+                materials[exemplar.species, material_of_kind(organ.material, kind)] = material
+    return found
 
 
 def _near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None]) -> list[tuple[_NearPlant, Leaves]]:

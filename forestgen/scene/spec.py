@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +15,18 @@ from forestgen.core.spectrum import Band, Spectrum
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar
-from forestgen.recipe.cameras import Exposure
+from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.registries import DEFAULT_PROJECTION
 from forestgen.recipe.species import LeafType
+
+
+class SeasonShare(NamedTuple):
+    """Leaves of one season's colour in a crown."""
+
+    name: str
+    share: float  # of the crown's leaves; may be 0
+    reflectance: Spectrum
+    transmittance: Spectrum | None
 
 
 @dataclass(frozen=True)
@@ -32,6 +41,7 @@ class Material:
     reflectance_spectrum: Spectrum | None = None  # of which the reflectance is the colour; None: the colour is all
     transmittance_spectrum: Spectrum | None = None
     leaf_type: LeafType | None = None  # as which its leaves vary; None: all are alike
+    seasons: tuple[SeasonShare, ...] = ()  # of leaves beside each other, whose mean the spectra are
 
 
 @dataclass(frozen=True)

@@ -26,17 +26,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.spectrum import LUMINANCE, Spectrum
-from forestgen.plants.bark.texture import bark_texture
+from forestgen.plants.bark.texture import bark_texture, covered_texture
+from forestgen.plants.stem_surface import LEVELS, covered_name
 from forestgen.recipe import species as recipe_species
 from forestgen.recipe.phenology import SUMMER, LeafState
-from forestgen.recipe.spectra import load_spectra, load_table, mixed, surface_columns
+from forestgen.recipe.spectra import SEASONS, load_spectra, load_table, mixed, of_season, surface_columns
 from forestgen.scene.colour import Channels, colours_of_surface
-from forestgen.scene.spec import BareGround, Camera, Material, Terrain, WetGround
+from forestgen.scene.spec import BareGround, Camera, Material, SeasonShare, Terrain, WetGround
 
 Floats = NDArray[np.float64]
 _INDEX = 1.33
@@ -184,7 +186,39 @@ def materials_of(
             for key, material in one.materials.items():
                 first = found[name, key] if index and material.bark is not None else None  # bark has no season
                 found[name, material_of_class(key, index)] = first or surface_of(material, state, f"{name}/{key}")
+        covered = _covered(name, one, found)
+        for index in range(len((leaves or {}).get(name, [SUMMER]))):
+            found |= {(name, material_of_class(key, index)): material for key, material in covered.items()}
     return found
+
+
+def _covered(name: str, species: Species, found: Mapping[tuple[str, str], Material]) -> dict[str, Material]:
+    """The barks of a species' stem under each of its covers, which have no season."""
+    made: dict[str, Material] = {}
+    wood = species.wood
+    if wood is None or not wood.covers:
+        return made
+    own = species.plant.parameters.get("wood", {}).get("material")
+    barks = {own, *(zone.material for zone in wood.bark_zones)} & species.materials.keys()
+    for bark, cover, level in product(sorted(barks), wood.covers, range(len(LEVELS))):
+        key, below = covered_name(bark, cover.material, level), species.materials[bark]
+        under, over = found[name, bark], found[name, cover.material]
+        made[key] = _mixed(under, over, LEVELS[level], below.bark, f"{name}/{bark}")
+    return made
+
+
+def _mixed(bark: Material, cover: Material, share: float, pattern: recipe_species.Bark | None, name: str) -> Material:
+    """A bark of which something covers a share."""
+    r, g, b = (under + share * (over - under) for under, over in zip(bark.reflectance, cover.reflectance, strict=True))
+    mean, spectrum, of_bark, of_cover = (r, g, b), None, bark.reflectance_spectrum, cover.reflectance_spectrum
+    if of_bark is not None and of_cover is not None:
+        grid = np.union1d(of_bark.wavelength_nm, of_cover.wavelength_nm)
+        spectrum = Spectrum(grid, of_bark.at(grid) + share * (of_cover.at(grid) - of_bark.at(grid)))
+        mean = colours_of_surface(spectrum, None)[0]
+    texture = None
+    if pattern is not None:
+        texture = covered_texture(pattern, bark.reflectance, name, cover.reflectance, share, mean)
+    return Material(mean, roughness=bark.roughness, texture=texture, reflectance_spectrum=spectrum)
 
 
 def material_of_class(material: str, index: int) -> str:
@@ -196,6 +230,7 @@ def surface_of(material: recipe_species.Material, leaves: LeafState, name: str) 
     """A recipe's material on a plant with such leaves; `name`, such as "birch/bark", seeds its texture."""
     file = material.spectrum
     spectra: tuple[Spectrum | None, Spectrum | None] = None, None
+    seasons: tuple[SeasonShare, ...] = ()
     if file is None:
         assert material.reflectance is not None  # the recipe's own check
         reflectance, transmittance = material.reflectance, material.transmittance
@@ -203,6 +238,12 @@ def surface_of(material: recipe_species.Material, leaves: LeafState, name: str) 
         columns = load_spectra(file.name) if file.text is None else surface_columns(file.text, file.name)
         own = leaves if material.season is None else LeafState.of_season(material.season)
         found = spectra = mixed(columns, own.spectra)
+        if material.leaf_type is not None:
+            seasons = tuple(
+                SeasonShare(season, share, *one)
+                for season, share in zip(SEASONS, own.spectra, strict=True)
+                if (one := of_season(columns, season)) is not None
+            )
         reflectance, transmittance = colours_of_surface(*found)
     return Material(
         reflectance,
@@ -212,6 +253,7 @@ def surface_of(material: recipe_species.Material, leaves: LeafState, name: str) 
         material.gloss,
         *spectra,
         leaf_type=material.leaf_type,
+        seasons=seasons,
     )
 
 

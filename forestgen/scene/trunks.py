@@ -41,6 +41,7 @@ class Trunks:
 
     def __init__(self, exemplars: Sequence[Exemplar], instances: Instances) -> None:
         self._corners = [_corners(one) for one in exemplars]
+        self._roots_m = [one.roots_m for one in exemplars]
         self._lies = [one.lying_m3 > 0.0 for one in exemplars]
         self._mine = instances.exemplar.astype(np.intp)
         self._transform = instances.transform
@@ -71,14 +72,17 @@ class Trunks:
         return nearest, plant
 
     def circles_m(self, height_m: float) -> tuple[Floats, Floats]:
-        """(T, 2) middles and (T,) radii of circles that hold standing stems, from the feet up to a height."""
+        """(T, 2) middles and (T,) radii of circles that hold standing stems, from the feet up to a height.
+
+        Walkers step over roots.
+        """
         middles, radii = [], []
         for index, corners in enumerate(self._corners):
             rows = np.flatnonzero(self._mine == index)
             if not len(rows) or not len(corners) or self._lies[index]:  # walkers step over lying stems
                 continue
             top = height_m / float(self._upright[rows].min())  # as far up as the smallest of its plants needs
-            points = _clipped(corners, top)
+            points = _clipped(corners, self._roots_m[index], max(top, 2.0 * self._roots_m[index]))
             if not len(points):
                 continue
             box = points.min(axis=0), points.max(axis=0)
@@ -101,14 +105,14 @@ def _corners(exemplar: Exemplar) -> Floats:
     return np.zeros((0, 3, 3))
 
 
-def _clipped(corners: Floats, high_m: float) -> Floats:
-    """(P, 3) ends of the parts of triangles' edges from the foot up to a height."""
+def _clipped(corners: Floats, low_m: float, high_m: float) -> Floats:
+    """(P, 3) ends of the parts of triangles' edges between two heights."""
     start = corners.reshape(-1, 3)
     way = np.roll(corners, -1, axis=1).reshape(-1, 3) - start
     rise = way[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        crossings = np.stack([(0.0 - start[:, 2]) / rise, (high_m - start[:, 2]) / rise])
-    level = (start[:, 2] >= 0.0) & (start[:, 2] <= high_m)
+        crossings = np.stack([(low_m - start[:, 2]) / rise, (high_m - start[:, 2]) / rise])
+    level = (start[:, 2] >= low_m) & (start[:, 2] <= high_m)
     first = np.where(rise == 0, 0.0, np.maximum(crossings.min(axis=0), 0.0))
     last = np.where(rise == 0, 1.0, np.minimum(crossings.max(axis=0), 1.0))
     kept = np.where(rise == 0, level, first <= last)

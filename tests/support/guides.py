@@ -21,7 +21,7 @@ def trace_guides(tracer: SceneTracer, camera: Camera) -> Guides:
 
 def trace_seen(tracer: SceneTracer, camera: Camera, extinction_per_m: NDArray[np.float64]) -> Seen:
     """What `camera` sees of the tracer's scene through a haze of an extinction (C,)."""
-    return seen_of(*pixel_sums(tracer, camera, [seen_values(extinction_per_m)]))
+    return seen_of(*pixel_sums(tracer, camera, [seen_values(tracer, camera, extinction_per_m)]))
 
 
 def seen_through_haze(radiance: Radiance, tracer: SceneTracer, camera: Camera, mode: Mode) -> Radiance:

@@ -13,6 +13,7 @@ from forestgen.atmosphere.grid import CloudGrid
 from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Band, Spectrum
+from forestgen.geometry.mesh import Mesh
 from forestgen.render.denoise import guide_values, guides_of
 from forestgen.render.frame import Radiance
 from forestgen.render.haze import (
@@ -174,12 +175,34 @@ def test_guides_and_haze_share_their_rays():
     alone = trace_guides(tracer, camera), trace_seen(tracer, camera, extinction)
     with using(tracer.variant), dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        sums = pixel_sums(tracer, camera, [guide_values(tracer, camera), seen_values(extinction)])
+        sums = pixel_sums(tracer, camera, [guide_values(tracer, camera), seen_values(tracer, camera, extinction)])
         launched = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
     assert len(launched) == 1
     for ours, theirs in zip((guides_of(sums[0]), seen_of(sums[1])), alone, strict=True):
         for name, value in vars(ours).items():
             np.testing.assert_array_equal(value, getattr(theirs, name))
+
+
+def test_haze_under_a_roof_is_in_shadow():
+    """The sun overhead, and a roof over 60 of the 200 m to the ground that is seen: 70% of the haze is sunny."""
+    camera = camera_at((0.0, 0.0, 2.0), (0.0, 200.0, 0.0), (4, 4), hfov_deg=0.01)
+    bare = stand(camera, 300_000.0, plants=1)
+    corners = np.array([[-3000, 0, 9], [3000, 0, 9], [3000, 60, 9], [-3000, 60, 9]], np.float32)
+    roof = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))
+    organ = replace(bare.exemplars[0].organs[0], mesh=roof)
+    over = replace(bare.exemplars[0], organs=(organ,))
+    instances = replace(bare.instances, exemplar=np.zeros(1, np.uint32), transform=np.eye(3, 4)[None])
+    sky = replace(bare.sky, sun_elevation_deg=90.0)
+    spec = replace(bare, exemplars=(over,), instances=instances, sky=sky)
+    found = trace_seen(SceneTracer(spec, Timings()), camera, np.array([1e-5, 2e-5]))
+    assert found.sunny.mean() == pytest.approx(0.7, abs=0.05)
+    # Beyond the roof half of the sky and more is open; below it, towards the south alone and little.
+    assert 0.55 < found.open.mean() < 0.85
+    open_land = trace_seen(
+        SceneTracer(replace(spec, instances=instances.at(slice(0))), Timings()), camera, np.ones(1) * 1e-5
+    )
+    assert open_land.sunny.mean() == pytest.approx(1.0, abs=0.05)
+    assert open_land.open.mean() == pytest.approx(1.0, abs=0.05)
 
 
 def ground_distance(camera: Camera, dx: float, dy: float):
@@ -295,7 +318,8 @@ def test_near_infrared_lenses_and_clouds_go_through_haze_too(kind):
     whole = (found.inside == 1) & (found.surface == 1)
     assert whole.mean() > 0.2
     through = found.transmittance[whole]
-    expected = 0.01 * through + light.towards(world_rays(camera).direction[whole]) * (1 - through)
+    air = light.towards(world_rays(camera).direction[whole], found.sunny[whole], found.open[whole])
+    expected = 0.01 * through + air * (1 - through)
     np.testing.assert_allclose(hazy.mean[whole], expected, rtol=1e-5)
     assert (expected > 0.02).any()
     if kind == "bands":

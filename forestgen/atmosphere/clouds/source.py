@@ -37,7 +37,9 @@ LEAST_GAP_M, GAP_OF_SITE = 100.0, 0.5
 _MOST_OPTICAL_DEPTH = 5000.0  # of a thundercloud's core
 _SHOWN_BY_TOP, _SHOWN_M = 12.0, (4000.0, 24_000.0)  # how far clouds are shown, by the height of their tops
 _MOST_TILES = 7
+DETAILED_FROM_M = 40.0  # largest side of a cell
 _BYTES_PER_AIR_CELL = 160  # the state twice, its rates of change, and the pressure's transform
+_BYTES_PER_DETAILED_CELL = 400  # where a tenth of the cells are at an edge, as in cumulus
 _BYTES_PER_SHOWN_CELL = 32  # extinction with its copies, and the renderer's; exact was measured to take 17
 
 
@@ -94,6 +96,12 @@ class AirKeys(Clouds):
     )
     repeat: Flag | None = Field(
         None, description="Whether the clouds go on beyond the box, over and over, to the horizon. Default: they do."
+    )
+    detail: Flag | None = Field(
+        None,
+        description="Whether clouds have sharp edges and billows within the cells of the air, down to some metres, of "
+        "the same water. Default: they have where cells are wider than 40 m; never with render.clouds: exact, and over "
+        "terrain of the air's own.",
     )
 
 
@@ -191,11 +199,14 @@ def clouds_of_air(
     `RecipeError` as `check_depth` and `on_the_ground` do.
     """
     repeat = weather.grid.periodic and weather.solid is None and keys.repeat is not False
+    wanted = max(weather.grid.cell_m) > DETAILED_FROM_M if keys.detail is None else keys.detail
+    seen = weather.solid is None and request.drawn.recipe.render.clouds != "exact"  # which traces the cells' means
     grid = cloud_grid_of(
         weather,
         centre_m=None if weather.solid is not None else centre,
         droplet_radius_um=radius_um,
         tiles=_tiles(weather) if repeat else 1,
+        detailed=wanted and seen,
     )
     if grid is None:
         return None
@@ -248,4 +259,5 @@ def _tiles_across(shown_m: float, extent_m: float) -> int:
 def simulated_bytes(keys: AirKeys, cells: int, extent_m: float) -> int:
     """Estimated memory of air in a box of some width, and of what is shown of it."""
     tiles = _tiles_across(_SHOWN_M[1], extent_m) if keys.repeat is not False and extent_m else 1
-    return cells * max(_BYTES_PER_AIR_CELL, tiles**2 * _BYTES_PER_SHOWN_CELL)
+    detail = 0 if keys.detail is False else _BYTES_PER_DETAILED_CELL
+    return cells * (max(_BYTES_PER_AIR_CELL, tiles**2 * _BYTES_PER_SHOWN_CELL) + detail)

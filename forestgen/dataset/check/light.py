@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from forestgen.core.spectrum import LUMINANCE
 from forestgen.dataset.check.files import Finding, as_text, finding, read_json, read_palette, read_picture
 from forestgen.dataset.check.frame_data import EXR, FrameData, Wrong, frame_check
+from forestgen.dataset.optics import falloff, through_lens
 from forestgen.dataset.safe_path import load_json
 from forestgen.recipe.registries import PROJECTIONS
 from forestgen.scene.projection import load_projection
@@ -161,6 +162,7 @@ def _expected(
 ) -> NDArray[np.float64]:
     """(H, W) digital numbers without noise, not yet cut off at white."""
     scale, pattern = facts["radiance_per_dn"], facts["mosaic"]
+    light = _behind_lens(facts, light)
     rows, columns = np.indices(frame.instance.shape)
     if pattern is None:
         values = light[key].astype(np.float64) / scale[key]
@@ -176,4 +178,16 @@ def _expected(
         focal = width / 2 / np.tan(np.radians(facts["hfov_deg"]) / 2)
         slope = np.hypot(columns + 0.5 - width / 2, rows + 0.5 - height / 2) / focal
         values *= 1 - strength + strength / (1 + slope**2) ** 2
+    values *= falloff(frame.size_px, facts.get("falloff", ()))
     return np.asarray(facts["black_level"] + values.clip(0.0))
+
+
+def _behind_lens(facts: Mapping[str, Any], light: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
+    """The sensor's channels as its lens shows them."""
+    names, colours, glare = facts["channels"], facts.get("chromatic_aberration", ()), facts.get("veiling_glare", 0)
+    if not any(colours) and not glare:
+        return light
+    shown = through_lens(
+        np.stack([light[name].astype(np.float64).clip(0.0) for name in names], axis=-1), colours, glare
+    )
+    return dict(zip(names, np.moveaxis(shown, -1, 0), strict=True))

@@ -29,7 +29,7 @@ texture in every image: its random numbers come from its name alone.
 The relief is shown by a normal map, which neither moves the surface nor casts shadows; slopes are therefore held below
 about 50 degrees.
 
-Not modelled: a bark that changes with height or with the stem's age.
+Another bark by height, and what grows on it: plants/stem_surface.py. Not modelled: ridges as wide as the stem is thick.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,11 +47,13 @@ from forestgen.geometry.export import srgb
 from forestgen.plants.bark.patterns import PATTERNS, Image, Relief, Tile, upper_share
 from forestgen.plants.parameters import PlantParameters
 from forestgen.recipe.species import Bark, Material
+from forestgen.recipe.wood import BarkZone, DeadBranches
 
 Colour = tuple[float, float, float]
 
 _TEXEL_M = 0.0015
 _LEAST_TEXELS, _MOST_TEXELS = 64, 512
+_COVER_M = 0.004  # thickness of what grows on bark
 _STEEPEST = 1.2  # slope of the normal map: without shadows, steeper walls look wrong
 
 
@@ -100,6 +103,26 @@ def bark_texture(bark: Bark, reflectance: Colour, name: str) -> SurfaceTexture:
     return SurfaceTexture(with_mean(colour, reflectance), height.astype(np.float32), bark.tile_m)
 
 
+@lru_cache(maxsize=32)
+def covered_texture(
+    bark: Bark, reflectance: Colour, name: str, cover: Colour, share: float, mean: Colour
+) -> SurfaceTexture:
+    """The texture of a bark, see `bark_texture`, a share of which something grows on, such as moss.
+
+    `cover`: colour of what grows there. `mean`: of all. What a share covers a greater one covers too.
+    """
+    base = bark_texture(bark, reflectance, name)
+    rows, columns = base.height_m.shape
+    tile = Tile(rows, columns, base.tile_m)
+    spread, fine = child_rng(0, "cover", name).spawn(2)
+    place = tile.noise(spread, (0.05, 0.07), 1.6) + 0.1 * (base.height_m.mean() - base.height_m) / _COVER_M
+    mask = upper_share(np.asarray(place, dtype=np.float32), share, 0.25)
+    tone = np.clip(1.0 + 0.3 * tile.noise(fine, (0.01, 0.01), 1.2), 0.3, 1.7)[..., None]
+    colour = base.colour + mask[..., None] * (np.array(cover, dtype=np.float32) * tone - base.colour)
+    height_m = base.height_m + np.float32(_COVER_M) * mask * (0.7 + 0.3 * tone[..., 0])
+    return SurfaceTexture(with_mean(np.maximum(colour, 0.0), mean), height_m.astype(np.float32), base.tile_m)
+
+
 def _texels(length_m: float) -> int:
     return int(np.clip(round(length_m / _TEXEL_M / 16) * 16, _LEAST_TEXELS, _MOST_TEXELS))
 
@@ -135,15 +158,29 @@ def with_mean(colour: Image, mean: Colour) -> Image:
     return out
 
 
+P = TypeVar("P", BarkZone, DeadBranches)
+
+
 def with_bark_tiles(parameters: PlantParameters, materials: Mapping[str, Material]) -> PlantParameters:
     """The plant's parameters with the tiles of its wood's materials, which its meshes' uv count in."""
     wood = parameters.wood
-    tiles = {}
+    tiles: dict[str, object] = {}
     for field, name in (("bark_tile_m", wood.material), ("branch_tile_m", wood.branch_material or wood.material)):
         bark = materials[name].bark if name in materials else None
         if bark is not None:
             tiles[field] = bark.tile_m
+    if wood.years is not None:
+        dead = wood.years.dead_branches
+        zones = tuple(_with_tile(zone, materials) for zone in wood.years.bark_zones)
+        own = {"bark_zones": zones, "dead_branches": dead and _with_tile(dead, materials)}
+        tiles["years"] = wood.years.model_copy(update=own)
     return parameters.model_copy(update={"wood": wood.model_copy(update=tiles)}) if tiles else parameters
+
+
+def _with_tile(part: P, materials: Mapping[str, Material]) -> P:
+    """A part of a tree's wood with its material's tile."""
+    bark = materials[part.material].bark
+    return part if bark is None else part.model_copy(update={"tile_m": bark.tile_m})
 
 
 def texture_images(texture: SurfaceTexture) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

@@ -22,6 +22,10 @@ NeedleWidth = Annotated[float, Field(ge=1e-4, le=0.05)]
 MOST_NEEDLES = 2000
 _COVER = 0.8  # area of a needle over its length times its width
 _LENGTH_POWER = 0.4
+_STRIP_LENGTH = 1.2  # over the step between pairs of crossed strips
+_LEVEL_SHARE = 0.9  # of the area, in strips that lie in the plane of the twig's two sides
+_STRIP_ROLL = 0.5  # radians, at most
+_BEYOND = 0.1  # of a strip beyond the twig's tip
 _LONGEST = 3.2  # a needle that stands for many is at most so many times as long
 
 
@@ -64,6 +68,9 @@ class NeedleTwig(OrganForm):
     parting: Share = Field(0.0, description="0: needles all around; 1: all to the twig's two sides")
     curl_deg: Bend = Field(8.0, description="bend of each needle, degrees")
     diameter_m: MaybeSize = Field(0.0, description="of the twig, metres; 0: the twig itself is not drawn")
+    crossed: bool = Field(
+        False, description="`drawn` strips in crossed pairs along the twig, about as thick as the shoot, from afar"
+    )
     fascicle: Annotated[int, Field(ge=1, le=8)] = Field(
         1, description="needles in a bundle where a camera is near, as 2 of Scots pine"
     )
@@ -91,10 +98,19 @@ class NeedleTwig(OrganForm):
         twig = tube(on_axis(np.linspace(0.0, self.length_m, stops)), radius, 3)
         return [needles, OrganPatch(self.twig_material or self.material, twig, Part.BRANCH)]
 
+    @property
+    def equivalent_needles(self) -> float:
+        """Number of drawn needles, each as large as the largest, that would have the area of all."""
+        every = max(round(self.per_m * self.length_m), 1)
+        drawn = float(min(self.drawn or every, every))
+        return drawn / (2.0 * _LEVEL_SHARE) if self.crossed else drawn
+
     def needles(self) -> Patch:
         """From afar; `angle_deg` is between twig and needle at the twig's base, and a third less at its tip."""
         needles = max(round(self.per_m * self.length_m), 1)
         drawn = min(self.drawn or needles, needles)
+        if self.crossed and self.drawn is not None:
+            return self._strips(needles, max(drawn // 2, 1))
         stands_for = max(needles / drawn, 1.0)
         longer = min(stands_for**_LENGTH_POWER, _LONGEST)
         width_m = self.needle_width_m * stands_for / longer
@@ -120,6 +136,25 @@ class NeedleTwig(OrganForm):
         size = (0.9 + 0.2 * _even(k, 0.618)) * np.where(share < 0.06, 0.75, 1.0)
         size /= np.sqrt(np.mean(size**2))  # the area stays
         return copies(one, attitude(along, upper) * size[:, None, None], on_axis(share * self.length_m))
+
+    def _strips(self, needles: int, pairs: int) -> Patch:
+        """All needles as crossed strips, one pair after another along the twig; the last reach beyond its tip."""
+        step_m = self.length_m / pairs
+        length_m = _STRIP_LENGTH * step_m
+        width_m = needles * self.needle_length_m * self.needle_width_m / (pairs * length_m)
+        one = needle_patch(length_m, width_m, np.radians(self.curl_deg), self.detail)
+        k = np.arange(2 * pairs)
+        is_level = k % 2 == 0
+        turn = np.where(is_level, 0.5 * np.pi, 0.0) + _STRIP_ROLL * (2.0 * _even(k // 2, 0.618) - 1.0)
+        linear = attitude(np.tile([0.0, 1.0, 0.0], (len(k), 1)), outwards(turn))
+        linear[:, :, 0] *= np.where(is_level, _LEVEL_SHARE, 1.0 - _LEVEL_SHARE)[:, None]
+        last_m = self.length_m - (1.0 - _BEYOND) * length_m
+        return copies(one, linear, on_axis(np.asarray(last_m - step_m * (pairs - 1 - k // 2), dtype=np.float64)))
+
+
+def bears_on_twigs(form: OrganForm) -> bool:
+    """Whether needles stand along the twigs that bear the shoots too; a pine's are on its last shoots alone."""
+    return isinstance(form, NeedleTwig) and form.fascicle == 1
 
 
 def needle_patch(length_m: float, width_m: float, curve_rad: float, detail: int) -> Patch:

@@ -272,10 +272,18 @@ def _wrapped(index: Any, size: Any) -> Any:
 
 def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) -> Any:
     """Whether nothing of the scene, clouds left out, hides the sun's centre, or by night the moon's; else False."""
+    active = hits.valid & casts_shadows(tracer.spec.sky)
+    return unhidden(tracer, camera, hits, normal, tracer.to_light, active)
+
+
+def unhidden(
+    tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any, direction: Any, active: Any | None = None
+) -> Any:
+    """Whether nothing of the scene lies in a direction from the hits, by default from all that are valid."""
     point = tracer.start_of(camera, hits.rays) + hits.rays.direction * hits.distance_m
-    sunny = dr.select(dr.dot(normal, tracer.to_light) < 0, -normal, normal)  # leaves are lit through from below, too
+    bright = dr.select(dr.dot(normal, direction) < 0, -normal, normal)  # leaves are lit through from below, too
     lift = LIFT * dr.maximum(dr.max(dr.abs(point)), 1.0)
-    ray = mi.Ray3f(point + sunny * lift, tracer.to_light)
+    ray = mi.Ray3f(point + bright * lift, direction)
     # Single rays: from leaf to leaf neighbours lose each other, and packets take 1.7 times as long.
-    lit = hits.valid & casts_shadows(tracer.spec.sky)
+    lit = hits.valid if active is None else active
     return lit & ~tracer.scene.ray_test(ray, coherent=False, active=lit)

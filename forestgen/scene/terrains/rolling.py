@@ -2,11 +2,11 @@
 
 The site's relief has a standard deviation of `amplitude_m` and wavelengths from `wavelength_m` down to 1/8 of it, of
 which long ones carry most of the height, as on eroded land. Around it, from some hundred metres on, stand hills of 900
-to 3000 m and a standard deviation of 22 m.
+to 3000 m and a standard deviation of `hills_m`; `site.surroundings` covers them with the stand's forest.
 
 Example
 -------
-    site: {terrain: {kind: rolling, amplitude_m: 3, wavelength_m: 80}}
+    site: {terrain: {kind: rolling, amplitude_m: 3, wavelength_m: 80, hills_m: 60}, surroundings: forest}
 
 Parameters: see below.
 """
@@ -35,6 +35,12 @@ class RollingKeys(Terrain):
     wavelength_m: Positive = Field(
         70.0, ge=1, le=10000, description="Longest distance between rolling ground's crests, metres."
     )
+    hills_m: Number = Field(
+        22.0,
+        ge=0,
+        le=500,
+        description="Standard deviation of the height of hills around rolling ground, metres; level ground has none.",
+    )
 
 
 class Rolling(TerrainShape[RollingKeys]):
@@ -46,7 +52,8 @@ class Rolling(TerrainShape[RollingKeys]):
         return keys.amplitude_m == 0
 
     def height(self, keys: RollingKeys, size_m: tuple[float, float], image_seed: int, folder: Path) -> HeightField:
-        return rolling(size_m, keys.amplitude_m, keys.wavelength_m, child_rng(image_seed, "terrain", "height"))
+        rng = child_rng(image_seed, "terrain", "height")
+        return rolling(size_m, keys.amplitude_m, keys.wavelength_m, rng, keys.hills_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +88,16 @@ class Waves(HeightField):
         return z
 
 
-def rolling(size_m: tuple[float, float], amplitude_m: float, wavelength_m: float, rng: np.random.Generator) -> Waves:
+def rolling(
+    size_m: tuple[float, float],
+    amplitude_m: float,
+    wavelength_m: float,
+    rng: np.random.Generator,
+    hills_m: float = 22.0,
+) -> Waves:
     """Gently rolling ground: standard deviation `amplitude_m`, wavelengths from `wavelength_m` down to 1/8 of it.
 
-    Around it, from some hundred metres on, hills of 900 to 3000 m and a standard deviation of 22 m.
+    Around it, from some hundred metres on, hills of 900 to 3000 m and a standard deviation of `hills_m`.
     """
     waves, hills = 24, 10
     wavelength = np.concatenate([wavelength_m * 0.5 ** (3.0 * rng.random(waves)), 900.0 + 2100.0 * rng.random(hills)])
@@ -92,7 +105,7 @@ def rolling(size_m: tuple[float, float], amplitude_m: float, wavelength_m: float
     k = 2 * np.pi / wavelength
     hill = np.arange(waves + hills) >= waves
     weight = np.where(hill, wavelength, wavelength**2)  # long waves carry most of the height, as on eroded land
-    for group, deviation in ((~hill, amplitude_m), (hill, 22.0 if amplitude_m > 0 else 0.0)):
+    for group, deviation in ((~hill, amplitude_m), (hill, hills_m if amplitude_m > 0 else 0.0)):
         weight[group] *= deviation * np.sqrt(2.0 / np.sum(weight[group] ** 2))
     direction = np.stack([k * np.cos(angle), k * np.sin(angle)], axis=1)
     return Waves(size_m, direction, weight, rng.random(waves + hills) * 2 * np.pi, hill)

@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 
 from forestgen.atmosphere.daylight import (
+    STANDARD_OZONE_DU,
+    STANDARD_WATER_MM,
     Daylight,
     aerosol_optical_depth,
+    air_mass,
+    air_of,
     colour_temperature,
     daylight,
     illuminance,
+    sunlight_aloft,
 )
 from forestgen.core.spectrum import Spectrum
 from forestgen.render.skies.model import daylight_of
@@ -190,3 +195,22 @@ def test_light_by_angles_waits_for_no_heavy_library() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_clouds_under_a_low_sun_get_more_light_than_the_ground_and_less_red() -> None:
+    """The air below them has not reddened it; a high sun's light is that of the ground."""
+    air = air_of(3.0, 0.0, STANDARD_WATER_MM, STANDARD_OZONE_DU)
+    wavelength = np.array([450.0, 550.0, 650.0])
+
+    def gain(elevation_deg: float, height_m: float) -> np.ndarray:
+        light = daylight(elevation_deg, 3.0).sun
+        return sunlight_aloft(light, elevation_deg, air, 0.0, height_m).at(wavelength) / light.at(wavelength)
+
+    np.testing.assert_array_equal(gain(50.0, 2000.0), 1.0)
+    np.testing.assert_allclose(gain(3.0, 0.0), 1.0, rtol=1e-12)
+    low, high = gain(3.0, 2000.0), gain(3.0, 9000.0)
+    assert (np.diff(low) < 0).all()
+    assert (high > low).all()
+    # By hand at 550 nm: 74% of the aerosol and 21.5% of the air's molecules, of depth 0.0979, lie below 2 km.
+    depth = 0.7364 * aerosol_optical_depth(3.0, 550.0) + 0.2150 * 0.0979
+    assert low[1] == pytest.approx(np.exp(depth * (air_mass(3.0) - 1.66)), rel=0.06)

@@ -14,7 +14,7 @@ from forestgen.dataset.check import light
 from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.raw import d65, levels, mosaiced, raw_image, vignetting, write_raw
 from forestgen.dataset.writer import frame_bytes, write_frame
-from forestgen.recipe.cameras import Exposure
+from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.spectra import load_bands
 from forestgen.render.frame import Radiance
 from forestgen.scene.colour import colour_science

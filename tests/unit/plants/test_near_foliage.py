@@ -10,7 +10,8 @@ import pytest
 
 from forestgen.api.plant_requests import plan_of, request_of
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Mesh, surface_area_m2
+from forestgen.geometry.patches import area_m2
 from forestgen.plants.build import leaf_area_m2
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.growing import ExemplarRequest, grow_exemplar
@@ -22,7 +23,8 @@ from forestgen.plants.near_foliage import (
     organ_sizes,
     with_near_foliage,
 )
-from forestgen.plants.organs.sprays import Needles, level_share, needle_spray, true_leaf
+from forestgen.plants.organs.sprays import LeafKind, Needles, level_share, needle_spray, true_leaf
+from forestgen.plants.organs.wear import worn
 
 NAMES = ("spruce", "pine", "oak", "beech", "birch")
 PIXELS_M = (0.0005, 0.004, 0.04)
@@ -135,9 +137,10 @@ def test_a_pines_needles_stand_all_around_its_shoots() -> None:
     assert len(np.unique(np.round(foot[:, 1], 5))) == pytest.approx(60, abs=3)  # in pairs
 
 
-@pytest.mark.parametrize(("name", "shape", "needle_m"), [("spruce", "shoot", 0.016), ("pine", "tuft", 0.055)])
+@pytest.mark.parametrize(("name", "shape", "needle_m"), [("spruce", "young_shoot", 0.016), ("pine", "tuft", 0.055)])
 def test_needles_are_as_level_as_those_of_the_coarse_shoot(name: str, shape: str, needle_m: float) -> None:
     form = grown(name)[0].parameters.shapes[shape]
+    assert not form.crossed
     spray = needle_spray(form, Needles(needle_m, 1500, 1, 0), 0.3, 1)
     a, b, c = spray.leaves.vertices_m.astype(float)[spray.leaves.faces].transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
@@ -180,3 +183,47 @@ def test_far_away_no_organ_changes(name: str) -> None:
     limit_m = largest_pixel_m(request.parameters.shapes, exemplar.foliage)
     assert 0.001 < limit_m < 0.3
     assert not any(one is not None and one.drawn.any() for one in planned(name, 1.01 * limit_m))
+
+
+def test_a_spruces_needles_stand_along_the_twigs_that_bear_its_shoots() -> None:
+    _, exemplar = grown("spruce")
+    [placed] = exemplar.foliage
+    assert placed.twigs is not None
+    low, high = placed.twigs.ends_m.astype(float).transpose(1, 0, 2)
+    foot = placed.frame[:, :, 3].astype(float)
+    # The uppermost piece of each shoot's twig ends below the shoot.
+    nearest = np.full(len(foot), np.inf)
+    np.minimum.at(nearest, placed.twigs.organ, np.linalg.norm(high - foot[placed.twigs.organ], axis=1))
+    has = np.isfinite(nearest)
+    assert has.mean() > 0.7
+    assert np.median(nearest[has]) < 0.008
+    made = near("spruce", 0.0005)
+    needles = next(organ.mesh for organ in made.organs if organ.part == Part.LEAF)
+    way = high - low
+    long = np.linalg.norm(way, axis=1) > 0.05
+    middle = 0.5 * (low + high)[long]
+    corners = needles.vertices_m.astype(float)
+    close = [np.sum(np.linalg.norm(corners - one, axis=1) < 0.02) for one in middle[:40]]
+    assert np.mean(np.array(close) > 5) > 0.9
+
+
+def test_worn_leaves_lack_pieces_and_no_more() -> None:
+    request, _ = grown("beech")
+    leaf = true_leaf(request.parameters.shapes["leaf"], 0.075, 2)
+    for number in range(8):
+        made = worn(leaf, np.random.default_rng(number))
+        assert 0.6 < area_m2(made) / area_m2(leaf) < 1.0
+        assert np.all(np.abs(made.points) <= np.abs(leaf.points).max(axis=0))
+
+
+def test_single_leaves_are_of_their_kinds_in_their_shares() -> None:
+    request, exemplar = grown("birch")
+    leaf = next(organ.material for organ in exemplar.organs if organ.part == Part.LEAF)
+    kinds = [LeafKind("dry", 0.1), LeafKind("summer", 0.9)]
+    leaf_m = request.species.tissue.leaf_length_m
+    made = with_near_foliage(
+        exemplar, request.parameters.shapes, leaf_m, planned("birch", 0.002), {leaf: kinds}, seed=3
+    )
+    area = {organ.material: surface_area_m2(organ.mesh) for organ in made.organs if organ.part == Part.LEAF}
+    assert set(area) == {f"{leaf} [dry]", f"{leaf} [summer]"}
+    assert area[f"{leaf} [dry]"] / sum(area.values()) == pytest.approx(0.1, abs=0.01)

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from forestgen.recipe.cameras import Exposure
+from forestgen.recipe.exposure import Exposure
 
 
 def test_a_set_shutter_is_kept():

@@ -73,7 +73,7 @@ def test_where_the_type_is_drawn_none_has_no_keys_of_its_own(write: Write) -> No
         "{story: [{at_s: 0, type: fog}], wind_m_per_s: 3}",
         "{story: []}",
         "{story: 3}",
-        "cirrus",
+        "cirrostratus",
         "{type: none, cover: 7}",
         "{type: none, covr: 0.7}",
     ],

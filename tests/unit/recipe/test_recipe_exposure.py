@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from forestgen.recipe.cameras import Exposure
+from forestgen.recipe.exposure import Exposure
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from forestgen.atmosphere.billows import detail_of
 from forestgen.atmosphere.grid import CloudGrid, PhaseFunction
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.render import cloud_paths
@@ -62,6 +63,25 @@ def test_the_share_that_no_drop_meets_is_the_transmittance() -> None:
     z = difference / np.sqrt(chance * (1 - chance) / 20_000)
     assert np.abs(z).max() < 4.5
     assert np.sqrt((z**2).mean()) == pytest.approx(1.0, abs=0.35)
+
+
+def test_paths_and_optical_depth_see_the_same_detail() -> None:
+    """As above, in clouds with edges within the cells."""
+    z, y, x = np.meshgrid(np.arange(8), np.arange(12), np.arange(12), indexing="ij")
+    mean = (0.004 * np.clip(3.5 - np.hypot(np.hypot(x - 5.5, y - 6.0), z - 3.5), 0, 1)).astype(np.float32)
+    inside, detail = detail_of(mean, np.zeros(mean.shape, bool), (75.0, 75.0, 62.5), periodic=False)
+    assert len(detail.depth) > 100
+    grid = CloudGrid(mean, (-450.0, -450.0, 800.0), (450.0, 450.0, 1300.0), albedo=0.0)
+    grid = replace(grid, full_per_m=inside, detail=detail)
+    way = upward(300, seed=3) * [0.3, 0.3, 1.0]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    found = gather(field_of(grid), light(ground_albedo=0.0), np.zeros(3), way, seed=2, samples=5000)
+    expected = np.exp(-optical_depth(grid, np.zeros(3), way, np.array(np.inf)))
+    met = (expected > 0.01) & (expected < 0.99)
+    assert met.sum() > 40
+    error = (found.of_sky[:, 0, 0] - expected)[met] / np.sqrt((expected * (1 - expected))[met] / 5000)
+    assert abs(error.mean()) < 4.0 / np.sqrt(met.sum())
+    assert np.sqrt((error**2).mean()) < 1.7  # a ray's optical depth is summed in steps
 
 
 def test_once_scattered_sunlight_is_the_integral_along_the_ray() -> None:

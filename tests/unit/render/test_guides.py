@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
-from forestgen.render.identity import SceneTracer
+from forestgen.render.identity import SceneTracer, trace_identity
 from support.guides import trace_guides
 from support.scenes import camera_at, plain_ground, scattered_scene
 
@@ -34,3 +35,16 @@ def test_open_ground_has_its_colour_in_the_suns_light(elevation_deg):
 def test_under_an_overcast_sky_there_is_no_shade():
     guides, colour = lit_ground(15.0, "overcast")
     np.testing.assert_allclose(guides.colour.mean(axis=(0, 1)), colour, rtol=0.02)
+
+
+def test_under_an_overcast_sky_what_lies_below_others_is_darker():
+    spec = scattered_scene(60, size_m=40.0, exemplars=2, leaves=300, terrain=plain_ground(-200, 200))
+    camera = camera_at((20.0, 20.0, 60.0), (20.0, 20.1, 0.0), (24, 24))
+    spec = replace(spec, cameras=(camera,), sky=replace(spec.sky, kind="overcast"))
+    tracer = SceneTracer(spec, Timings())
+    guides = trace_guides(tracer, camera)
+    _, surface = trace_identity(tracer, camera, samples=4, timer=Timings(), advance=lambda rows: None)
+    ground = (surface.part == Part.GROUND) & (guides.normal[..., 2] > 0.999)
+    share = (guides.colour / np.array(spec.terrain.mean_colour))[ground]
+    assert ground.sum() > 20
+    assert 0.2 <= share.min() < 0.93 < share.max() < 1.03

@@ -65,6 +65,14 @@ def test_angles_are_spread_evenly():
     assert np.sum((count - 250) ** 2 / 250) < 24.3  # chi-squared of 7 degrees of freedom, p = 0.001
 
 
+def test_trees_with_a_weather_side_keep_it():
+    trees, plants, exemplar, _ = placed(count=500)
+    instances = place_instances(plants, exemplar, [replace(tree, has_weather_side=True) for tree in trees], 3)
+    angle = np.arctan2(instances.transform[:, 1, 0], instances.transform[:, 0, 0])
+    assert np.abs(angle).max() < np.pi / 3 + 1e-9
+    assert np.abs(np.mean(angle)) < 0.1
+
+
 def test_no_plants_no_instances():
     trees, _, _, _ = placed()
     none = population(0, np.random.default_rng(0))

@@ -8,8 +8,8 @@ import pytest
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import surface_area_m2
 from forestgen.recipe.load import load_recipe_data
-from forestgen.recipe.phenology import LeafState
-from forestgen.scene.leaf_variation import CLASSES, light_classes, varied_material, vary_leaves
+from forestgen.recipe.phenology import LeafState, TimeOfYear
+from forestgen.scene.leaf_variation import CLASSES, light_classes, single_leaves, varied_material, vary_leaves
 from forestgen.scene.surfaces import materials_of
 from support.scenes import simple_tree
 
@@ -123,3 +123,22 @@ def test_pale_plants_are_brighter_at_the_red_edge_alone():
     pale, dark = (varied_material(base, "middle", deviation) for deviation in (1.0, -1.0))
     assert sum(at(pale, 705)) > 1.05 * sum(at(dark, 705))
     assert sum(at(pale, 850)) == pytest.approx(sum(at(dark, 850)), rel=0.005)
+
+
+@pytest.mark.parametrize(
+    ("name", "season", "time"),
+    [("birch", "summer", "summer"), ("birch", "autumn", "autumn"), ("spruce", "summer", "spring")],
+)
+def test_single_leaves_have_the_crowns_mean(name, season, time):
+    made = materials(name, season=season)
+    base = varied_material(next(one for one in made.values() if one.leaf_type is not None), "sun", 1.0)
+    kinds = single_leaves(base, TimeOfYear(season=time))
+    assert sum(kind.share for kind, _ in kinds) == pytest.approx(1.0)
+    assert kinds[-1][0].share > 0.7
+    grid = base.reflectance_spectrum.wavelength_nm
+    for side in ("reflectance_spectrum", "transmittance_spectrum"):
+        mean = sum(kind.share * getattr(one, side).at(grid) for kind, one in kinds)
+        np.testing.assert_allclose(mean, getattr(base, side).at(grid), atol=1e-3)
+    if name == "spruce":
+        by_name = {kind.name: one for kind, one in kinds}
+        assert by_name["new"].reflectance_spectrum.at(550) > 1.2 * by_name["summer"].reflectance_spectrum.at(550)

@@ -11,6 +11,7 @@ from scene_plants import population
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import surface_area_m2
+from forestgen.scene.blocks import UNEVEN_SEEN, WOODS_M
 from forestgen.scene.build import place_instances, stand_on
 from forestgen.scene.far_mesh import SPECIES, areas_m2, far_mesh, thinned
 from forestgen.scene.spec import Material
@@ -28,6 +29,7 @@ from forestgen.scene.surroundings import (
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.terrains.rolling import rolling
 from forestgen.scene.wind import sway_in
+from support.cameras import camera_of
 from support.error_messages import raises_error
 from support.scenes import simple_tree
 
@@ -243,3 +245,64 @@ def test_ids_beyond_32_bits_are_refused():
     plants = replace(site.population, plant_id=np.arange(2**32 - 61, 2**32 - 1).astype(np.uint32))
     with raises_error(RecipeError, place="site.surroundings"):
         surrounded(replace(site, population=plants), layers(plants), FLAT, 1, True)
+
+
+HILLS = rolling((60.0, 60.0), 2.0, 60.0, np.random.default_rng(2), 60.0)
+
+
+def beyond(height, look_at_m, kind=np.random.default_rng):
+    """What is around a site of trees for one camera above them."""
+    rng = np.random.default_rng(4)
+    plants = population(300, rng)
+    place = np.column_stack([rng.random((300, 2)) * 60.0, np.zeros(300)])
+    plants = stand_on(replace(plants, position_m=place, height_m=np.full(300, 20.0)), height)
+    camera = camera_of("perspective", (96, 64), (30.0, 30.0, 90.0), look_at_m)
+    (found,) = layers_around(plants, np.arange(300), height, kind(1), [camera])
+    return found
+
+
+@pytest.mark.parametrize("kind", [np.random.default_rng, lambda seed: None], ids=["forest", "repeat"])
+def test_forest_goes_on_to_the_horizon_without_gap_or_overlap(kind):
+    """Each place in view belongs to one block or square, and feet are as near to its ground as can be seen."""
+    found = beyond(HILLS, (30.0, 3000.0, 60.0), kind)
+    assert any(one.wide for one in found.far)
+    rng = np.random.default_rng(0)
+    distance, aside = rng.uniform(900.0, 5500.0, 400), rng.uniform(-0.4, 0.4, 400)
+    x, y = 30.0 + distance * np.sin(aside), 60.0 + distance * np.cos(aside)
+    covered, miss_m = np.zeros(400, dtype=int), np.zeros(400)
+    for block in found.far:
+        half_m = 90.0 if block.wide else 15.0  # three sites, or half of one, wide
+        for matrix in block.transform:
+            dx, dy = x - matrix[0, 3], y - matrix[1, 3]
+            inside = (np.abs(dx) <= half_m) & (np.abs(dy) <= half_m)
+            covered += inside
+            local = np.linalg.inv(matrix[:2, :2]) @ np.stack([dx, dy])
+            miss_m += np.where(inside, np.abs(matrix[2, :2] @ local + matrix[2, 3] - HILLS(x, y)), 0.0)
+    assert (covered == 1).all()
+    assert (miss_m < 1.5 * UNEVEN_SEEN * distance).all()  # between the places where it is looked up, a little more
+    assert found.reach_m == WOODS_M
+
+
+def test_only_what_a_camera_sees_goes_on_to_the_horizon():
+    down = beyond(HILLS, (30.0, 31.0, 0.0))
+    assert not any(one.wide for one in down.far)
+    north = beyond(HILLS, (30.0, 3000.0, 60.0))
+    assert all((one.transform[:, 1, 3] > -600.0).all() for one in north.far if one.wide)
+    np.testing.assert_array_equal(down.position_m, north.position_m)  # near ones do not depend on cameras
+
+
+def test_a_camera_deep_in_a_stand_does_not_see_so_far():
+    plants = replace(population(300, np.random.default_rng(4)), height_m=np.full(300, 20.0))
+    camera = camera_of("perspective", (96, 64), (30.0, 30.0, 2.0), (30.0, 3000.0, 2.0))
+    above = replace(camera, position_m=(30.0, 30.0, 25.0))
+    seen = [layers_around(plants, np.arange(300), HeightField((60.0, 60.0)), None, [one]) for one in (camera, above)]
+    assert [any(block.wide for block in found.far) for (found,) in seen] == [False, True]
+
+
+def test_hills_are_as_high_as_asked_for():
+    x, y = np.meshgrid(np.linspace(-6000.0, 6000.0, 120), np.linspace(-6000.0, 6000.0, 120))
+    high, low = (rolling((60.0, 60.0), 1.0, 60.0, np.random.default_rng(2), one) for one in (60.0, 20.0))
+    away = np.hypot(x, y)
+    ring = (away > 1900.0) & (away < 3000.0)
+    assert np.std(high(x, y)[ring]) == pytest.approx(60.0, rel=0.35)
+    np.testing.assert_allclose(high(x, y)[ring], 3.0 * low(x, y)[ring], rtol=1e-9)

@@ -1,0 +1,189 @@
+"""One sheet of 24 views: near and far, all forest types, seasons and weathers.
+
+uv run python docs/contact_sheet.py [NAME ...] [--out FOLDER] [--width 480] [--samples 64]
+
+Renders the views into a folder, each with its recipe and files, and puts them on contact_sheet.jpg there: about an hour
+on two cores. With names, it renders these again and takes the others from the folder as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from PIL import Image, ImageDraw, ImageFont
+
+RECIPES = Path(__file__).parents[1] / "recipes"
+COLUMNS, CAPTION_PX = 4, 22
+Keys = dict[str, Any]
+
+FLOOR: list[Keys] = [
+    {"what": "fallen_leaves", "cover": 0.8},
+    {"what": "twigs", "cover": 0.03},
+    {"what": "stones", "cover": 0.005},
+    {"what": "moss", "cover": 0.08, "patch_m": 2},
+]
+GRASS: Keys = {"what": "small_plants", "species": "grass", "height_m": 0.25, "cover": 0.3, "patch_m": 4}
+EYE: Keys = {"position_m": [30, 4, 1.7], "look_at_m": [29, 30, 4.5], "hfov_deg": 62}
+DRONE: Keys = {"position_m": [30, -60, 70], "look_at_m": [30, 60, 0], "hfov_deg": 62}
+
+
+def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str = "", **more: Any) -> Keys:
+    """A closed stand of 30 m2 of basal area, with young trees of a species below, in forest."""
+    storeys: list[Keys] = [{"species": dict(species), "basal_area_m2_per_ha": 30, "dominant_height_m": top_m}]
+    if young:
+        storeys.append({"species": {young: 1}, "stems_per_ha": 250, "dominant_height_m": 4})
+    names = [*species, *([young] if young else []), "bramble", "bracken", "grass"]
+    ground = {"bramble": {"cover": 0.05, "radius_m": {"median": 0.45, "sigma": 0.3}}, "bracken": {"cover": 0.08}}
+    recipe: Keys = {
+        "forestgen": 1,
+        "seed": 5,
+        "site": {
+            "size_m": [60, 60],
+            "terrain": {"kind": "rolling", "amplitude_m": 0.6, "wavelength_m": 60, "hills_m": 70},
+            "surroundings": "forest",
+            "ground": {"kind": "litter", "layers": FLOOR},
+        },
+        "species": dict.fromkeys(names),
+        "community": {"model": "stand", "storeys": storeys, "dead_wood": "managed_beech", "ground": ground},
+        "plants": {"exemplars_per_species": 6, "levels": True, "phenology_classes": 1},
+        "sky": {"sun": {"elevation_deg": 48, "azimuth_deg": 215}, "turbidity": 3, "visibility_m": 25000},
+        "cameras": [{"obstructed": "note", **camera}],
+    }
+    return _merged(recipe, more)
+
+
+def tree(species: str, height_m: float, camera: Keys, **more: Any) -> Keys:
+    """One tree in grass, near the camera."""
+    recipe = forest({species: 1.0}, 20, camera)
+    recipe["site"] |= {
+        "surroundings": "open",
+        "size_m": [12, 12],
+        "ground": {"kind": "litter", "layers": [*FLOOR, GRASS]},
+    }
+    recipe["species"] = {species: None, "grass": None}
+    plants = [{"species": species, "position_m": [6, 6], "height_m": height_m}]
+    return _merged({**recipe, "community": {"model": "placed", "plants": plants}}, more)
+
+
+def shipped(name: str, **more: Any) -> Keys:
+    """A recipe of the package."""
+    return _merged(yaml.safe_load((RECIPES / f"{name}.yaml").read_text(encoding="utf-8")), more)
+
+
+def camera_of(recipe: Keys, **more: Any) -> Keys:
+    """The recipe with other keys of its first camera, and that camera alone."""
+    return {**recipe, "cameras": [{**recipe["cameras"][0], **more}]}
+
+
+def _merged(keys: Keys, more: Mapping[str, Any]) -> Keys:
+    """With other values; mappings are merged, also those of keys such as site__ground."""
+    merged = dict(keys)
+    for path, value in more.items():
+        key, _, rest = path.partition("__")
+        if rest:
+            merged[key] = _merged(merged.get(key, {}), {rest: value})
+        elif isinstance(value, dict) and isinstance(merged.get(key), dict):
+            merged[key] = _merged(merged[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+BEECH, SPRUCE, PINE, BIRCH = {"beech": 1.0}, {"spruce": 1.0}, {"pine": 0.9, "birch": 0.1}, {"birch": 1.0}
+MIXED = {"beech": 0.4, "spruce": 0.35, "maple": 0.15, "birch": 0.1}
+OVERCAST = {"kind": "overcast"}
+LEAF = {"position_m": [6, 2.6, 1.8], "look_at_m": [6, 6, 2.2], "hfov_deg": 40}
+
+VIEWS: Mapping[str, Callable[[], Keys]] = {
+    "beech leaves": lambda: tree("beech", 7, LEAF),
+    "spruce shoots": lambda: tree("spruce", 6, {**LEAF, "position_m": [6, 3.2, 1.3]}),
+    "forest floor": lambda: forest(BEECH, 26, {**EYE, "position_m": [30, 4, 1.2], "look_at_m": [30, 5.4, 0]}),
+    "beech, noon": lambda: forest(BEECH, 26, EYE, "beech"),
+    "spruce, noon": lambda: forest(SPRUCE, 26, EYE, "spruce"),
+    "pine, low sun": lambda: forest(PINE, 22, EYE, "birch", sky__sun={"elevation_deg": 9, "azimuth_deg": 290}),
+    "birch, spring": lambda: forest(BIRCH, 20, EYE, plants__season="spring"),
+    "mixed, autumn": lambda: forest(MIXED, 24, EYE, "beech", plants__season="autumn"),
+    "beech, winter": lambda: forest(
+        BEECH, 26, EYE, plants__season="winter", sky__sun={"elevation_deg": 14, "azimuth_deg": 210}
+    ),
+    "mixed, overcast": lambda: forest(MIXED, 24, EYE, "spruce", sky=OVERCAST),
+    "rain": lambda: forest(MIXED, 24, EYE, "spruce", sky=OVERCAST, weather={"kind": "rain"}),
+    "fog": lambda: forest(SPRUCE, 24, EYE, sky__sun={"elevation_deg": 25, "azimuth_deg": 30}, weather={"kind": "fog"}),
+    "snow": lambda: forest(
+        {"spruce": 0.8, "birch": 0.2}, 22, EYE, plants__season="winter", sky=OVERCAST, weather={"kind": "snow"}
+    ),
+    "dusk": lambda: forest(PINE, 22, {**DRONE, "position_m": [30, -60, 40]}, sky__sun={"elevation_deg": -4}),
+    "moonlit night": lambda: forest(
+        PINE, 22, EYE, sky__sun={"elevation_deg": -30}, sky__moon={"elevation_deg": 40, "azimuth_deg": 200}
+    ),
+    "drone, conifers": lambda: forest({"spruce": 0.6, "pine": 0.4}, 24, DRONE),
+    "drone, autumn": lambda: forest(MIXED, 24, DRONE, plants__season="autumn"),
+    "nadir, mixed": lambda: forest(MIXED, 24, {"position_m": [30, 30, 90], "look": "down", "hfov_deg": 40}),
+    "nadir, open pines": lambda: camera_of(shipped("places/neon_osbs")),
+    "vista, cumulus": lambda: shipped(
+        "vista",
+        site__surroundings="forest",
+        sky={"sun": {"elevation_deg": 40, "azimuth_deg": 230}, "clouds": "cumulus"},
+    ),
+    "meadow": lambda: shipped("biomes/grassland"),
+    "savanna": lambda: shipped("biomes/savanna"),
+    "tropical rain forest": lambda: shipped("biomes/tropical_rain"),
+    "fisheye": lambda: forest(
+        BEECH, 26, {"kind": "fisheye", "position_m": [30, 30, 1.3], "look": "up"}, sky__clouds="noise"
+    ),
+}
+
+
+def rendered(name: str, folder: Path, width: int, samples: int) -> Path:
+    """The preview of a view, rendered if it is not there yet."""
+    place = folder / name.replace(",", "").replace(" ", "_")
+    if not (found := sorted(place.glob("set/train/*/preview.png"))):
+        recipe = camera_of(VIEWS[name](), size_px=[width, width * 2 // 3])
+        recipe["render"] = {"samples": samples}
+        recipe["labels"] = {"samples": 4}
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "view.yaml").write_text(yaml.safe_dump(recipe, sort_keys=False), encoding="utf-8")
+        command = [sys.executable, "-m", "forestgen", "render", place / "view.yaml", "-o", place / "set", "--overwrite"]
+        subprocess.run(command, check=True)
+        found = sorted(place.glob("set/train/*/preview.png"))
+    return found[0]
+
+
+def sheet(views: Mapping[str, Path], width: int) -> Image.Image:
+    """The views side by side under their names."""
+    tall = width * 2 // 3 + CAPTION_PX
+    drawn = Image.new("RGB", (COLUMNS * width, -(-len(views) // COLUMNS) * tall), "white")
+    for k, (name, path) in enumerate(views.items()):
+        corner = k % COLUMNS * width, k // COLUMNS * tall
+        view = Image.open(path).convert("RGB")
+        drawn.paste(view, (corner[0] + (width - view.width) // 2, corner[1] + CAPTION_PX))
+        text = corner[0] + 5, corner[1] + 4
+        ImageDraw.Draw(drawn).text(text, f"{k + 1} {name}", fill="#222222", font=ImageFont.load_default(13))
+    return drawn
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(VIEWS))
+    parser.add_argument("--out", type=Path, default=Path("outputs/contact_sheet"))
+    parser.add_argument("--width", type=int, default=480)
+    parser.add_argument("--samples", type=int, default=64)
+    arguments = parser.parse_args()
+    for name in arguments.names:
+        if name not in VIEWS:
+            parser.error(f"no view {name!r}; there are: {', '.join(VIEWS)}")
+        shutil.rmtree(arguments.out / name.replace(",", "").replace(" ", "_"), ignore_errors=True)
+    views = {name: rendered(name, arguments.out, arguments.width, arguments.samples) for name in VIEWS}
+    sheet(views, arguments.width).save(arguments.out / "contact_sheet.jpg", quality=88)
+    sys.stdout.write(f"{arguments.out / 'contact_sheet.jpg'}\n")
+
+
+if __name__ == "__main__":
+    main()
