@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.render.frame import Radiance
+from forestgen.render.frame import Frame
 from forestgen.scene.projection import world_rays
 from forestgen.scene.spec import Camera, Falling
 
@@ -25,19 +25,20 @@ _CLEAR = 0.94  # of the light that a drop lets through
 _MOST_POINTS, _MOST_LENGTH = 4_000_000, 0.5  # of a call; of the image's diagonal
 
 
-def with_streaks(
-    radiance: Radiance, falling: tuple[Falling, ...], camera: Camera, distance_m: NDArray[np.float32], seed: int
-) -> Radiance:
-    """The image with what falls; `distance_m` (H, W) to surfaces along the rays, inf for the sky."""
+def with_streaks(frame: Frame, falling: tuple[Falling, ...], seed: int) -> Frame:
+    """The frame with what falls in its image."""
     for index, one in enumerate(falling):
-        covered = coverage(one, camera, distance_m, child_rng(seed, "falling", index, camera.name))
-        radiance = replace(
+        rng = child_rng(seed, "falling", index, frame.camera.name)
+        covered = coverage(one, frame.camera, frame.surface.distance_m, rng)
+        radiance = frame.radiance
+        shown = replace(
             radiance,
             mean=_over(radiance.mean, covered),
             variance=(radiance.variance * (1.0 - covered[..., None]) ** 2).astype(np.float32),
             denoised=None if radiance.denoised is None else _over(radiance.denoised, covered),
         )
-    return radiance
+        frame = replace(frame, radiance=shown)
+    return frame
 
 
 def _over(image: NDArray[np.float32], covered: Floats) -> NDArray[np.float32]:

@@ -139,8 +139,7 @@ def render_frame(
         with timings("denoise"):
             clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)
-    radiance = with_streaks(radiance, tracer.spec.falling, camera, surface.distance_m, seed)
-    return Frame(camera=camera, radiance=radiance, identity=identity, surface=surface)
+    return with_streaks(Frame(camera, radiance, identity, surface), tracer.spec.falling, seed)
 
 
 @dataclass(frozen=True)
