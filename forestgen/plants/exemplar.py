@@ -6,6 +6,7 @@ below it: for looking at a stand before its plants are grown, and for amodal or 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Floats, Mesh, vertex_normals
+from forestgen.geometry.mesh import Floats, Mesh, surface_area_m2, vertex_normals
 from forestgen.plants.skeleton import OrganPlacements
 
 
@@ -128,7 +129,7 @@ def as_solids(exemplar: Exemplar, profile: tuple[Floats, Floats] | None = None) 
     plant without leaves stays as it is.
     """
     leafy = [organ for organ in exemplar.organs if organ.part in (Part.LEAF, Part.FLOWER)]
-    trunk = next((organ for organ in exemplar.organs if organ.part == Part.TRUNK), None)
+    trunk = [organ for organ in exemplar.organs if organ.part == Part.TRUNK]  # one of each bark and cover
     if not leafy:
         return exemplar
     if profile is None:
@@ -137,15 +138,29 @@ def as_solids(exemplar: Exemplar, profile: tuple[Floats, Floats] | None = None) 
         profile = height_m, radius_m * (0.5 * exemplar.crown_width_m / radius_m.max())
     most = max(leafy, key=lambda organ: organ.mesh.triangles)
     organs = [OrganMesh(Part.LEAF, most.material, solid_of_revolution(*profile))]
-    if trunk is not None and profile[0][0] > 0.0:
-        organs.insert(0, OrganMesh(Part.TRUNK, trunk.material, _stem(trunk.mesh, float(profile[0][0]))))
+    if trunk and profile[0][0] > 0.0:
+        largest = max(trunk, key=lambda organ: surface_area_m2(organ.mesh))
+        stem = _stem([organ.mesh for organ in trunk], float(profile[0][0]))
+        organs.insert(0, OrganMesh(Part.TRUNK, largest.material, stem))
     return replace(exemplar, organs=tuple(organs), foliage=())
 
 
-def _stem(trunk: Mesh, crown_base_m: float) -> Mesh:
+def _stem(trunk: Sequence[Mesh], crown_base_m: float) -> Mesh:
     """A frustum from below the ground into the crown, as thick as the trunk at breast height or a third of the way."""
-    at = min(1.3, crown_base_m / 3.0)
-    near = np.argsort(np.abs(trunk.vertices_m[:, 2] - at))[:16]
-    section = trunk.vertices_m[near, :2].astype(np.float64)
-    radius = float(np.linalg.norm(section - section.mean(axis=0), axis=1).mean())
+    corners = np.concatenate([mesh.vertices_m.astype(np.float64)[mesh.faces] for mesh in trunk])
+    radius = _girth_m(corners, min(1.3, crown_base_m / 3.0)) / (2.0 * np.pi)
     return solid_of_revolution(np.array([-0.3, crown_base_m + 2.0 * radius]), np.array([1.1 * radius, 0.8 * radius]))
+
+
+def _girth_m(corners: Floats, height_m: float) -> float:
+    """Length of the outline that (F, 3, 3) corners of triangles have at a height."""
+    above = corners[:, :, 2] >= height_m
+    crossed = above.any(axis=1) & ~above.all(axis=1)
+    corners, above = corners[crossed], above[crossed]
+    alone = np.where(above.sum(axis=1) == 1, np.argmax(above, axis=1), np.argmin(above, axis=1))
+    first, second, third = (corners[np.arange(len(alone)), (alone + k) % 3] for k in range(3))
+    ends = [
+        first + ((height_m - first[:, 2]) / (other[:, 2] - first[:, 2]))[:, None] * (other - first)
+        for other in (second, third)
+    ]
+    return float(np.linalg.norm(ends[1] - ends[0], axis=1).sum())

@@ -17,6 +17,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Floats, Mesh, triangle_areas
@@ -45,10 +46,19 @@ def thinned(
     exemplar: Exemplar, areas: Sequence[Floats], grain_m2: float, rng: np.random.Generator
 ) -> tuple[OrganMesh, ...]:
     """The organs of a plant as triangles of about an area; `areas` are its triangles' `areas_m2`."""
+    rows = list(zip(exemplar.organs, areas, sheet_areas_m2(exemplar, areas), strict=True))
+    stem = [(area, organ) for organ, _, area in rows if organ.part == Part.TRUNK]  # one of each bark and cover
+    stem_m2 = sum(area for area, _ in stem)
+    is_frustum = stem_m2 > _FEWEST * grain_m2
+    largest = max(stem, key=lambda one: one[0])[1] if stem else None
     organs = []
-    for organ, faces, area in zip(exemplar.organs, areas, sheet_areas_m2(exemplar, areas), strict=True):
-        is_stem = organ.part == Part.TRUNK and area > _FEWEST * grain_m2
-        corners = _frustum(organ.mesh, 2.0 * area) if is_stem else _sheets(organ.mesh, faces, area, grain_m2, rng)
+    for organ, faces, area in rows:
+        if organ is largest and is_frustum:
+            corners = _frustum(np.concatenate([one.mesh.vertices_m for _, one in stem]), 2.0 * stem_m2)
+        elif organ.part == Part.TRUNK and is_frustum:
+            continue
+        else:
+            corners = _sheets(organ.mesh, faces, area, grain_m2, rng)
         organs.append(OrganMesh(organ.part, f"{exemplar.species}/{organ.material}", _soup(corners)))
     return tuple(organs)
 
@@ -73,9 +83,9 @@ def _sheets(mesh: Mesh, faces_m2: Floats, area_m2: float, grain_m2: float, rng: 
     return np.asarray(middle[:, None] + reach * corner)
 
 
-def _frustum(mesh: Mesh, area_m2: float) -> Floats:
-    """The sides of a frustum of an area, from a mesh's foot to its top."""
-    points = mesh.vertices_m.astype(np.float64)
+def _frustum(vertices_m: NDArray[np.float32], area_m2: float) -> Floats:
+    """The sides of a frustum of an area, from the foot of a stem's vertices to their top."""
+    points = vertices_m.astype(np.float64)
     low, high = np.percentile(points[:, 2], [10.0, 90.0])
     foot, top = points[points[:, 2] <= low].mean(axis=0), points[points[:, 2] >= high].mean(axis=0)
     foot[2], top[2] = points[:, 2].min(), points[:, 2].max()

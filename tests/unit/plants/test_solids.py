@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,7 +11,7 @@ from plant_species import read
 
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Mesh, part_of
 from forestgen.plants.build import build_exemplar
 from forestgen.plants.exemplar import as_solids, measured_profile, solid_of_revolution
 
@@ -52,3 +54,19 @@ def test_a_plants_solid_is_closed_and_as_large_as_the_plant(name: str, height_m:
     assert np.mean((high - low)[:2]) == pytest.approx(plant.crown_width_m, rel=0.01)
     assert solid.triangles < 4000
     assert solid.leaf_area_m2 == plant.leaf_area_m2
+
+
+def test_a_stem_with_a_patch_of_moss_has_the_solid_of_a_bare_one() -> None:
+    traits, parameters = read("poplar")
+    plant = build_exemplar("poplar", traits, parameters, 2.0, child_rng(1, "poplar"))
+    stem = next(organ for organ in plant.organs if organ.part == Part.TRUNK)
+    middle = stem.mesh.vertices_m[stem.mesh.faces].mean(axis=1)
+    is_moss = (middle[:, 2] < 1.5) & (middle[:, 0] > middle[:, 1])
+    pieces = [
+        replace(stem, material=name, mesh=part_of(stem.mesh, stem.mesh.faces[chosen]))
+        for name, chosen in (("moss", is_moss), (stem.material, ~is_moss))
+    ]
+    rest = [organ for organ in plant.organs if organ is not stem]
+    bare, mossy = (as_solids(replace(plant, organs=(*first, *rest))).organs[0] for first in ([stem], pieces))
+    assert mossy.material == bare.material == stem.material
+    np.testing.assert_allclose(mossy.mesh.vertices_m, bare.mesh.vertices_m, atol=1e-5)

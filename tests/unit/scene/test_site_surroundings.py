@@ -10,7 +10,7 @@ from scene_plants import population
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import surface_area_m2
+from forestgen.geometry.mesh import part_of, surface_area_m2
 from forestgen.scene.blocks import UNEVEN_SEEN, WOODS_M
 from forestgen.scene.build import place_instances, stand_on
 from forestgen.scene.far_mesh import SPECIES, areas_m2, far_mesh, thinned
@@ -149,6 +149,20 @@ def test_a_far_mesh_keeps_the_area_of_leaves_and_the_box():
     assert both.leaf_area_m2 == pytest.approx(5 * tree.leaf_area_m2)
     assert sum(surface_area_m2(one.mesh) for one in both.organs) == pytest.approx(5 * sum(area.values()), rel=1e-5)
     assert {organ.material for organ in both.organs} == {"a/bark", "a/leaf"}
+
+
+def test_a_stem_of_several_barks_is_one_frustum_in_a_far_mesh():
+    tree = simple_tree("a", 16.0, 300, np.random.default_rng(0))
+    bark, leaf = tree.organs
+    is_moss = np.arange(bark.mesh.triangles) % 4 == 0
+    pieces = [
+        replace(bark, material=name, mesh=part_of(bark.mesh, bark.mesh.faces[chosen]))
+        for name, chosen in (("moss", is_moss), ("bark", ~is_moss))
+    ]
+    mossy = replace(tree, organs=(*pieces, leaf))
+    found, bare = (thinned(one, areas_m2(one), 0.05, np.random.default_rng(0)) for one in (mossy, tree))
+    assert [organ.material for organ in found] == ["a/bark", "a/leaf"]
+    np.testing.assert_allclose(found[0].mesh.vertices_m, bare[0].mesh.vertices_m, atol=1e-4)
 
 
 def test_far_meshes_have_the_materials_of_their_plants():
