@@ -67,6 +67,12 @@ _SECTIONS = {
     "PowerLaw": "species: allometry.height_m, allometry.width_m",
     "Plant": "species: plant",
     "Material": "species: materials (each)",
+    "Wood": "species: wood",
+    "DeadBranches": "species: wood.dead_branches",
+    "BarkZone": "species: wood.bark_zones (each)",
+    "Cover": "species: wood.covers (each)",
+    "Roots": "species: wood.roots",
+    "Sweep": "species: wood.sweep",
 }
 
 

@@ -7,7 +7,8 @@
    their ratio of red to blue: leaves and meadows are left out. The mean logarithm of that ratio gives the temperature,
    kept within 4000 and 10,000 K. Without greys it is 6504 K.
 4. Brightness: a metered mean, which lies at 12.7% of saturation, comes to 18%, the half stop of ISO 12232.
-5. A curve that is steep about middle grey and reaches white at saturation; the sRGB encoding; JPEG, 4:2:0.
+5. A curve that is steep about middle grey and reaches white where the first colour, balanced, is saturated, so that
+   clipped highlights are white; the sRGB encoding; JPEG, 4:2:0.
 
 References
 ----------
@@ -63,8 +64,8 @@ def photo_of(raw: Raw, jpeg: Jpeg) -> Photo:
     """The picture of a raw image of three colours."""
     light = linear_colours(raw)
     kelvin = _D65_K if jpeg.white_balance == "daylight" else grey_temperature(light)
-    balanced = light / daylight_rgb(kelvin)
-    picture = filmic((balanced * _GAIN).astype(np.float32), float(_GAIN))
+    gain = _GAIN / daylight_rgb(kelvin)
+    picture = filmic((light * gain).astype(np.float32), float(gain.min()))  # saturation is white in all channels
     facts = {"file": NAME, "white_balance": jpeg.white_balance, "temperature_k": kelvin, "quality": jpeg.quality}
     return Photo(picture, _encoded(picture, jpeg.quality, raw.facts), facts)
 

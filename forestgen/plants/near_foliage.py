@@ -50,7 +50,6 @@ _MOST_MERGED = 64
 _SIZE_STEP = 1.25  # between the shoots of needles that are made; others are scaled
 _VARIANTS = 5
 _COVER = 0.8  # of a needle over length times width
-_NEW_FROM = 0.7  # of a shoot, where this year's begins
 _ORGANS_LEAVES = 1 << 20  # more than one organ has
 _DRAWN = (NeedleTwig, SimpleLeaf, LobedLeaf, PalmateLeaf, CompoundLeaf)
 
@@ -179,10 +178,12 @@ def with_near_foliage(
         if one is None or not one.drawn.any():
             continue
         form = shapes[placed.shape]
+        whole_m2 = organ_sizes(placed.frame) ** 2 * _whole_m2(form)
         for spray, frame, organ in _sprays(form, true_m, placed, one, of_organ[start : start + len(one.drawn)]):
             mark = None if marks is None else marks[start + organ]
             material, mesh = materials[of_organ[start + organ[0]]], instance(spray.leaves, frame)
-            of_leaf = _kinds_of_leaves(kinds.get(material, ()), spray.along, start + organ, seed)
+            part = spray.area_m2 * organ_sizes(frame) ** 2 / whole_m2[organ]
+            of_leaf = _kinds_of_leaves(kinds.get(material, ()), spray.along, part, start + organ, seed)
             for kind, chosen in of_leaf:
                 here = np.ones(mesh.triangles, np.bool_) if chosen is None else chosen[:, spray.leaf].reshape(-1)
                 if here.any():
@@ -204,9 +205,12 @@ def material_of_kind(material: str, kind: LeafKind) -> str:
 
 
 def _kinds_of_leaves(
-    kinds: Sequence[LeafKind], along: Floats, organ: Ints, seed: int
+    kinds: Sequence[LeafKind], along: Floats, part: Floats, organ: Ints, seed: int
 ) -> Iterator[tuple[LeafKind | None, Bools | None]]:
-    """Each kind, and (M, L) which leaves of M organs are of it; None: all are alike."""
+    """Each kind, and (M, L) which leaves of M organs are of it; None: all are alike.
+
+    `part`: (M,) these leaves' share of their organ's area; twigs below shoots bear the rest, and no tips.
+    """
     if not kinds:
         yield None, None
         return
@@ -216,7 +220,8 @@ def _kinds_of_leaves(
     below = 0.0
     for kind in kinds[:-1]:
         if kind.at_tip:
-            mine = left & (along > _NEW_FROM)
+            tip = kind.share / (part * (1.0 - below))
+            mine = left & (along > np.maximum(1.0 - tip, 0.0)[:, None])
         else:
             mine = left & (even >= below) & (even < below + kind.share)
             below += kind.share

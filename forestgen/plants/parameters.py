@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, Self, runti
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
+from pydantic.json_schema import SkipJsonSchema
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.plants.crown_twigs import TWIG_ORDER, CrownTwigs
@@ -18,7 +19,7 @@ from forestgen.plants.organs.leaves import CompoundLeaf, LobedLeaf, PalmateLeaf,
 from forestgen.plants.organs.needles import Fascicle, NeedleTwig
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.variation.model import Variation
-from forestgen.recipe.fields import Section
+from forestgen.recipe.fields import Section, violation
 from forestgen.recipe.wood import Wood as YearsOfWood
 
 if TYPE_CHECKING:
@@ -54,7 +55,13 @@ class Wood(Section):
         description="repeat of the bark's texture, round the stem and up, metres; a `bark`'s `tile_m` counts",
     )
     branch_tile_m: tuple[Tile, Tile] = Field((0.25, 0.5), description="the same for branches")
-    years: YearsOfWood | None = Field(None, description="dead branches, covers, roots; the species' `wood` counts")
+    years: SkipJsonSchema[YearsOfWood | None] = None  # the species' `wood`, see `plants.plan`; no key of recipes
+
+    @field_validator("years", mode="before")
+    @classmethod
+    def _is_the_species_own(cls, _: object) -> None:
+        hint = "dead branches, covers, roots and the like are keys of the species' own `wood`"
+        raise violation("the keys of stems' and branches' surface", problem="not a key of recipes", hint=hint)
 
 
 class PlantParameters(Section):

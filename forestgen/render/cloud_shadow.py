@@ -212,7 +212,8 @@ class ShadowPlane:
 def content_key(clouds: CloudGrid) -> str:
     """Hash of a field and how it scatters."""
     digest = hashlib.blake2b(np.ascontiguousarray(clouds.inside_per_m).data, digest_size=16)
-    digest.update(np.ascontiguousarray(clouds.detail.brick).data)
+    for table in (clouds.detail.brick, clouds.detail.depth, clouds.detail.octave, clouds.detail.unit):
+        digest.update(np.ascontiguousarray(table).data)
     shape = clouds.extinction_per_m.shape
     digest.update(repr((shape, clouds.low_m, clouds.high_m, clouds.albedo, clouds.phase)).encode())
     return digest.hexdigest()

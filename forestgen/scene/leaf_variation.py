@@ -10,8 +10,8 @@ leaf of their species, as factors on the reflectance and transmittance of that l
 Near a camera single leaves differ too, and the mean of a crown's leaves stays. Where a crown has leaves of several
 seasons, each leaf is of one of them. At any time of the year a few are yellow or dead: at most 2.2% together, as
 crowns without discoloration have up to 10% (ICP Forests' class 0; the shares are our estimate). Needles of this year's
-shoots, the outer ends of sprays, are pale from May (Norway spruce; our estimate) until they have their chlorophyll at
-the end of July: half of it is missing at first, as in young leaves of beech and oak, and none after.
+shoots of evergreens, the outer ends of sprays, are pale from May (Norway spruce; our estimate) until they have their
+chlorophyll at the end of July: half of it is missing at first, as in young leaves of beech and oak, and none after.
 
 Materials with `leaf_type` take part. An exemplar has one chlorophyll, so plants that share an exemplar are alike,
 whatever their detail and season. One of its plants, of the lowest plant_id, decides on its place among the exemplars of
@@ -149,8 +149,11 @@ def varied_material(base: Material, light: str, deviation: float) -> Material:
     return _of_spectra(base, reflectance, transmittance)
 
 
-def single_leaves(base: Material, time: TimeOfYear) -> tuple[tuple[LeafKind, Material], ...]:
-    """Kinds of leaves in a crown near a camera, whose mean is the crown's; the last is what most of them are."""
+def single_leaves(base: Material, time: TimeOfYear, is_evergreen: bool) -> tuple[tuple[LeafKind, Material], ...]:
+    """Kinds of leaves in a crown near a camera, whose mean is the crown's; the last is what most of them are.
+
+    `is_evergreen`: needles of this year differ from older ones; without older ones the crown's mean is theirs already.
+    """
     if base.reflectance_spectrum is None or base.leaf_type is None or not base.seasons:
         return ()
     main = max(base.seasons, key=lambda one: one.share)
@@ -163,7 +166,7 @@ def single_leaves(base: Material, time: TimeOfYear) -> tuple[tuple[LeafKind, Mat
         if one is not main and max(one.share, _LEAST.get(one.name, 0.0)) > 0.0
     ]
     pale = _paleness(time)
-    if base.leaf_type == "needle" and pale > 0.0:
+    if base.leaf_type == "needle" and is_evergreen and pale > 0.0:
         kinds.append((LeafKind("new", _NEW_NEEDLES, at_tip=True), varied_material(base, "middle", _PALEST * pale)))
     share = 1.0 - sum(kind.share for kind, _ in kinds)
     reflectance = _rest(

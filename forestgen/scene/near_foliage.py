@@ -48,6 +48,7 @@ class Leaves:
 
     shapes: Mapping[str, OrganForm]
     true_m: float | None  # length of a leaf or needle; None: as the forms say
+    is_evergreen: bool  # leaves of years before are among them
 
 
 def leaves_of(plan: Plan, chosen: ExemplarPlan, exemplars: Sequence[Exemplar]) -> tuple[Leaves | None, ...]:
@@ -58,9 +59,11 @@ def leaves_of(plan: Plan, chosen: ExemplarPlan, exemplars: Sequence[Exemplar]) -
     for exemplar, row in zip(exemplars, chosen.plant.tolist(), strict=True):
         parameters = (plan.plants.foliage if row >= 0 else plan.plants.generators).get(exemplar.species)
         known = plan.drawn.species.get(exemplar.species)
-        found.append(
-            None if parameters is None or known is None else Leaves(parameters.shapes, known.tissue.leaf_length_m)
-        )
+        if parameters is None or known is None:
+            found.append(None)
+            continue
+        evergreen = known.phenology is None or known.phenology.habit == "evergreen"
+        found.append(Leaves(parameters.shapes, known.tissue.leaf_length_m, evergreen))
     return tuple(found)
 
 
@@ -117,7 +120,7 @@ def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None], time: Tim
             which[plant.row] = plants + len(made)
             exemplar = spec.exemplars[plant.exemplar]
             if plant.exemplar not in of_exemplar:
-                of_exemplar[plant.exemplar] = _leaf_kinds(exemplar, materials, time)
+                of_exemplar[plant.exemplar] = _leaf_kinds(exemplar, materials, time, own.is_evergreen)
             kinds = of_exemplar[plant.exemplar]
             seed = int(spec.instances.plant_id[plant.row])
             made.append(with_near_foliage(exemplar, own.shapes, own.true_m, organs, kinds, seed))
@@ -127,13 +130,13 @@ def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None], time: Tim
 
 
 def _leaf_kinds(
-    exemplar: Exemplar, materials: dict[tuple[str, str], Material], time: TimeOfYear
+    exemplar: Exemplar, materials: dict[tuple[str, str], Material], time: TimeOfYear, is_evergreen: bool
 ) -> dict[str, list[LeafKind]]:
     """Kinds of leaves by the exemplar's materials, to which those of the kinds are added."""
     found = {}
     for organ in exemplar.organs:
         if organ.part == Part.LEAF:
-            kinds = single_leaves(materials[exemplar.species, organ.material], time)
+            kinds = single_leaves(materials[exemplar.species, organ.material], time, is_evergreen)
             found[organ.material] = [kind for kind, _ in kinds]
             for kind, material in kinds:
                 materials[exemplar.species, material_of_kind(organ.material, kind)] = material

@@ -198,8 +198,9 @@ def _covered(name: str, species: Species, found: Mapping[tuple[str, str], Materi
     wood = species.wood
     if wood is None or not wood.covers:
         return made
-    own = species.plant.parameters.get("wood", {}).get("material")
-    barks = {own, *(zone.material for zone in wood.bark_zones)} & species.materials.keys()
+    plants = (one for one in (species.plant, species.modules_plant) if one is not None)
+    own = (one.parameters.get("wood", {}).get("material") for one in plants)
+    barks = {*own, *(zone.material for zone in wood.bark_zones)} & species.materials.keys()
     for bark, cover, level in product(sorted(barks), wood.covers, range(len(LEVELS))):
         key, below = covered_name(bark, cover.material, level), species.materials[bark]
         under, over = found[name, bark], found[name, cover.material]

@@ -97,3 +97,13 @@ def test_noise_of_the_iso_is_in_the_picture():
         for iso in (100, 3200)
     ]
     assert spread[1] > 3 * spread[0]
+
+
+def test_clipped_highlights_are_white_whatever_the_balance():
+    light = np.tile(2000.0 * daylight_rgb(4500.0), (64, 96, 1))
+    light[:5, :5] = 1e6  # which the meter leaves out
+    raw = raw_of(light, mosaic=False, read_noise_electrons=0.0, full_well_electrons=1e6)
+    photo = photo_of(raw, Jpeg(white_balance="auto"))
+    assert photo.facts["temperature_k"] == pytest.approx(4500.0, rel=0.03)
+    np.testing.assert_array_equal(photo.picture[:5, :5], 255)
+    np.testing.assert_allclose(photo.picture[5:].mean(axis=(0, 1)), 118.0, atol=4.0)

@@ -227,3 +227,13 @@ def test_single_leaves_are_of_their_kinds_in_their_shares() -> None:
     area = {organ.material: surface_area_m2(organ.mesh) for organ in made.organs if organ.part == Part.LEAF}
     assert set(area) == {f"{leaf} [dry]", f"{leaf} [summer]"}
     assert area[f"{leaf} [dry]"] / sum(area.values()) == pytest.approx(0.1, abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["spruce", "pine"])
+def test_this_years_needles_have_their_share_at_the_tips(name: str) -> None:
+    request, exemplar = grown(name)
+    kinds = [LeafKind("dry", 0.05), LeafKind("new", 0.2, at_tip=True), LeafKind("summer", 0.75)]
+    shapes, needle_m = request.parameters.shapes, request.species.tissue.leaf_length_m
+    made = with_near_foliage(exemplar, shapes, needle_m, planned(name, 0.004), {"needle": kinds}, seed=3)
+    area = {organ.material: surface_area_m2(organ.mesh) for organ in made.organs if "[" in organ.material}
+    assert area["needle [new]"] / sum(area.values()) == pytest.approx(0.2, abs=0.01)

@@ -16,6 +16,7 @@ from forestgen.geometry.mesh import Floats, surface_area_m2
 from forestgen.geometry.sweep import Polylines, sweep_tubes
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.growing import grow_exemplar
+from forestgen.plants.plan import plan_plants
 from forestgen.plants.roots import HIGH, roots_of
 from forestgen.plants.stem_surface import COVERED, LEVELS, covered_name, surfaced
 from forestgen.plants.tree_fit import Bend
@@ -137,6 +138,22 @@ def test_a_material_that_is_not_there_is_refused() -> None:
     recipe = {"forestgen": 1, "site": {"size_m": [9, 9]}, "species": {"spruce": {"wood": covers}}}
     with raises_error(RecipeError, place="species.spruce.wood"):
         load_recipe_data({**recipe, "community": {"model": "uniform"}}, "test")
+
+
+def test_the_years_of_wood_are_no_key_of_recipes() -> None:
+    wood = {"plant": {"wood": {"years": {"sweep": {"foot_deg": 2.0}}}}}
+    recipe = {"forestgen": 1, "site": {"size_m": [9, 9]}, "species": {"spruce": wood}}
+    drawn = load_recipe_data({**recipe, "community": {"model": "uniform"}}, "test").draw(0)
+    with raises_error(RecipeError, place="species.spruce.plant.wood.years"):
+        plan_plants(drawn)
+
+
+def test_the_bark_of_plants_of_modules_has_covers_too() -> None:
+    species = plan_of("spruce", 1).drawn.species["spruce"]
+    assert species.modules_plant is not None
+    other = species.modules_plant.model_copy(update={"wood": {"material": "twig"}})
+    found = materials_of({"spruce": species.model_copy(update={"modules_plant": other})})
+    assert {("spruce", covered_name(bark, "moss", 0)) for bark in ("bark", "twig")} <= found.keys()
 
 
 @pytest.mark.parametrize("name", ["pine", "birch"])

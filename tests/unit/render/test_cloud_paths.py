@@ -12,6 +12,7 @@ from forestgen.atmosphere.grid import CloudGrid, PhaseFunction
 from forestgen.atmosphere.optical_depth import optical_depth
 from forestgen.render import cloud_paths
 from forestgen.render.cloud_paths import CloudLight, field_of, gather
+from forestgen.render.cloud_shadow import content_key
 
 WHITE = np.ones((2, 129, 256), dtype=np.float32)
 
@@ -63,6 +64,14 @@ def test_the_share_that_no_drop_meets_is_the_transmittance() -> None:
     z = difference / np.sqrt(chance * (1 - chance) / 20_000)
     assert np.abs(z).max() < 4.5
     assert np.sqrt((z**2).mean()) == pytest.approx(1.0, abs=0.35)
+
+
+def test_the_key_of_clouds_is_of_all_their_detail() -> None:
+    mean = np.ones((2, 2, 2), np.float32)
+    grid = CloudGrid(mean, (-1.0, -1.0, 0.0), (1.0, 1.0, 1.0))
+    tables = {"depth": np.ones((1, 9, 9, 9), np.int16), "octave": np.ones((1, 7)), "unit": 2.0 * np.ones(3)}
+    other = [replace(grid, detail=grid.detail._replace(**{name: table})) for name, table in tables.items()]
+    assert len({content_key(one) for one in (grid, *other)}) == 4
 
 
 def test_paths_and_optical_depth_see_the_same_detail() -> None:

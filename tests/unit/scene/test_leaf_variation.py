@@ -132,7 +132,7 @@ def test_pale_plants_are_brighter_at_the_red_edge_alone():
 def test_single_leaves_have_the_crowns_mean(name, season, time):
     made = materials(name, season=season)
     base = varied_material(next(one for one in made.values() if one.leaf_type is not None), "sun", 1.0)
-    kinds = single_leaves(base, TimeOfYear(season=time))
+    kinds = single_leaves(base, TimeOfYear(season=time), True)
     assert sum(kind.share for kind, _ in kinds) == pytest.approx(1.0)
     assert kinds[-1][0].share > 0.7
     grid = base.reflectance_spectrum.wavelength_nm
@@ -142,3 +142,10 @@ def test_single_leaves_have_the_crowns_mean(name, season, time):
     if name == "spruce":
         by_name = {kind.name: one for kind, one in kinds}
         assert by_name["new"].reflectance_spectrum.at(550) > 1.2 * by_name["summer"].reflectance_spectrum.at(550)
+
+
+def test_needles_of_deciduous_trees_are_all_this_years():
+    base = materials("larch")["larch", "needle"]
+    names = [[kind.name for kind, _ in single_leaves(base, TimeOfYear(season="spring"), one)] for one in (False, True)]
+    assert names[0] == [name for name in names[1] if name != "new"]
+    assert "new" in names[1]
