@@ -14,13 +14,13 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh, surface_area_m2
-from forestgen.plants.clothed_twigs import clothed_twigs
 from forestgen.plants.dead_branches import dead_branches
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
 from forestgen.plants.leaf_fall import with_leaves
 from forestgen.plants.levels import simplified
 from forestgen.plants.meshing import organ_meshes
+from forestgen.plants.needle_twigs import needle_twigs
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.organs.needles import bears_on_twigs
 from forestgen.plants.parameters import Fit, ShapesTrees, Sways
@@ -128,7 +128,7 @@ def build_exemplar(
 def _on_twigs(skeleton: Skeleton, shapes: Mapping[str, OrganForm]) -> tuple[OrganPlacements, ...]:
     """The organs, with the twigs that bear needles of theirs."""
     return tuple(
-        replace(one, twigs=clothed_twigs(skeleton, one)) if bears_on_twigs(shapes[one.shape]) else one
+        replace(one, twigs=needle_twigs(skeleton, one)) if bears_on_twigs(shapes[one.shape]) else one
         for one in skeleton.organs
     )
 
@@ -351,7 +351,7 @@ def sway(
     """The plant of a seed at times 0, 1 / frames_per_s, ...; `tree`: its sizes; None: by the radius."""
     species, parameters = plan.drawn.species[species_name], plan.generators[species_name]
     generator: Sways = GENERATORS.load(parameters.generator)
-    parameters = without_covers(generator.in_wind(parameters))  # poses share their faces
+    parameters = without_stem_details(generator.in_wind(parameters))  # poses share their faces
     anew = partial(child_rng, seed, "exemplar", species_name)
     still = build_exemplar(species_name, species, parameters, radius_m, anew(), tree=tree)
     first: tuple[OrganMesh, ...] | None = None
@@ -371,8 +371,11 @@ def sway(
         )
 
 
-def without_covers(plant: Any) -> Any:
-    """The plant's parameters without what its stem's place decides on: covers, bark zones and dead branches."""
+def without_stem_details(plant: Any) -> Any:
+    """The plant's parameters without dead branches, bark zones and covers.
+
+    Plants that sway have none of them: the number of their triangles would change from one pose to the next.
+    """
     years = plant.wood.years
     if years is None:
         return plant

@@ -1,4 +1,4 @@
-"""Needles of true size along the twigs between shoots, near a camera; which twigs: `clothed_twigs`.
+"""Needles of true size along the twigs between shoots, near a camera; which twigs: `needle_twigs`.
 
 They are as dense there as on shoots, but no shoot gives up more than half of its own. Pieces of about one length,
 thickness and density share a mesh, which is scaled to the length.
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from forestgen.geometry.mesh import Floats, Ints
 from forestgen.geometry.patches import attitude
 from forestgen.plants.organs.needles import NeedleTwig
-from forestgen.plants.organs.sprays import NEEDLES_ALONG, Needles, Spray, clothed_twig
+from forestgen.plants.organs.sprays import NEEDLES_ALONG, Needles, Spray, twig_spray
 from forestgen.plants.skeleton import Twigs
 
 _MOST_SHARE = 0.5
@@ -60,7 +60,7 @@ def sprays_on_twigs(
         true = round(long_m * dense)
         if 2 * true < key[3]:  # less than half of what is drawn as one
             continue
-        spray = clothed_twig(form, Needles(needle_m, true, key[3], key[4]), long_m, _RADIUS_M * key[2], key[5])
+        spray = twig_spray(form, Needles(needle_m, true, key[3], key[4]), long_m, _RADIUS_M * key[2], key[5])
         low, high = twigs.ends_m[drawn[group]].astype(np.float64).transpose(1, 0, 2)
         linear = attitude(high - low, np.tile([0.0, 0.0, 1.0], (len(group), 1)))
         linear *= (length_m[group] / long_m)[:, None, None]

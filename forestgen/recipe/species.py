@@ -359,7 +359,9 @@ class Species(Section):
     phenology: Annotated[Phenology | None, *shorthand("habit")] = Field(
         None, description="When it has leaves, and of what colour; null: always, of the season's spectrum."
     )
-    wood: Wood | None = Field(None, description="What the years make of its trees' wood; null: nothing.")
+    wood: Wood | None = Field(
+        None, description="Dead branches, barks by height, covers, roots and sweep of its trees; null: none."
+    )
 
     @model_serializer(mode="wrap")
     def _without_what_few_need(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

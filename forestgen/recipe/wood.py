@@ -1,5 +1,5 @@
-"""What the years make of a tree's wood: a species' section `wood`. Dead branches and sweep
-are those of trees of given sizes alone."""
+"""A species' section `wood`: dead branches, barks by height, covers of the bark, roots and sweep. Only trees of given
+sizes have dead branches and sweep."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Sweep(Section):
 
 
 class Wood(Section):
-    """What the years make of a tree's wood."""
+    """Dead branches, other barks by height, covers of the bark, roots and sweep of a tree."""
 
     dead_branches: DeadBranches | None = Field(None, description="Dead branches below the crown; null: none.")
     bark_zones: tuple[BarkZone, ...] = Field((), max_length=4, description="Other barks of the stem, by height.")

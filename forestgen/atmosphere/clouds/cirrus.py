@@ -14,7 +14,8 @@ Here it is that of two Henyey-Greenstein lobes, 0.82 and -0.55, with 95% of the 
 crystals, and are left out. The extinction is scaled such that the mean optical depth of the cloudy part is
 `optical_depth`: cirrus have 0.03 to 3, thin ones up to 0.3 (Sassen and Cho 1992).
 
-The field is periodic in x and y, centred on the site.
+The field is centred on the site, and is drawn once: it is a square with straight edges. Seen from its middle there is
+no cirrus below an elevation of atan(2 base_m / extent_m), 22 degrees by default and 10 with an `extent_m` of 100,000.
 
 Example
 -------
@@ -67,7 +68,12 @@ class CirrusKeys(Clouds):
     streak_m: NonNegative = Field(
         4000.0, le=20000, description="Of cirrus: length of the streaks of falling ice, metres."
     )
-    extent_m: Positive = Field(45000.0, le=100000, description="Of cirrus: side of the square of clouds, metres.")
+    extent_m: Positive = Field(
+        45000.0,
+        le=100000,
+        description="Of cirrus: side of the square of clouds, metres. Nothing is beyond it: at 45 km no cirrus is seen "
+        "below 22 degrees above the horizon, at 100 km below 10.",
+    )
 
     @property
     def known_cover(self) -> float:

@@ -172,7 +172,7 @@ def needle_spray(form: NeedleTwig, needles: Needles, reach_m: float, variant: in
 
 
 @lru_cache(maxsize=1024)
-def clothed_twig(form: NeedleTwig, needles: Needles, length_m: float, radius_m: float, variant: int) -> Spray:
+def twig_spray(form: NeedleTwig, needles: Needles, length_m: float, radius_m: float, variant: int) -> Spray:
     """The needles of a piece of twig along y, whose wood is drawn already."""
     rng = child_rng(0, "clothed twig", variant)
     shoot = np.zeros((1, 3)), np.array([[0.0, 1.0, 0.0]]), np.array([length_m])

@@ -20,7 +20,10 @@ _PLACE = (0.35, 0.95)  # of bites along the leaf
 
 
 def worn(patch: Patch, rng: np.random.Generator) -> Patch:
-    """A leaf along y with pieces missing, of four times as many triangles less those of the pieces."""
+    """A leaf along y with pieces missing.
+
+    Each triangle is cut into 4, of a leaf of fewer than 40 triangles into 16; those of the pieces are left out.
+    """
     fine = _quartered(_quartered(patch)) if len(patch.faces) < 40 else _quartered(patch)
     flat = fine.points[:, :2]
     half_m = float(np.abs(flat[:, 0]).max())

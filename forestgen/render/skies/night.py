@@ -44,9 +44,8 @@ class NightLight:
 
     level: Spectrum  # on a level plane
     shape: NDArray[np.float32]  # (MAP_ROWS // 2 + 1, MAP_COLUMNS or 1, nodes) radiance over irradiance, 1/sr
-    modelled_share: float = (
-        1.0  # of a twilight: by the scattering alone, its illuminance over that of a sun on the horizon
-    )
+    # Of a twilight: by the scattering alone, its illuminance over that of a sun on the horizon.
+    modelled_share: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

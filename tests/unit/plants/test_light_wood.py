@@ -14,7 +14,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry import simplify
 from forestgen.geometry.simplify import with_light_wood
-from forestgen.plants.build import without_covers
+from forestgen.plants.build import without_stem_details
 from forestgen.plants.growing import grow_exemplar
 from forestgen.scene.surfaces import materials_of
 from support.error_messages import raises_error
@@ -26,7 +26,7 @@ def test_wood_has_few_triangles_and_one_texture(monkeypatch: pytest.MonkeyPatch)
     species, materials = plan.drawn.species["birch"], materials_of(plan.drawn.species)
     request = request_of(plan, "birch", 4.0, 3)
     # Stubs of dead branches are so small that few triangles make them shorter.
-    plant = grow_exemplar(replace(request, parameters=without_covers(request.parameters)))
+    plant = grow_exemplar(replace(request, parameters=without_stem_details(request.parameters)))
     whole = model_of(plant, species, materials, 3)
     textures = {name: one.texture.colour for (_, name), one in materials.items() if one.texture is not None}
     light = with_light_wood(whole.pieces, textures, 2000)

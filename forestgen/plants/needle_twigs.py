@@ -15,7 +15,7 @@ _BARE_M = 0.005  # radius of a twig that has shed its needles, about ten years o
 _LEAST_M = 1e-3
 
 
-def clothed_twigs(skeleton: Skeleton, placed: OrganPlacements) -> Twigs:
+def needle_twigs(skeleton: Skeleton, placed: OrganPlacements) -> Twigs:
     """Pieces of a skeleton that bear the needles of some shoots."""
     end = skeleton.position_m.astype(np.float64)
     start = end[np.maximum(skeleton.parent, 0)]
