@@ -30,7 +30,7 @@ FLOOR: list[Keys] = [
     {"what": "moss", "cover": 0.08, "patch_m": 2},
 ]
 GRASS: Keys = {"what": "small_plants", "species": "grass", "height_m": 0.25, "cover": 0.3, "patch_m": 4}
-EYE: Keys = {"position_m": [30, 4, 1.7], "look_at_m": [29, 30, 4.5], "hfov_deg": 62}
+EYE: Keys = {"position_m": [32, 4, 1.7], "look_at_m": [29, 30, 4.5], "hfov_deg": 62}
 DRONE: Keys = {"position_m": [30, -60, 70], "look_at_m": [30, 60, 0], "hfov_deg": 62}
 
 
@@ -98,7 +98,7 @@ def _merged(keys: Keys, more: Mapping[str, Any]) -> Keys:
 
 BEECH, SPRUCE, PINE, BIRCH = {"beech": 1.0}, {"spruce": 1.0}, {"pine": 0.9, "birch": 0.1}, {"birch": 1.0}
 MIXED = {"beech": 0.4, "spruce": 0.35, "maple": 0.15, "birch": 0.1}
-OVERCAST = {"kind": "overcast"}
+OVERCAST = {"kind": "overcast", "sun": {"elevation_deg": 40, "azimuth_deg": 215}}
 LEAF = {"position_m": [6, 2.6, 1.8], "look_at_m": [6, 6, 2.2], "hfov_deg": 40}
 
 VIEWS: Mapping[str, Callable[[], Keys]] = {
@@ -114,10 +114,21 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         BEECH, 26, EYE, plants__season="winter", sky__sun={"elevation_deg": 14, "azimuth_deg": 210}
     ),
     "mixed, overcast": lambda: forest(MIXED, 24, EYE, "spruce", sky=OVERCAST),
-    "rain": lambda: forest(MIXED, 24, EYE, "spruce", sky=OVERCAST, weather={"kind": "rain"}),
-    "fog": lambda: forest(SPRUCE, 24, EYE, sky__sun={"elevation_deg": 25, "azimuth_deg": 30}, weather={"kind": "fog"}),
+    "rain": lambda: forest(MIXED, 24, EYE, "spruce", sky=OVERCAST, weather=[{"what": "rain", "rate_mm_per_h": 15}]),
+    "fog": lambda: forest(
+        SPRUCE,
+        24,
+        EYE,
+        sky__sun={"elevation_deg": 25, "azimuth_deg": 30},
+        weather=[{"what": "ground_fog", "visibility_m": 120, "depth_m": 8}],
+    ),
     "snow": lambda: forest(
-        {"spruce": 0.8, "birch": 0.2}, 22, EYE, plants__season="winter", sky=OVERCAST, weather={"kind": "snow"}
+        {"spruce": 0.8, "birch": 0.2},
+        22,
+        EYE,
+        plants__season="winter",
+        sky=OVERCAST,
+        weather=[{"what": "snow_cover", "depth_m": 0.2, "on_plants": 0.6}],
     ),
     "dusk": lambda: forest(PINE, 22, {**DRONE, "position_m": [30, -60, 40]}, sky__sun={"elevation_deg": -4}),
     "moonlit night": lambda: forest(

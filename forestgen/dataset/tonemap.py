@@ -1,7 +1,10 @@
 """From linear radiance to a picture for people: exposure, then a named view transform. Deterministic.
 
 Exposure brings the picture's key to middle grey (0.18). The key is the geometric mean of luminance clipped at
-its 5th and 95th percentile: black gaps and the sun's disc hardly count. Then follows one of the views:
+its 5th and 95th percentile: black gaps and the sun's disc hardly count. Pictures of the eye's channels whose key is
+below 10 cd/m², as at dusk and by night, are darker, as people see them: by the key a(Y) = 1.03 - 2 / (2 + log10(Y + 1))
+of Krawczyk et al. (2005, Perceptual effects in real-time tone mapping, eq. 11; from memory) over that of 10 cd/m². Then
+follows one of the views:
 
 - ``filmic``: each channel follows
 
@@ -38,6 +41,7 @@ from forestgen.scene.colour import colour_science
 MIDDLE_GREY = 0.18
 KEY_PERCENTILES = (5.0, 95.0)
 WHITE_PERCENTILE = 99.7
+_BRIGHT_CD_PER_M2 = 10.0  # of a key: pictures of brighter scenes are equally bright
 LEAST_WHITE = 4.0
 CONTRAST = 1.25
 _STEPS = 1 << 12
@@ -62,8 +66,16 @@ def preview_of(radiance: Radiance, view: View = "filmic") -> Preview:
     light, colours = picture_light(radiance)
     light = _cleaned(light)
     exposure, white = _metered(light)
+    if not radiance.bands:
+        exposure = np.float32(exposure * _dim(MIDDLE_GREY / float(exposure)))
     texts = {"view": view, "colours": colours, "exposure": f"{exposure:.6g}"}
     return Preview(_developed(light * exposure, white, view), texts)
+
+
+def _dim(key_cd_per_m2: float) -> float:
+    """How much darker than middle grey a picture's key is: 1 by day, 0.09 by the full moon."""
+    key, bright = (1.03 - 2.0 / (2.0 + np.log10(one + 1.0)) for one in (key_cd_per_m2, _BRIGHT_CD_PER_M2))
+    return float(min(key / bright, 1.0))
 
 
 def picture_light(radiance: Radiance) -> tuple[NDArray[np.float32], str]:

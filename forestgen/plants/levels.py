@@ -43,6 +43,7 @@ _DIRECTIONS = 200
 TRIANGLE_PIXELS = 0.7  # sheets up to this long become triangles
 _SMALLEST = 0.15  # of the largest sheet's area: smaller ones lend theirs to the others
 _FEWEST_SHEETS = 24  # of an organ with many; fewer would cover one another less
+_LONGER = 1.2  # a triangle than its sheet: so they hide one another as the sheets do (measured: spruce, poplar)
 _ROUNDEST = 1.15  # greatest width over length of a triangle: equal sides
 
 
@@ -273,7 +274,7 @@ def _chosen(sheets: _Sheets) -> tuple[Ints, Floats, Floats]:
     chosen = np.sort(large[order[: max(1, round(count))]])
     shown = area[chosen] * (area.sum() / area[chosen].sum())
     length = np.maximum(length[chosen], np.sqrt(2.0 * shown / _ROUNDEST))  # none is wider than long
-    return chosen, 2.0 * shown / length, length
+    return chosen, 2.0 * shown / (_LONGER * length), _LONGER * length
 
 
 def _sheets(mesh: Mesh, longest_m: float) -> _Sheets:

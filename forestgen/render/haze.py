@@ -8,7 +8,8 @@ airlight: what haze without end would shine with in the ray's direction.
 - A long path must end in the horizon's colour, which the sky model has and the weighted mean meets only roughly (0.9
   under an overcast sky; 1.0, 1.3 and 1.4 in blue, green and red at a sun of 40 degrees). So A is multiplied by this
   ratio, by azimuth, in level directions, and less up and down: by a third of what it is beyond 1 at 10 degrees from
-  the level. A black thing at the visibility is then as Koschmieder has it.
+  the level. A black thing at the visibility is then as Koschmieder has it. Once the sun is down, the air around is in
+  the earth's shadow, and the horizon's glow is of air far beyond it: the ratio goes to 1 by a degree below the horizon.
 - sigma of a channel is the mean over its wavelengths, weighted by the daylight: exact for a grey surface nearby.
 - The sky is seen through no haze but its own; a ray that leaves the world below the horizon sees the airlight alone.
 
@@ -69,6 +70,7 @@ from forestgen.render.frame import Radiance
 from forestgen.render.identity.surface import SAMPLES, Values
 from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.light import along, sky_map, sun_irradiance
+from forestgen.render.paths.fog import Fog
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of, map_directions
 from forestgen.render.sky import SkyLight, baked_sky, level_irradiance, site_middle, traced_clouds_of
 from forestgen.render.variant import SCALAR, dr, mi, using
@@ -84,6 +86,7 @@ _ANGSTROM, _KRUSE, _MURKY_M = 1.3, 0.585, 6000.0
 Floats = NDArray[np.float64]
 _VIEW_ROWS, _VIEW_COLUMNS = 33, 64  # of the airlight's map, the sun's part left out
 _DRAWS = 8  # of wavelengths
+_DARK_AIR_DEG = 1.0  # below the horizon: the sun shines on no air nearby
 _LEVEL_SINE = 0.17  # of the elevation at which airlight has nearly left the horizon's colour
 _CLOUD_BLUR_PX = 3.0
 _THIN = 1e-3  # of an optical depth, which is then the share that is scattered
@@ -130,12 +133,9 @@ class Seen:
     inside: Floats  # (H, W) share of the samples that see anything: those in a fisheye's circle
     surface: Floats  # (H, W) of these, the share that sees a surface, or nothing below the horizon
     transmittance: Floats  # (H, W, C) mean over the latter; 1 where there are none
-    sunny: Floats = field(
-        default_factory=lambda: np.ones((1, 1))
-    )  # (H, W) share of the haze before these that the sun shines on
-    open: Floats = field(
-        default_factory=lambda: np.ones((1, 1))
-    )  # (H, W) mean share of the upper half of the sky that is seen from there
+    # (H, W) of the light of the sun, and of the sky's upper half, the share that haze before these sends to the camera
+    sunny: Floats = field(default_factory=lambda: np.ones((1, 1)))
+    open: Floats = field(default_factory=lambda: np.ones((1, 1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +216,7 @@ def airlight_of(haze: Haze, quadrature: Quadrature, sky: Sky, under: UnderClouds
     clear = own if under is None else _airlight(haze, quadrature, sky, None)
     level = map_directions()[MAP_ROWS // 2]
     ratio = own.open_sky[MAP_ROWS // 2] / np.maximum(clear.unjoined(level), np.finfo(float).tiny)
+    ratio = 1.0 + float(np.clip(1.0 + sky.sun_elevation_deg / _DARK_AIR_DEG, 0.0, 1.0)) * (ratio - 1.0)
     if under is None:
         return replace(own, horizon=ratio)
     joined = replace(own, horizon=1.0 + under.sun_share * (ratio - 1.0))
@@ -291,6 +292,8 @@ def seen_values(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats) -
     light the haze there scatters, by rays that ask for the sky and those that ask for the sun: all, and what comes.
     """
     mean_per_m = float(np.mean(extinction_per_m))
+    with using(tracer.variant):
+        fog = Fog(tracer.spec.fog, tracer.origin_m) if tracer.spec.fog else None
 
     def values(hits: Hits) -> list[Any]:
         good = mi.Bool(True) if hits.rays.valid is None else hits.rays.valid
@@ -298,33 +301,41 @@ def seen_values(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats) -
         ray = dr.zeros(mi.Float, dr.width(hits.distance_m))
         through = [dr.exp(-dr.opaque(mi.Float, float(value)) * hits.distance_m) for value in extinction_per_m]
         seen = [dr.select(good, 1.0, 0.0) + ray, dr.select(surface, 1.0, 0.0) + ray]
-        scattered, to_sun, free = _light_between(tracer, camera, hits, dr.opaque(mi.Float, mean_per_m))
+        scattered, to_sun, comes = _light_between(tracer, camera, hits, fog, dr.opaque(mi.Float, mean_per_m))
         scattered = dr.select(hits.valid, scattered, dr.select(surface, 1.0, 0.0)) + ray
         light = [dr.select(asks, scattered, 0.0) for asks in (~to_sun, to_sun)]
-        light += [dr.select(free | ~hits.valid, one, 0.0) for one in light]
+        light += [dr.select(hits.valid, one * comes, one) for one in light]
         return seen + [dr.select(hits.valid, one, 0.0) for one in through] + light
 
     return values
 
 
-def _light_between(tracer: SceneTracer, camera: Camera, hits: Hits, extinction_per_m: Any) -> tuple[Any, Any, Any]:
-    """Float, of rays: the share of light that haze scatters before the hit. Bools: whether a place there was asked for
-    the sun, not the sky, and whether nothing hid it.
+def _light_between(
+    tracer: SceneTracer, camera: Camera, hits: Hits, fog: Fog | None, extinction_per_m: Any
+) -> tuple[Any, Any, Any]:
+    """Float, of rays: the share of light that haze scatters before the hit. Bool: whether a place there was asked for
+    the sun, not the sky. Float: the share of that light that comes there and on to the camera, past what stands in the
+    way and through fog.
     """
-    direction = hits.rays.direction
-    bits = [dr.reinterpret_array(mi.UInt32, one) for one in (direction.x, direction.y)]
-    first = mi.sample_tea_32(*bits, 4)
+    direction, start = hits.rays.direction, tracer.start_of(camera, hits.rays) + mi.Vector3f(0.0)
+    bits = [dr.reinterpret_array(mi.UInt32, one) for one in (direction.x, direction.y, start.x, start.y)]
+    first = mi.sample_tea_32(bits[0], bits[1], 4)
+    first = mi.sample_tea_32(first[0] ^ bits[2], first[1] ^ bits[3], 4)
     place, way, rise, turn = (mi.Float(one >> 8) * 2.0**-24 for one in (*first, *mi.sample_tea_32(*first, 4)))
     depth = extinction_per_m * hits.distance_m
     thin = depth < _THIN
     scattered = dr.select(thin, depth, 1.0 - dr.exp(-depth))
     into_m = dr.select(thin, place * hits.distance_m, -dr.log(1.0 - place * scattered) / extinction_per_m)
+    into_m = dr.minimum(into_m, hits.distance_m)
     sine, (turn_sine, turn_cosine) = dr.safe_sqrt(1.0 - rise * rise), dr.sincos(2.0 * np.pi * turn)
     to_sun = way < 0.5
     towards = dr.select(to_sun, tracer.to_light, mi.Vector3f(sine * turn_cosine, sine * turn_sine, rise))
-    start = tracer.start_of(camera, hits.rays) + direction * dr.minimum(into_m, hits.distance_m)
-    hidden = tracer.scene.ray_test(mi.Ray3f(start, towards), coherent=False, active=hits.valid)
-    return scattered, to_sun, ~hidden
+    at = start + direction * into_m
+    hidden = tracer.scene.ray_test(mi.Ray3f(at, towards), coherent=False, active=hits.valid)
+    comes = dr.select(hidden, 0.0, mi.Float(1.0))
+    if fog is not None:
+        comes *= fog.kept(start, direction, into_m) * fog.through(at, towards)
+    return scattered, to_sun, comes
 
 
 def seen_of(sums: NDArray[np.float32]) -> Seen:

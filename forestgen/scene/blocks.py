@@ -21,6 +21,7 @@ from forestgen.scene.spec import Camera, Instances
 from forestgen.scene.terrain import HeightField
 
 WOODS_M, SQUARE_M, SQUARE_VARIANTS, UNEVEN_SEEN = 6000.0, 160.0, 2, 0.004
+MOST_BLOCKS_BEYOND = 10_000  # the nearest, where steep hills would need more
 _PROBES = np.linspace(-0.5, 0.5, 5)  # along a block, where the ground is looked up
 
 Rows = NDArray[np.intp]
@@ -125,7 +126,9 @@ class Beyond:
         inner = _grid(*(np.arange(one) for one in many))
         split = np.concatenate([inner, (at[~whole, None] * many + inner).reshape(-1, 2)])
         kept = np.append(np.full(len(inner), seen.any()), np.repeat(seen[~whole], len(inner)))
-        kept &= _apart_m(split, side, count) >= far_m
+        apart = _apart_m(split, side, count)
+        kept &= apart >= far_m
+        kept[np.flatnonzero(kept)[np.argsort(apart[kept], kind="stable")[MOST_BLOCKS_BEYOND:]]] = False
         (own, own_turn), chosen = lattice.drawn(split), whole & seen
         split = split[kept]
         plane_of_split, _ = lattice.planes(split, 1)
@@ -137,8 +140,8 @@ class Beyond:
         return len(self.at) + len(self.transform) > 0
 
     def squares(self, blocks: Blocks) -> list[FarBlock]:
-        found = []
         """A mesh of each variant of a square, and where it stands."""
+        found = []
         inner = _grid(*(np.arange(one) for one in self.many))
         middle = (inner + 0.5 - 0.5 * self.many) * self.lattice.side_m
         for variant in range(SQUARE_VARIANTS if len(self.variant) else 0):

@@ -29,6 +29,7 @@ from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
 from forestgen.scene.ground_view import MOST_TILES
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.site import check_wet_soil, community_site
+from forestgen.scene.surroundings import most_far_triangles
 from forestgen.scene.triangles import exemplar_triangles, near_triangles
 from forestgen.scene.views import Views, place_key
 from forestgen.scene.weather.kind import check_weather
@@ -95,6 +96,8 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": math.ceil(grown * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle)),
         "plants": plants * per_plant,
+        "surroundings": recipe.site.surroundings.kind != "open"
+        and most_far_triangles(stand.site.size_m) * per_triangle,
         "clouds": source.estimate_bytes(plan.drawn, stand.model, stand.parameters),
     }
 
@@ -161,6 +164,7 @@ def check_memory(
         "images": (("cameras",), "make the images smaller, or lower labels.samples"),
         "exemplars": (("plants", "exemplars_per_species"), "lower plants.exemplars_per_species or variants_per_size"),
         "plants": (("site", "size_m"), f"{plants:,} plants grew: make the site smaller, or stop after fewer steps"),
+        "surroundings": (("site", "surroundings"), "set site.surroundings to open, or close other programs"),
         "clouds": (("sky", "clouds"), "make the clouds' extent_m smaller, or their cells larger"),
         "libraries": ((), "close other programs"),
     }[largest]

@@ -55,6 +55,7 @@ UNEVEN, UNEVEN_M, UNEVEN_REACHES = 0.05, 0.15, 4.0
 FAR_BLOCKS, LOW_FAR_BLOCKS, FAR_M = 16, 8, 1000.0
 APART, _LEAST_SEEN = 0.35, 0.02
 GRAIN_M2, _MOST_TRIANGLES, SQUARE_TRIANGLES = 0.03, 1_000_000, 500_000
+_MOST_LEAVES = 12.0  # m2 over a square metre of the site, for the estimate of memory
 
 Bools = NDArray[np.bool_]
 Materials = Mapping[tuple[str, str], Material]
@@ -141,6 +142,11 @@ def most_copies(population: Population, size_m: tuple[float, float], *, flat: bo
         reach = np.ceil(farther * _reach_m(population, members) * blocks / size_m - 1e-9)  # blocks on each side
         total += len(members) * (float(np.prod((blocks + 2 * reach) / blocks)) - 1.0)
     return int(total)
+
+
+def most_far_triangles(size_m: tuple[float, float]) -> int:
+    """Of far meshes around a site, at most."""
+    return SQUARE_TRIANGLES + int(min(_MOST_LEAVES * size_m[0] * size_m[1] / GRAIN_M2, _MOST_TRIANGLES))
 
 
 @dataclass(frozen=True)

@@ -145,3 +145,12 @@ def test_bands_become_pictures(made, expected):
     assert preview.texts["colours"].startswith(expected)
     shown = [names.index(name) for name in expected.partition(": ")[2].partition(" as")[0].split(", ")]
     np.testing.assert_array_equal(preview.picture, tone_map(light[..., shown]))
+
+
+def test_pictures_of_the_night_are_darker_than_those_of_the_day() -> None:
+    means = []
+    for key in (0.005, 0.5, 10.0, 5000.0):
+        light = np.random.default_rng(1).lognormal(np.log(key), 0.5, (32, 32, 1)).astype(np.float32).repeat(3, axis=2)
+        means.append(float(preview_of(Radiance(light, light, None, 4)).picture.mean()))
+    assert 10.0 < means[0] < 0.6 * means[1] < 0.5 * means[2]
+    assert means[2] == pytest.approx(means[3], abs=2.0)

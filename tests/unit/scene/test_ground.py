@@ -50,7 +50,7 @@ def test_level_ground_has_no_height_function(terrain: str) -> None:
 
 def test_what_a_history_started_with_names_its_ground() -> None:
     about = origin(planned(HILLS, "site.altitude_m=700").community)["site"]
-    assert about["terrain"] == {"kind": "rolling", "amplitude_m": 6.0, "wavelength_m": 60.0}
+    assert about["terrain"] == {"kind": "rolling", "amplitude_m": 6.0, "wavelength_m": 60.0, "hills_m": 22.0}
     assert (about["altitude_m"], about["latitude_deg"], about["wind_from_deg"]) == (700.0, 50.0, 270.0)
     assert origin(planned("site.terrain=flat").community)["site"]["terrain"] == "flat"
 

@@ -114,7 +114,12 @@ def test_sections_that_say_no_terrain(section: dict) -> None:
 
 
 def test_terrain_without_a_map_is_dumped_as_ever() -> None:
-    assert Terrain.model_validate({}).model_dump() == {"kind": "flat", "amplitude_m": 0.8, "wavelength_m": 70.0}
+    assert Terrain.model_validate({}).model_dump() == {
+        "kind": "flat",
+        "amplitude_m": 0.8,
+        "wavelength_m": 70.0,
+        "hills_m": 22.0,
+    }
 
 
 @pytest.mark.parametrize("rows", [[], [[]], [[1.0]], [[1.0, 2.0]]])
