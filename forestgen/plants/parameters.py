@@ -59,7 +59,9 @@ class Wood(Section):
 
     @field_validator("years", mode="before")
     @classmethod
-    def _is_the_species_own(cls, _: object) -> None:
+    def _is_the_species_own(cls, given: object) -> None:
+        if given is None:
+            return
         hint = "dead branches, covers, roots and the like are keys of the species' own `wood`"
         raise violation("the keys of stems' and branches' surface", problem="not a key of recipes", hint=hint)
 
