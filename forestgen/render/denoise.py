@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.atmosphere.grid import CloudGrid
 from forestgen.atmosphere.optical_depth import distance_to_depth, optical_depth
 from forestgen.render.identity.surface import (
     SAMPLES,
@@ -32,11 +31,12 @@ from forestgen.render.identity.surface import (
     unhidden,
 )
 from forestgen.render.identity.tracer import LENS_STEPS, Hits, SceneTracer
+from forestgen.render.light import has_sun
 from forestgen.render.paths.fog import Fog
 from forestgen.render.skies.model import casts_shadows
 from forestgen.render.variant import dr, mi, mitsuba
 from forestgen.render.views import lens_rays
-from forestgen.scene.spec import Camera
+from forestgen.scene.spec import Camera, SceneSpec
 
 _CLOUD_RAYS = 4  # of a pixel
 _SEEN_DEPTH = 0.7  # optical depth of the place in a cloud that a ray sees
@@ -81,8 +81,11 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
     return values
 
 
-def with_clouds(guides: Guides, clouds: CloudGrid, camera: Camera, to_sun: NDArray[np.float64], sky: Floats) -> Guides:
+def with_clouds(guides: Guides, spec: SceneSpec, camera: Camera, sky: Floats) -> Guides:
     """The guides with those of clouds with detail in the `sky` (H, W), the share of a pixel that sees nothing else."""
+    clouds, to_sun = spec.clouds, spec.sky.to_light
+    if clouds is None or not clouds.detail.brick.size or not has_sun(spec.sky):
+        return guides
     total = np.zeros(sky.shape)
     rows, columns = np.nonzero(sky > 0)
     for number in range(_CLOUD_RAYS):

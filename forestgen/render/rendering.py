@@ -57,7 +57,6 @@ from forestgen.render.frame import Frame, Identity, Radiance, RenderJob, Stoppin
 from forestgen.render.haze import extinction_towards, seen_of, seen_values, through_haze
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.identity.surface import pixel_sums
-from forestgen.render.light import has_sun
 from forestgen.render.skies.model import daylight_of
 from forestgen.render.variant import MOST_SLICE_SAMPLES, SLICES
 from forestgen.render.views import build_view
@@ -131,12 +130,9 @@ def render_frame(
         with timings("haze: airlight"):
             radiance = through_haze(radiance, tracer.spec, camera, seen_of(sums[-1]), extinction, settings.mode)
     if settings.denoise:
-        guides, clouds = guides_of(sums[0]), tracer.spec.clouds
-        if clouds is not None and clouds.detail.brick.size and has_sun(tracer.spec.sky):
-            with timings("clouds: guides"):
-                sky = (identity.part == Part.NOTHING).mean(axis=2)
-                guides = with_clouds(guides, clouds, camera, tracer.spec.sky.to_light, sky)
         with timings("denoise"):
+            sky = (identity.part == Part.NOTHING).mean(axis=2)
+            guides = with_clouds(guides_of(sums[0]), tracer.spec, camera, sky)
             clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)
     return with_streaks(Frame(camera, radiance, identity, surface), tracer.spec.falling, seed)
