@@ -46,6 +46,7 @@ Floats = NDArray[np.float64]
 _PATHS_AT_ONCE = 1_500_000
 _MOST_LIKELY = 0.95  # a path to go on, once chance may end it
 _FOG_CHOICE = 1 << 16  # the first of the pairs that fog takes
+_BELOW_GROUND_M = 100.0  # below all terrain, where fog ends
 _MOST_IN_FOG = 4096  # scatterings of a path, those at surfaces too
 _CHOICES = 4  # pairs of numbers for a scattering: sun, which lobe and whether to go on, onwards, sky
 Array = NDArray[np.float32]
@@ -288,6 +289,8 @@ class PathTracer:
         with using(tracer.variant):
             self._surfaces = Surfaces(tracer)
             self._fog = Fog(tracer.spec.fog, tracer.origin_m) if tracer.spec.fog else None
+            lowest_m = float(tracer.spec.terrain.mesh.vertices_m[:, 2].min()) - float(tracer.origin_m[2])
+            self._deepest = dr.opaque(mi.Float, lowest_m - _BELOW_GROUND_M)
 
     def show(self, channels: Channels) -> None:
         """Have the surfaces and lights of these channels."""
@@ -374,6 +377,8 @@ class PathTracer:
         numbers = [one for k in range(self._fog.pairs) for one in sequence.pair(choice + k)]
         flight = self._fog.flights(start, direction, numbers)
         met = flight.distance_m < dr.select(hit.is_valid(), hit.t, FAR_M)
+        # What goes down beyond the terrain's edge never comes back.
+        met &= start.z + direction.z * flight.distance_m > self._deepest
         return [dr.select(met, flight.distance_m, FAR_M), flight.asymmetry], met
 
     def _round(self, paths: Paths, sequence: Sequence, depth: int) -> tuple[Any, Paths, Any, Any]:
