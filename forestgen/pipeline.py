@@ -209,8 +209,8 @@ class _ImageRenderer:
         elif dead_plants(population) == len(population):
             yield f"{name} shows no living plant: all are dead"
         if len(population) and not labelled.views.visible.has_box.any():
-            below = labelled.frame.camera.name in scene.plan.views.below_ground
-            yield f"{name}: the camera {'stands below the ground' if below else 'sees no plant'}"
+            below = scene.plan.views.below_ground.get(labelled.frame.camera.name)
+            yield f"{name}: the camera {f'stands below {below}' if below else 'sees no plant'}"
         yield from noise_notes(labelled.frame.radiance, name)
         yield from haze_notes(scene.spec, labelled.frame.surface, name)
 

@@ -296,8 +296,8 @@ def _notes(plan: Plan) -> Iterator[str]:
     reason = plan.community.empty_reason
     if reason:
         yield reason
-    for name in plan.views.below_ground:
-        yield f"the camera {name} stands below the ground"
+    for name, surface in plan.views.below_ground.items():
+        yield f"the camera {name} stands below {surface}"
     yield from plan.views.check_outside_of_buildings()
 
 

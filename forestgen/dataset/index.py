@@ -20,13 +20,14 @@ Metres, degrees, pixels; the world's axes are x east, y north, z up. Shares are 
 | cloud_cover | double | the recipe's, of clouds of type noise |
 | cloud_share | double | mean opacity of the clouds over the sky's pixels |
 | sun_elevation_deg, sun_azimuth_deg | double | |
+| moon_elevation_deg, moon_azimuth_deg | double | null: no moon |
 | turbidity, visibility_m | double, double | null: no haze between camera and scene |
 | season, wind_m_per_s | string, double | |
 | channels | list of string | of radiance: R, G, B or the bands |
 | samples, stopped_by | int64, string | of the rendering |
 | relative_error, relative_error_p95 | double | its noise: standard error over value, mean and 95th percentile |
 | sky_share | double | of the pixels, those whose centre sees the sky |
-| sunlit_share | double | of the other pixels, those whose centre the sun shines on |
+| sunlit_share | double | of the other pixels, those whose centre the sun shines on, or by night the moon |
 | depth_min_m, depth_median_m, depth_max_m | double | without the sky |
 | plants | int64 | of the whole stand |
 | stems_per_ha, basal_area_m2_per_ha | double | of the image's stand: living stems from 7 cm at 1.3 m on |
@@ -88,6 +89,7 @@ COLUMNS: dict[str, str] = {
     **dict.fromkeys(("camera_height_m", "camera_pitch_deg", "camera_azimuth_deg"), _NUMBER),
     **dict.fromkeys(("sky_kind", "clouds"), _TEXT),
     **dict.fromkeys(("cloud_cover", "cloud_share", "sun_elevation_deg", "sun_azimuth_deg"), _NUMBER),
+    **dict.fromkeys(("moon_elevation_deg", "moon_azimuth_deg"), _NUMBER),
     **dict.fromkeys(("turbidity", "visibility_m"), _NUMBER), "season": _TEXT, "wind_m_per_s": _NUMBER,
     "channels": _TEXTS, "samples": _WHOLE,
     **dict.fromkeys(("relative_error", "relative_error_p95"), _NUMBER), "stopped_by": _TEXT,

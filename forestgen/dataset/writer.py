@@ -197,6 +197,8 @@ def _weather(drawn: DrawnRecipe, sky: Sky) -> dict[str, Any]:
         "cloud_cover": clouds.known_cover,
         "sun_elevation_deg": float(sky.sun_elevation_deg),
         "sun_azimuth_deg": float(sky.sun_azimuth_deg) % 360.0,
+        "moon_elevation_deg": None if sky.moon is None else float(sky.moon.elevation_deg),
+        "moon_azimuth_deg": None if sky.moon is None else float(sky.moon.azimuth_deg) % 360.0,
         "turbidity": float(sky.turbidity),
         "visibility_m": None if sky.visibility_m is None else float(sky.visibility_m),
         "season": recipe.time_of_year.name,

@@ -305,7 +305,7 @@ class Render(fields.Section):
         "on the scene from afar. exact: their volume is traced with the scene. auto: farfield where clouds are far "
         "above the plants and cameras, otherwise exact.",
     )
-    max_depth: fields.Whole = Field(64, ge=1, le=4096, description="Most scatterings of a path.")
+    max_depth: fields.Whole = Field(64, ge=1, le=4096, description="Most scatterings of a path, fog's left out.")
 
     @model_validator(mode="after")
     def _enough(self) -> Self:

@@ -4,7 +4,7 @@ Things fall at random places between `_NEAREST_M`, below which a lens blurs them
 part of the medium. One of diameter D at the distance r passes along a line of its way in the exposure; a pixel of the
 line is covered for the share of the time that the thing needs to pass it. It shows `_CLEAR` of the image's mean
 radiance: it is a lens for a field of 165 degrees (Garg and Nayar 2007, section 3). What is farther than the surface is
-hidden.
+hidden. Parallel rays see things in a slab before the camera's plane, as large at any distance.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
 from forestgen.render.frame import Frame
-from forestgen.scene.projection import world_rays
+from forestgen.scene.projection import image_circle, projection_of, world_rays
 from forestgen.scene.spec import Camera, Falling
 
 Floats = NDArray[np.float64]
@@ -27,45 +27,48 @@ _MOST_POINTS, _MOST_LENGTH = 4_000_000, 0.5  # of a call; of the image's diagona
 
 def with_streaks(frame: Frame, falling: tuple[Falling, ...], seed: int) -> Frame:
     """The frame with what falls in its image."""
+    shows = image_circle(frame.camera)
     for index, one in enumerate(falling):
         rng = child_rng(seed, "falling", index, frame.camera.name)
         covered = coverage(one, frame.camera, frame.surface.distance_m, rng)
         radiance = frame.radiance
         shown = replace(
             radiance,
-            mean=_over(radiance.mean, covered),
+            mean=_over(radiance.mean, covered, shows),
             variance=(radiance.variance * (1.0 - covered[..., None]) ** 2).astype(np.float32),
-            denoised=None if radiance.denoised is None else _over(radiance.denoised, covered),
+            denoised=None if radiance.denoised is None else _over(radiance.denoised, covered, shows),
         )
         frame = replace(frame, radiance=shown)
     return frame
 
 
-def _over(image: NDArray[np.float32], covered: Floats) -> NDArray[np.float32]:
-    drop = _CLEAR * image.mean(axis=(0, 1), dtype=np.float64)
+def _over(image: NDArray[np.float32], covered: Floats, shows: NDArray[np.bool_]) -> NDArray[np.float32]:
+    drop = _CLEAR * image[shows].mean(axis=0, dtype=np.float64)
     return np.asarray(image + covered[..., None] * (drop - image), dtype=np.float32)
 
 
 def coverage(one: Falling, camera: Camera, distance_m: NDArray[np.float32], rng: np.random.Generator) -> Floats:
     """(H, W) share of the exposure in which pixels see a falling thing."""
-    direction = world_rays(camera).direction
-    height, width = direction.shape[:2]
-    right, down = np.gradient(direction, axis=1), np.gradient(direction, axis=0)
-    solid_angle = np.linalg.norm(np.cross(right, down), axis=-1)
-    volume_m3 = float(solid_angle.sum()) * (_FARTHEST_M**3 - _NEAREST_M**3) / 3.0
-    count = rng.poisson(one.number_per_m3 * volume_m3)
-    pixel = rng.choice(solid_angle.size, size=count, p=solid_angle.ravel() / solid_angle.sum())
-    near, far = _NEAREST_M**3, _FARTHEST_M**3
-    distance = (near + (far - near) * rng.random(count)) ** (1.0 / 3.0)
+    rays, is_parallel = world_rays(camera), projection_of(camera).is_parallel
+    across_m = rays.origin_m if is_parallel else rays.direction  # of a view at 1 m
+    height, width = across_m.shape[:2]
+    right, down = np.gradient(across_m, axis=1), np.gradient(across_m, axis=0)
+    area_m2 = np.linalg.norm(np.cross(right, down), axis=-1) * rays.valid  # of pixels, at 1 m
+    power = 1 if is_parallel else 3
+    near, far = _NEAREST_M**power, _FARTHEST_M**power
+    count = rng.poisson(one.number_per_m3 * float(area_m2.sum()) * (far - near) / power)
+    pixel = rng.choice(area_m2.size, size=count, p=area_m2.ravel() / area_m2.sum())
+    distance = (near + (far - near) * rng.random(count)) ** (1.0 / power)
+    grows = np.ones(count) if is_parallel else distance  # a pixel's side, over that at 1 m
     diameter_mm = one.least_mm + rng.exponential(one.mean_excess_mm, count)
     way = np.column_stack([np.tile(one.drift_m_per_s, (count, 1)), -one.fall(diameter_mm)])
     shutter_s = one.shutter_s
     if camera.exposure is not None and camera.exposure.shutter_s is not None:
         shutter_s = camera.exposure.shutter_s
-    motion = _pixels(way * (shutter_s / distance)[:, None], right.reshape(-1, 3)[pixel], down.reshape(-1, 3)[pixel])
+    motion = _pixels(way * (shutter_s / grows)[:, None], right.reshape(-1, 3)[pixel], down.reshape(-1, 3)[pixel])
     length = np.linalg.norm(motion, axis=1)
     most = _MOST_LENGTH * np.hypot(width, height)
-    wide = diameter_mm / 1000.0 / (distance * np.sqrt(np.maximum(solid_angle.ravel()[pixel], 1e-12)))
+    wide = diameter_mm / 1000.0 / (grows * np.sqrt(np.maximum(area_m2.ravel()[pixel], 1e-12)))
     across = np.maximum(wide, 1.0)
     share = 0.25 * np.pi * wide**2 / ((length + across) * across)
     shown = np.minimum(length, most)
@@ -86,11 +89,11 @@ def coverage(one: Falling, camera: Camera, distance_m: NDArray[np.float32], rng:
         good &= distance[row] < open_px[at]
         area = ((shown + 1.0) * across / steps)[row]  # pixels that a point stands for
         covered += np.bincount(at[good], weights=(share[row] * area)[good], minlength=width * height)
-    return np.minimum(covered, 1.0).reshape(height, width)
+    return np.minimum(covered, 1.0).reshape(height, width) * rays.valid
 
 
 def _pixels(change: Floats, right: Floats, down: Floats) -> Floats:
-    """(N, 2) by how many pixels directions (N, 3) change; `right` and `down` are their changes by a pixel."""
+    """(N, 2) by how many pixels directions or places (N, 3) change; `right`, `down` are their changes by a pixel."""
     a, b, c = (np.einsum("nk,nk->n", *pair) for pair in ((right, right), (right, down), (down, down)))
     u, v = (np.einsum("nk,nk->n", change, one) for one in (right, down))
     scale = np.maximum(a * c - b * b, 1e-30)

@@ -84,7 +84,7 @@ class Surface:
     normal: NDArray[np.float32]  # (H, W, 3) world, unit, geometric, towards the camera; 0 for the sky
     shading_normal: NDArray[np.float32]  # (H, W, 3) world, unit, interpolated, on the geometric one's side; sky 0
     albedo: NDArray[np.float32]  # (H, W, 3) reflectance + transmittance there, textures included; sky 0
-    sun_visible: NDArray[np.bool_]  # (H, W) nothing of the scene lies between the point and the sun's centre; sky False
+    sun_visible: NDArray[np.bool_]  # (H, W) nothing of the scene hides the sun's centre, by night the moon's; sky False
 
 
 @dataclass(frozen=True)

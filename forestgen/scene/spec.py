@@ -82,7 +82,7 @@ class WetGround:
 
     share: NDArray[np.float32]  # (V,) by vertex: 0 dry, 1 under a film of water
     reflectance: tuple[float, float, float]  # mean colour under the film, linear Rec. 709
-    spectrum: Spectrum  # of which it is the colour
+    spectrum: Spectrum | None  # of which it is the colour; None: the colour is all
 
 
 @dataclass(frozen=True)

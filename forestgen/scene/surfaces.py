@@ -64,9 +64,13 @@ def wet_spectrum(dry: Spectrum) -> Spectrum:
     """Reflectance of a ground under a film of water."""
     water = load_table("standards/water")["absorption_per_m"]
     grid = np.union1d(dry.wavelength_nm, water.wavelength_nm)
+    return Spectrum(grid, under_film(np.exp(-water.at(grid) * _WAY_M) * dry.at(grid)))
+
+
+def under_film(dry: Floats) -> Floats:
+    """Reflectance under a film of water that takes nothing, of a dry surface's."""
     above, below = film_reflectances()
-    kept = np.exp(-water.at(grid) * _WAY_M) * dry.at(grid)
-    return Spectrum(grid, (1.0 - above) * (1.0 - below) * kept / (1.0 - below * kept))
+    return np.asarray((1.0 - above) * (1.0 - below) * dry / (1.0 - below * dry))
 
 
 def wet_share(saturation: Floats, dry: float, wet: float) -> Floats:

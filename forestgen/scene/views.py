@@ -23,6 +23,7 @@ from forestgen.scene.site import height_field
 from forestgen.scene.spec import Camera, Lens
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
+from forestgen.scene.weather.kind import raised_m
 
 Floats = NDArray[np.float64]
 
@@ -87,24 +88,29 @@ class Views:
         return float(self.height(np.array([x]), np.array([y]))[0])
 
     @property
-    def below_ground(self) -> list[str]:
-        """Names of the cameras, or frames of a path, that stand below the ground, of those that may."""
-        return [camera.name for _, camera, _ in self._below_ground()]
+    def below_ground(self) -> dict[str, str]:
+        """By name, below what cameras, or frames of a path, stand that stand below the ground or snow and may."""
+        return {camera.name: self._lowest(camera) for _, camera, _ in self._below_ground()}
+
+    def _lowest(self, camera: Camera) -> str:
+        in_snow = camera.position_m[2] - self.ground_below(camera) >= LEAST_ABOVE_GROUND_M
+        return "the snow" if in_snow else "the ground"
 
     def _below_ground(self) -> list[tuple[int, Camera, float]]:
-        """Number of the entry, camera and height above the ground, metres, of cameras that are not above it."""
+        """Number of the entry, camera and height above the ground, or its snow, of cameras that are not above it."""
         found = []
         for index, cameras in enumerate(self.cameras):
-            x, y, z = np.array([camera.position_m for camera in cameras]).T
-            above = z - self.height(x, y)
+            at_m = np.array([camera.position_m for camera in cameras], dtype=np.float64)
+            above = at_m[:, 2] - self.height(at_m[:, 0], at_m[:, 1]) - raised_m(self.drawn, at_m[:, :2])
             found += [(index, cameras[k], float(above[k])) for k in np.flatnonzero(above < LEAST_ABOVE_GROUND_M)]
         return found
 
     def check_above_ground(self) -> None:
-        """Raise `RecipeError` for a camera below the ground, unless its entry's `obstructed` is a note."""
+        """Raise `RecipeError` for a camera below the ground or its snow, unless its entry's `obstructed` is a note."""
         for index, camera, above_m in self._below_ground():
-            problem, way_out = f"the camera {camera.name} stands below the ground", "raise it"
-            expected = f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above the ground"
+            surface, way_out = self._lowest(camera), "raise it"
+            problem = f"the camera {camera.name} stands below {surface}"
+            expected = f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above {surface}"
             _note_or_error(self.drawn, index, problem, expected, f"{above_m:.3g} m", way_out)
 
     def check_outside_of_buildings(self) -> list[str]:

@@ -74,14 +74,22 @@ def test_white_ground_under_fog_and_a_white_sky_is_white() -> None:
 def test_thin_fog_over_black_ground_shines_by_one_scattering() -> None:
     """L = F p mu0 / (mu0 - mu) (exp(-t / mu0) - exp(-t / mu)), seen from the ground at mu, the sun at mu0."""
     sky = Sky(50.0, 180.0, 2.0)
-    layer = FogLayer(0.002, 20.0, 0.1, 0.85)
+    layer = FogLayer(0.0002, 20.0, 0.1, 0.85)
     to = np.array([0.0, -1.0, 2.0]) / np.sqrt(5.0)
     x, y, z = 1000.0 * to
     camera = camera_at((0.0, 0.0, 0.01), (x, y, z), (4, 4), 1.0)
-    found = image(flat(0.0, sky, layer, camera), 16384, 0.0, depth=2)
-    depth, mu, mu0 = 0.002 * 20.1, float(to[2]), float(sky.to_sun[2])
+    found = image(flat(0.0, sky, layer, camera), 1 << 18, 0.0)
+    depth, mu, mu0 = 0.0002 * 20.1, float(to[2]), float(sky.to_sun[2])
     g, cosine = 0.85, float(to @ sky.to_sun)
     phase = (1 - g * g) / (4 * np.pi * (1 + g * g - 2 * g * cosine) ** 1.5)
     once = phase * mu0 / (mu0 - mu) * (np.exp(-depth / mu0) - np.exp(-depth / mu))
     assert found.open.mean() == pytest.approx(np.exp(-depth / mu), abs=2e-3)
     assert found.by_sun.mean(axis=(0, 1)) / sun_irradiance(sky, RGB) == pytest.approx(np.full(3, once), rel=0.02)
+
+
+def test_dense_fog_loses_no_light_to_the_most_scatterings() -> None:
+    """Of a layer of 0.2 a metre, 100 m deep, seen from above: the same with a limit of 64 as with none, and white."""
+    camera = camera_at((0.0, 0.0, 140.0), (0.0, 40.0, 0.0), (12, 8))
+    spec = flat(0.2, Sky(-30.0, 0.0, 3.0), FogLayer(0.2, 100.0, 0.1, 0.85), camera)
+    light = [image(spec, 64, 1.0, depth=depth).by_sky.mean() for depth in (64, 2000)]
+    assert light[0] == pytest.approx(light[1], rel=1e-5)

@@ -2,7 +2,7 @@
 
 - `surface`: positions and normals, and which triangle it is
 - `albedo`: reflectance and transmittance
-- `sun`: whether the sun's centre is visible from it
+- `sun`: whether the sun's centre is visible from it, or by night the moon's
 - `cloud`: opacity of the clouds along the ray
 - `module`: which branch module, and which segment of it
 
@@ -72,7 +72,7 @@ class Albedo(LabelChannel):
 
 
 class Sun(LabelChannel):
-    """Shadows: where the sun is visible."""
+    """Shadows: where the sun is visible, or by night the moon."""
 
     name = "sun"
 

@@ -27,10 +27,10 @@ _RAYS_AT_ONCE, _SUMMED_AT_ONCE = 2_000_000, 1_000_000
 # a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
 LIFT = 1e-5
 _SNOW_GROUPS = (7, 4)  # bits of a face's number that are alike for neighbours: of a shoot, and of a leaf
-# Vertical parts of normals: no snow on steeper wood, all of its share on less steep one; and on leaves, which together
+# Vertical parts of normals: of the steepest wood that holds snow where all is under it; and of leaves, which together
 # hold it however each one stands.
-_STEEPEST, _LESS_STEEP, _LEVEL_LEAF = 0.15, 0.6, 0.35
-_SNOW_ON_WOOD = 0.35  # share of snow above which it lies on all level wood
+_STEEPEST, _LEVEL_LEAF = 0.15, 0.35
+_UNLABELLED = 1 << 31  # added to the row of what is no plant: other numbers than plants'
 
 
 def trace_identity(
@@ -198,22 +198,26 @@ class UnderSnow:
 
 
 def under_snow(tracer: SceneTracer, hits: Hits) -> UnderSnow:
-    """By the slope of facets, and of leaves by chance, alike for some neighbours: those of a shoot."""
+    """By the slope of facets, and of leaves by chance, alike for some neighbours: those of a shoot.
+
+    Wood holds snow where its facets' normals rise above 1 - share (1 - _STEEPEST): with more snow on steeper wood.
+    """
     assert tracer.spec.snow is not None
     up = tracer.geometric_normal(hits).z
     part = dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)
     leaflike = mi.Bool(False)
     for one in LEAFLIKE:
         leaflike |= part == int(one)
-    groups = [mi.sample_tea_32(hits.instance, hits.face >> size, 4)[0] for size in _SNOW_GROUPS]
+    plant = dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid)
+    plant = dr.select(plant > 0, plant, hits.instance + _UNLABELLED)
+    groups = [mi.sample_tea_32(plant, hits.face >> size, 4)[0] for size in _SNOW_GROUPS]
     luck = sum(mi.Float(one >> 8) * 2.0**-24 for one in groups) / len(groups)
     # Of the mean of two even numbers, the share below a number (Irwin and Hall's distribution).
     luck = dr.select(luck < 0.5, 2.0 * luck * luck, 1.0 - 2.0 * dr.square(1.0 - luck))
-    luck = dr.select(leaflike, luck, _SNOW_ON_WOOD)
-    level = dr.select(leaflike, dr.abs(up) / _LEVEL_LEAF, (dr.abs(up) - _STEEPEST) / (_LESS_STEEP - _STEEPEST))
-    slope = dr.clip(level, 0.0, 1.0)
     share = dr.opaque(mi.Float, tracer.spec.snow.share)
-    covered = hits.valid & (hits.instance > 0) & (luck < share * slope)
+    on_leaf = luck < share * dr.minimum(dr.abs(up) / _LEVEL_LEAF, 1.0)
+    on_wood = dr.abs(up) > 1.0 - share * (1.0 - _STEEPEST)
+    covered = hits.valid & (hits.instance > 0) & dr.select(leaflike, on_leaf, on_wood)
     return UnderSnow(covered, covered & (up > 0))
 
 

@@ -6,7 +6,8 @@ dropped. A kernel knows no instance and no material: what a hit means is looked 
 measurements.
 
 Light of the sun is sampled at each scattering, and that of a sky with clouds; all skies are met where a path leaves the
-scene. From the second scattering on, paths end by chance, the sooner the less light they carry. Each path has its own
+scene. From the second scattering on, paths end by chance, the sooner the less light they carry: not in fog, which
+absorbs nothing, and whose scatterings do not count to the most that a path may have. Each path has its own
 places in the sums, so the image does not depend on the number of threads.
 
 Random numbers are points that fill the unit square evenly, for each pixel and each choice of a path its own: Sobol's
@@ -21,7 +22,7 @@ Work is O(pixels x samples x scatterings x log triangles). Memory: some 250 byte
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,8 @@ Floats = NDArray[np.float64]
 _PATHS_AT_ONCE = 1_500_000
 _MOST_LIKELY = 0.95  # a path to go on, once chance may end it
 _FOG_CHOICE = 1 << 16  # the first of the pairs that fog takes
+_BELOW_GROUND_M = 100.0  # below all terrain, where fog ends
+_MOST_IN_FOG = 4096  # scatterings of a path, those at surfaces too
 _CHOICES = 4  # pairs of numbers for a scattering: sun, which lobe and whether to go on, onwards, sky
 Array = NDArray[np.float32]
 
@@ -258,6 +261,7 @@ class Paths:
     hit: Any  # PreliminaryIntersection3f
     flight_m: Any | None = None  # Float, to where the path scatters in fog; None: there is no fog
     asymmetry: Any | None = None  # Float, of the fog there
+    surfaces: Any | None = None  # UInt32, scatterings at surfaces so far; None: there is no fog
 
     def kept(self, rows: Any) -> Paths:
         return Paths(*(None if one is None else dr.gather(type(one), one, rows) for one in vars(self).values()))
@@ -285,6 +289,8 @@ class PathTracer:
         with using(tracer.variant):
             self._surfaces = Surfaces(tracer)
             self._fog = Fog(tracer.spec.fog, tracer.origin_m) if tracer.spec.fog else None
+            lowest_m = float(tracer.spec.terrain.mesh.vertices_m[:, 2].min()) - float(tracer.origin_m[2])
+            self._deepest = dr.opaque(mi.Float, lowest_m - _BELOW_GROUND_M)
 
     def show(self, channels: Channels) -> None:
         """Have the surfaces and lights of these channels."""
@@ -334,11 +340,13 @@ class PathTracer:
         if self._sun is not None:
             beyond += dr.select(past, self._sun.seen(rays.direction), 0.0)
         begun = Paths(index, start, rays.direction, mi.Color3f(1.0) + dr.zeros(mi.Color3f, size), hit, *flight)
+        if self._fog is not None:
+            begun = replace(begun, surfaces=dr.zeros(mi.UInt32, size))
         by_sky, by_sun = (dr.zeros(mi.Color3f, size) for _ in range(2))
-        dr.eval(begun.start, begun.direction, begun.carried, hit, *flight, found, past, beyond, by_sky, by_sun)
-        paths = begun.kept(dr.compress(found))
+        dr.eval(*vars(begun).values(), found, past, beyond, by_sky, by_sun)
+        paths = begun.kept(dr.compress(found if self._max_depth > 1 else found & met))
         del begun, rays, hit, start
-        for depth in range(1, self._max_depth):
+        for depth in range(1, self._max_depth if self._fog is None else _MOST_IN_FOG):
             if not dr.width(paths.index):
                 break
             goes_on, paths, own_sky, own_sun = self._round(paths, sequence(paths.index), depth)
@@ -369,19 +377,21 @@ class PathTracer:
         numbers = [one for k in range(self._fog.pairs) for one in sequence.pair(choice + k)]
         flight = self._fog.flights(start, direction, numbers)
         met = flight.distance_m < dr.select(hit.is_valid(), hit.t, FAR_M)
+        # What goes down beyond the terrain's edge never comes back.
+        met &= start.z + direction.z * flight.distance_m > self._deepest
         return [dr.select(met, flight.distance_m, FAR_M), flight.asymmetry], met
 
     def _round(self, paths: Paths, sequence: Sequence, depth: int) -> tuple[Any, Paths, Any, Any]:
         """Whether each path goes on, the paths one scattering later, and what they brought of sky and sun."""
         sky, sun = self._sky, self._sun
-        rays = DeviceRays(paths.direction, mi.Float(1.0), None, None)
-        hits = self._tracer.looked_up(rays, paths.hit, mi.Bool(True))
+        hits = self._tracer.looked_up(DeviceRays(paths.direction, mi.Float(1.0)), paths.hit, mi.Bool(True))
         local = self._surfaces.at(hits)
         surface: Local | Place = local
-        distance_m = hits.distance_m
+        distance_m, in_fog = hits.distance_m, mi.Bool(False)
         if paths.flight_m is not None:
-            surface = Place(local, paths.flight_m < FAR_M, paths.direction, paths.asymmetry)
-            distance_m = dr.select(surface.in_fog, paths.flight_m, distance_m)
+            in_fog = paths.flight_m < FAR_M
+            surface = Place(local, in_fog, paths.direction, paths.asymmetry)
+            distance_m = dr.select(in_fog, paths.flight_m, distance_m)
         point = paths.start + paths.direction * distance_m
         # A hit is as uncertain as the largest number that its place was made of.
         lift = LIFT * dr.maximum(dr.maximum(dr.max(dr.abs(point)), distance_m), 1.0)
@@ -404,7 +414,7 @@ class PathTracer:
         carried = paths.carried * weight
         strength = dr.max(carried)
         by_chance = dr.opaque(mi.Bool, depth >= ROULETTE_DEPTH)
-        likely = dr.select(by_chance, dr.minimum(strength, _MOST_LIKELY), 1.0)
+        likely = dr.select(by_chance, dr.minimum(strength, dr.select(in_fog, 1.0, mi.Float(_MOST_LIKELY))), 1.0)
         goes_on = (strength > 0) & (luck < likely)
         carried *= dr.rcp(dr.maximum(likely, 1e-9))
         ray = leaving(direction)
@@ -425,7 +435,12 @@ class PathTracer:
             found *= own * dr.rcp(dr.maximum(own + sky.density(direction), 1e-30))
         by_sky += dr.select(away, found, 0.0)
         later = Paths(paths.index, ray.o, direction, carried, hit, *flight)
-        return goes_on & (hit.is_valid() | met), later, by_sky, by_sun
+        may_scatter = hit.is_valid()
+        if paths.surfaces is not None:
+            count = paths.surfaces + dr.select(in_fog, mi.UInt32(0), 1)
+            later = replace(later, surfaces=count)
+            may_scatter &= count + 1 < dr.opaque(mi.UInt32, self._max_depth)
+        return goes_on & (may_scatter | met), later, by_sky, by_sun
 
     def _through(self, point: Any, direction: Any) -> Any:
         """Share of the light of the sky, or the sun, that fog lets through to points."""

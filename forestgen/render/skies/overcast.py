@@ -92,7 +92,8 @@ def _night_illuminance(sky: Sky) -> float:
     result = share * illuminance(night_of(replace(sky, moon=None)).daylight.on_level)
     if moon is not None:
         sun = load_table("standards/spctrl2")["sun"]
-        light = Spectrum(sun.wavelength_nm, sun.value * moonlight_share(moon.phase_angle_deg, sun.wavelength_nm))
+        share_of_sun = moonlight_share(moon.phase_angle_deg, sun.wavelength_nm, moon.distance_km)
+        light = Spectrum(sun.wavelength_nm, sun.value * share_of_sun)
         result += overcast_illuminance(moon.elevation_deg) * illuminance(light) / illuminance(sun)
     return result
 

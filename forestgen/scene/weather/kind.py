@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import DrawnRecipe
@@ -20,6 +21,7 @@ from forestgen.scene.terrain import HeightField
 
 KeysT = TypeVar("KeysT", bound=Weather)
 Place = tuple[str | int, ...]
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,10 @@ class WeatherKind(Generic[KeysT]):
     def check(self, keys: KeysT, drawn: DrawnRecipe, place: Place) -> None:
         """Raise `RecipeError`, before the simulation, for what the recipe cannot have."""
 
+    def raised_m(self, keys: KeysT, drawn: DrawnRecipe, place_m: Floats) -> Floats:
+        """(N,) by how much it raises the ground at places (N, 2), metres."""
+        return np.zeros(len(place_m))
+
     def on(self, keys: KeysT, spec: SceneSpec, request: WeatherRequest) -> SceneSpec:
         """The scene in this weather."""
         raise NotImplementedError
@@ -56,15 +62,25 @@ class WeatherKind(Generic[KeysT]):
 
 def check_weather(drawn: DrawnRecipe) -> None:
     """Raise `RecipeError` for weather that a recipe cannot have, before anything is simulated."""
+    names = [keys.what for keys in drawn.recipe.weather]
     for index, keys in enumerate(drawn.recipe.weather):
+        if keys.what in names[:index]:
+            problem, where = f"the weather has two parts {keys.what}", drawn.where("weather", index, "what")
+            raise RecipeError(problem, where=where, expected="each kind once", got=keys.what, hint="leave one out")
         WEATHER.load(keys.what).check(keys, drawn, ("weather", index))
 
 
 def in_weather(spec: SceneSpec, drawn: DrawnRecipe, ground: HeightField) -> SceneSpec:
-    """A finished scene in its recipe's weather."""
-    for index, keys in enumerate(drawn.recipe.weather):
+    """A finished scene in its recipe's weather: parts in the order of their names, so snow is last and dry."""
+    for index, keys in sorted(enumerate(drawn.recipe.weather), key=lambda part: part[1].what):
         spec = WEATHER.load(keys.what).on(keys, spec, WeatherRequest(drawn, ground, ("weather", index)))
     return spec
+
+
+def raised_m(drawn: DrawnRecipe, place_m: Floats) -> Floats:
+    """(N,) by how much the weather raises the ground at places (N, 2), metres."""
+    kinds = [(WEATHER.load(keys.what), keys) for keys in drawn.recipe.weather]
+    return sum((kind.raised_m(keys, drawn, place_m) for kind, keys in kinds), np.zeros(len(place_m)))
 
 
 def weather_notes(drawn: DrawnRecipe) -> list[str]:

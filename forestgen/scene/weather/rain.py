@@ -40,7 +40,7 @@ from forestgen.recipe.registries import SKIES
 from forestgen.recipe.weather import Weather
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Falling, FogLayer, Material, SceneSpec, Terrain, WetGround
-from forestgen.scene.surfaces import wet_spectrum
+from forestgen.scene.surfaces import under_film, wet_spectrum
 from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed
 
 _N0_PER_M3_MM = 8000.0
@@ -114,13 +114,17 @@ def wetted(spec: SceneSpec, share: float) -> SceneSpec:
 def _wet(material: Material, share: float) -> Material:
     if max(material.transmittance) > 0:  # leaves: their skin is smooth, and so is the film
         gloss = max(material.gloss, share * _FILM_GLOSS)
-        return replace(material, gloss=gloss, roughness=min(material.roughness, _FILM_ROUGHNESS))
-    if material.reflectance_spectrum is None:
-        return material
-    dry = material.reflectance_spectrum
-    film = wet_spectrum(dry)
-    spectrum = Spectrum(film.wavelength_nm, (1.0 - share) * dry.at(film.wavelength_nm) + share * film.value)
-    colour, _ = colours_of_surface(spectrum, None)
+        roughness = material.roughness + share * (min(material.roughness, _FILM_ROUGHNESS) - material.roughness)
+        return replace(material, gloss=gloss, roughness=roughness)
+    dry, spectrum = material.reflectance_spectrum, None
+    if dry is None:
+        plain = np.array(material.reflectance)
+        red, green, blue = ((1.0 - share) * plain + share * under_film(plain)).tolist()
+        colour = (red, green, blue)
+    else:
+        film = wet_spectrum(dry)
+        spectrum = Spectrum(film.wavelength_nm, (1.0 - share) * dry.at(film.wavelength_nm) + share * film.value)
+        colour, _ = colours_of_surface(spectrum, None)
     texture = material.texture
     if texture is not None:
         factor = np.array(colour) / np.maximum(material.reflectance, 1e-6)
@@ -129,10 +133,13 @@ def _wet(material: Material, share: float) -> Material:
 
 
 def _wet_terrain(terrain: Terrain, share: float) -> Terrain:
-    if terrain.wet is not None or terrain.spectrum is None:
+    if terrain.wet is not None:
         return terrain
-    film = wet_spectrum(terrain.spectrum)
     wet = np.full(len(terrain.mesh.vertices_m), share, np.float32)
+    if terrain.spectrum is None:
+        red, green, blue = under_film(np.array(terrain.mean_colour)).tolist()
+        return replace(terrain, wet=WetGround(wet, (red, green, blue), None))
+    film = wet_spectrum(terrain.spectrum)
     return replace(terrain, wet=WetGround(wet, colours_of_surface(film, None)[0], film))
 
 

@@ -4,8 +4,9 @@
   what is lower is hidden. It has the reflectance of `ground/snow`: fresh dry snow, computed by Kokhanovsky and Zege
   (2004) from the absorption of ice (Warren and Brandt 2008). 40% of the land around lies under it.
 - On plants it lies on sides that face up: on level wood, stones and roofs, and on a share of the leaves and needles,
-  shoot by shoot. Wood holds it up to slopes of 60 to 80 degrees. It takes all light that a leaf would let through. A
-  conifer is white from above and dark from below. It adds no thickness, so masks are those of the plants without it.
+  shoot by shoot. The more of it lies, the steeper is the wood that holds it. It takes all light that a leaf would let
+  through. A conifer is white from above and dark from below. It adds no thickness, so masks are those of the plants
+  without it.
 - Whether broad-leaved trees are bare is the season's: `plants.season: winter`, or a date.
 
 Example
@@ -23,6 +24,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from forestgen.core.randomness import child_rng
@@ -36,6 +38,7 @@ from forestgen.scene.grounds.uneven import SNOW
 from forestgen.scene.spec import SceneSpec, SnowCover
 from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed
 
+Floats = NDArray[np.float64]
 _DRIFT = 0.25  # of the depth: standard deviation
 _WAVES, _WAVE_M = 16, (3.0, 15.0)  # of drifts
 
@@ -44,7 +47,9 @@ class SnowKeys(Weather):
     """Snow that lies."""
 
     depth_m: NonNegative = Field(0.15, le=3, description="Mean depth on the ground, metres; 0: on plants alone.")
-    on_plants: Fraction = Field(0.5, description="Share of level leaves and wood under snow; 0: none.")
+    on_plants: Fraction = Field(
+        0.5, description="Share of level leaves under snow; wood up to 55° steep at 0.5, 81° at 1; 0: none."
+    )
 
 
 class Snow(WeatherKind[SnowKeys]):
@@ -55,8 +60,10 @@ class Snow(WeatherKind[SnowKeys]):
     def check(self, keys: SnowKeys, drawn: DrawnRecipe, place: Place) -> None:
         check_followed(drawn, place)
 
+    def raised_m(self, keys: SnowKeys, drawn: DrawnRecipe, place_m: Floats) -> Floats:
+        return drifts(place_m, keys.depth_m, _rng(drawn))[0]
+
     def on(self, keys: SnowKeys, spec: SceneSpec, request: WeatherRequest) -> SceneSpec:
-        seed = request.drawn.image_seed
         spectrum, far = SNOW.reflectance(), SNOW.far_reflectance()
         colour, far_colour = (colours_of_surface(one, None)[0] for one in (spectrum, far))
         if keys.on_plants > 0:
@@ -65,8 +72,8 @@ class Snow(WeatherKind[SnowKeys]):
             return spec
         terrain = replace(
             spec.terrain,
-            mesh=drifted(spec.terrain.mesh, keys.depth_m, child_rng(seed, "snow_cover", "drifts")),
-            texture=with_mean(SNOW.pattern(child_rng(seed, "snow_cover", "colour")), colour),
+            mesh=drifted(spec.terrain.mesh, keys.depth_m, _rng(request.drawn)),
+            texture=with_mean(SNOW.pattern(child_rng(request.drawn.image_seed, "snow_cover", "colour")), colour),
             spectrum=spectrum,
             far_reflectance=far_colour,
             far_spectrum=far,
@@ -79,19 +86,27 @@ class Snow(WeatherKind[SnowKeys]):
 def drifted(mesh: Mesh, depth_m: float, rng: np.random.Generator) -> Mesh:
     """A terrain's mesh raised by snow."""
     assert mesh.normals is not None
-    place = mesh.vertices_m[:, :2].astype(np.float64)
-    shortest, longest = np.log(_WAVE_M)
-    length, turn = np.exp(rng.uniform(shortest, longest, _WAVES)), rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
-    wave = 2.0 * np.pi / length * np.stack([np.cos(turn[0]), np.sin(turn[0])])
-    size_m = depth_m * _DRIFT * np.sqrt(2.0 / _WAVES)
-    angle = place @ wave + turn[1]
-    deep = np.maximum(depth_m + size_m * np.sin(angle).sum(axis=1), 0.0)
-    slope = size_m * np.cos(angle) @ wave.T * (deep > 0)[:, None]
+    deep, slope = drifts(mesh.vertices_m[:, :2].astype(np.float64), depth_m, rng)
     normals = mesh.normals.astype(np.float64)
     normals = normals / np.maximum(normals[:, 2:], 1e-6) - np.pad(slope, ((0, 0), (0, 1)))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     vertices = mesh.vertices_m + np.pad(deep[:, None], ((0, 0), (2, 0)))
     return replace(mesh, vertices_m=vertices.astype(np.float32), normals=normals.astype(np.float32))
+
+
+def drifts(place_m: Floats, depth_m: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Depth of snow (N,) at places (N, 2), metres, and its slope (N, 2) eastward and northward."""
+    shortest, longest = np.log(_WAVE_M)
+    length, turn = np.exp(rng.uniform(shortest, longest, _WAVES)), rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
+    wave = 2.0 * np.pi / length * np.stack([np.cos(turn[0]), np.sin(turn[0])])
+    size_m = depth_m * _DRIFT * np.sqrt(2.0 / _WAVES)
+    angle = place_m @ wave + turn[1]
+    deep = np.maximum(depth_m + size_m * np.sin(angle).sum(axis=1), 0.0)
+    return deep, size_m * np.cos(angle) @ wave.T * (deep > 0)[:, None]
+
+
+def _rng(drawn: DrawnRecipe) -> np.random.Generator:
+    return child_rng(drawn.image_seed, "snow_cover", "drifts")
 
 
 KIND = Snow()

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from forestgen.render.falling import coverage
-from forestgen.scene.spec import Falling
-from forestgen.scene.weather.rain import extinction_per_m, fall_m_per_s, slope_per_mm
-from support.scenes import camera_at
+from forestgen.scene.projection import image_circle
+from forestgen.scene.spec import Falling, Material
+from forestgen.scene.surfaces import under_film
+from forestgen.scene.weather.rain import extinction_per_m, fall_m_per_s, slope_per_mm, wetted
+from support.scenes import camera_at, plain_ground, scattered_scene
 
 
 def test_drops_are_as_many_as_fall_and_dim_the_air() -> None:
@@ -34,6 +38,35 @@ def test_streaks_cover_as_much_as_the_drops_themselves(shutter_s: float) -> None
     covered = coverage(falling(shutter_s), camera, np.full((160, 240), np.inf, np.float32), rng)
     square_m2 = (2.0**2 + 2.0 * 2.0 * 0.5 + 2.0 * 0.5**2) * 1e-6
     assert covered.mean() == pytest.approx(60.0 * 11.0 * np.pi / 4.0 * square_m2, rel=0.15)
+
+
+def test_parallel_rays_see_a_slab_of_drops() -> None:
+    camera = replace(camera_at((0.0, 0.0, 2.0), (0.0, 50.0, 2.0), (240, 160), 60.0), projection="orthographic")
+    camera = replace(camera, width_m=6.0)
+    covered = coverage(falling(0.01), camera, np.full((160, 240), np.inf, np.float32), np.random.default_rng(5))
+    square_m2 = (2.0**2 + 2.0 * 2.0 * 0.5 + 2.0 * 0.5**2) * 1e-6
+    assert covered.mean() == pytest.approx(60.0 * 11.0 * np.pi / 4.0 * square_m2, rel=0.15)
+
+
+def test_no_drop_falls_outside_of_a_fisheyes_circle() -> None:
+    camera = camera_at((0.0, 0.0, 2.0), (0.0, 0.1, 50.0), (160, 160), 180.0)
+    camera = replace(camera, projection="fisheye", hfov_deg=180.0)
+    covered = coverage(falling(0.01), camera, np.full((160, 160), np.inf, np.float32), np.random.default_rng(5))
+    assert covered[~image_circle(camera)].max() == 0.0
+    assert covered[image_circle(camera)].mean() > 0.0
+
+
+def test_what_has_no_spectrum_gets_wet_and_smooth_by_share() -> None:
+    bark, leaf = Material((0.3, 0.2, 0.1)), Material((0.1, 0.2, 0.1), (0.1, 0.2, 0.1), roughness=0.65)
+    spec = scattered_scene(1, exemplars=1, leaves=4, terrain=plain_ground(-5.0, 5.0, albedo=0.3))
+    spec = replace(spec, materials={"bark": bark, "leaf": leaf})
+    half, all_wet = wetted(spec, 0.5), wetted(spec, 1.0)
+    assert all_wet.materials["bark"].reflectance == pytest.approx(under_film(np.array(bark.reflectance)).tolist())
+    mean = (np.array(bark.reflectance) + all_wet.materials["bark"].reflectance) / 2.0
+    assert half.materials["bark"].reflectance == pytest.approx(mean.tolist())
+    assert half.materials["leaf"].roughness == pytest.approx((0.65 + all_wet.materials["leaf"].roughness) / 2.0)
+    assert half.terrain.wet is not None
+    assert half.terrain.wet.reflectance[0] < 0.3
 
 
 def test_a_near_surface_hides_them() -> None:

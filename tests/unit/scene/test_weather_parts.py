@@ -1,0 +1,69 @@
+"""Parts of the weather together: their order, what they do to cameras, and what knows no weather."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from forestgen.core.errors import RecipeError
+from forestgen.recipe.load import DrawnRecipe, load_recipe_data
+from forestgen.render.cloud_shadow import check_far_clouds
+from forestgen.scene.spec import SceneSpec
+from forestgen.scene.terrain import HeightField
+from forestgen.scene.views import Views
+from forestgen.scene.weather.kind import check_weather, in_weather
+from support.scenes import plain_ground, scattered_scene
+
+FOG, RAIN, SNOW = {"what": "ground_fog"}, {"what": "rain"}, {"what": "snow_cover", "depth_m": 2}
+RECIPE = {
+    "forestgen": 1,
+    "species": {"poplar": None},
+    "community": {"model": "multiset_lsystem", "program": "succession", "steps": 1},
+    "site": {"size_m": [40, 40]},
+}
+
+
+def drawn_in(*weather: object, **sections: object) -> DrawnRecipe:
+    return load_recipe_data({**RECIPE, "weather": list(weather), **sections}, "stand").draw(0)
+
+
+def scene_in(*weather: object) -> SceneSpec:
+    spec = scattered_scene(1, exemplars=1, leaves=4, terrain=plain_ground(-40.0, 80.0, albedo=0.3))
+    normals = np.tile(np.float32([0.0, 0.0, 1.0]), (len(spec.terrain.mesh.vertices_m), 1))
+    spec = replace(spec, terrain=replace(spec.terrain, mesh=replace(spec.terrain.mesh, normals=normals)))
+    return in_weather(spec, drawn_in(*weather), HeightField((40.0, 40.0)))
+
+
+def test_the_order_of_the_list_is_the_same_scene() -> None:
+    """And snow that lies stays dry in rain."""
+    one, other = scene_in(FOG, RAIN, SNOW), scene_in(SNOW, RAIN, FOG)
+    assert one.fog == other.fog
+    assert one.terrain.wet is other.terrain.wet is None
+    assert np.array_equal(one.terrain.texture, other.terrain.texture)
+
+
+def test_a_kind_twice_is_refused() -> None:
+    with pytest.raises(RecipeError, match="two parts rain") as refused:
+        check_weather(drawn_in(RAIN, FOG, RAIN))
+    assert "weather.2.what" in str(refused.value)
+
+
+def test_a_camera_in_the_snow_is_told() -> None:
+    camera = {"position_m": [10, 10, 1.2], "look_at_m": [20, 30, 2]}
+    with pytest.raises(RecipeError, match="below the snow"):
+        Views.of(drawn_in(SNOW, cameras=[camera])).check_above_ground()
+    noted = Views.of(drawn_in(SNOW, cameras=[{**camera, "obstructed": "note", "name": "mole"}]))
+    noted.check_above_ground()
+    assert noted.below_ground == {"mole": "the snow"}
+    Views.of(drawn_in({**SNOW, "depth_m": 0.3}, cameras=[camera])).check_above_ground()
+
+
+@pytest.mark.parametrize("weather", [FOG, RAIN, SNOW])
+def test_light_that_knows_no_weather_refuses_it(weather: dict[str, object]) -> None:
+    with pytest.raises(RecipeError, match="fog, rain or snow"):  # light meter and colour chart
+        check_far_clouds(scene_in(weather), (0.0, 0.0, 1.0))
+    clouds = {"sky": {"clouds": {"type": "noise", "cover": 0.3}}, "render": {"clouds": "exact"}}
+    with pytest.raises(RecipeError, match="meets no other weather"):
+        check_weather(drawn_in(weather, **clouds))
