@@ -77,3 +77,10 @@ def test_drifts_have_their_mean_depth() -> None:
     assert 0.02 < depth.std() < 0.08
     assert raised.normals is not None
     assert np.allclose(np.linalg.norm(raised.normals, axis=1), 1.0, atol=1e-5)
+
+
+def test_snow_is_the_plants_own_wherever_its_row() -> None:
+    spec = stand(True, 0.5)
+    shuffled = replace(spec, instances=spec.instances.at(np.random.default_rng(4).permutation(60)))
+    (_, one), (_, other) = seen(spec), seen(shuffled)
+    assert np.array_equal(one.albedo, other.albedo)
