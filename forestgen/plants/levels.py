@@ -43,7 +43,7 @@ _DIRECTIONS = 200
 TRIANGLE_PIXELS = 0.7  # sheets up to this long become triangles
 _SMALLEST = 0.15  # of the largest sheet's area: smaller ones lend theirs to the others
 _FEWEST_SHEETS = 24  # of an organ with many; fewer would cover one another less
-_LONGER = 1.2  # a triangle than its sheet: so they hide one another as the sheets do (measured: spruce, poplar)
+_LONGER = 1.12  # a triangle than its sheet: so they hide one another as the sheets do (measured: spruce, poplar)
 _ROUNDEST = 1.15  # greatest width over length of a triangle: equal sides
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 from forestgen.core.parts import Part
 from forestgen.dataset import png
 from forestgen.dataset.formats import points
-from forestgen.dataset.tonemap import tone_map
+from forestgen.dataset.tonemap import preview_of
 
 
 def placed(labelled, offset_m=(0.0, 0.0, 0.0), spread_m=50.0):
@@ -65,7 +65,7 @@ def test_both_files_hold_what_the_pixels_see(tmp_path, wide_shot, stride):
 
 def test_colours_are_the_previews(tmp_path, shot):
     ply, laz = write(tmp_path, placed(shot.labelled))
-    png.write_png(tmp_path / "preview.png", tone_map(shot.frame.radiance.denoised))
+    png.write_png(tmp_path / "preview.png", preview_of(shot.frame.radiance).picture)
     with Image.open(tmp_path / "preview.png") as picture:
         preview = np.asarray(picture)
     vertices, cloud = ply_records(ply), laspy.read(laz)

@@ -139,4 +139,4 @@ def test_frames_below_the_ground_are_named() -> None:
     with raises_error(RecipeError, place="cameras.0.path.position_m"):
         check_plan(load_recipe(QUICKSTART, [down]))
     plan = check_plan(load_recipe(QUICKSTART, [down, "cameras.0.obstructed=note"]))
-    assert plan.views.below_ground == ["camera0-0002", "camera0-0003"]
+    assert list(plan.views.below_ground) == ["camera0-0002", "camera0-0003"]

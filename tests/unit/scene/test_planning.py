@@ -64,7 +64,7 @@ def test_a_barren_recipe_has_no_plants_and_another_may() -> None:
     ],
 )
 def test_cameras_below_the_ground_are_named(override: str, below: list[str]) -> None:
-    assert planned("site.terrain=rolling", override).views.below_ground == below
+    assert list(planned("site.terrain=rolling", override).views.below_ground) == below
 
 
 MORE = {
