@@ -24,7 +24,7 @@ site's, or the first. So the stand is the site's in its composition and structur
 
 Triangles of far meshes have about `GRAIN_M2`, those of squares are at most `SQUARE_TRIANGLES`: coarser ones hide less
 of each other, so that a forest of them is brighter. Measured in four views over whole trees: beeches of 1 m2 by 12 to
-27%, of 0.02 m2 by at most 4%; spruces of 1 m2 by 23 to 61%, of 0.02 m2 by 2 to 3% in level views, 18 to 27% from above.
+27%, of 0.07 m2 by 1 to 11%; spruces of 1 m2 by 23 to 61%, of 0.07 m2 by 1 to 7% in level views, 17 and 32% from above.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ MOST_BLOCKS = 8
 UNEVEN, UNEVEN_M, UNEVEN_REACHES = 0.05, 0.15, 4.0
 FAR_BLOCKS, LOW_FAR_BLOCKS, FAR_M = 16, 8, 1000.0
 APART, _LEAST_SEEN = 0.35, 0.02
-GRAIN_M2, _MOST_TRIANGLES, SQUARE_TRIANGLES = 0.03, 1_000_000, 500_000
+GRAIN_M2, _MOST_TRIANGLES, SQUARE_TRIANGLES = 0.06, 1_000_000, 500_000
 _MOST_LEAVES = 12.0  # m2 over a square metre of the site, for the estimate of memory
 
 Bools = NDArray[np.bool_]
