@@ -2,8 +2,8 @@
 
 uv run python docs/contact_sheet.py [NAME ...] [--out FOLDER] [--width 480] [--samples 64]
 
-Renders the views into a folder, each with its recipe and files, and puts them on contact_sheet.jpg there: about an hour
-on two cores. With names, it renders these again and takes the others from the folder as they are.
+Renders the views into a folder, each with its recipe and files, and puts them on contact_sheet.jpg there: one to five
+minutes a view. With names, it renders these again and takes the others from the folder as they are.
 """
 
 from __future__ import annotations

@@ -116,7 +116,7 @@ class Beyond:
         side, count = lattice.side_m, lattice.count
         many = count * np.maximum(np.round(SQUARE_M / (side * count)), 1).astype(np.intp)
         # Square (0, 0) holds the site; distances to it are a little less than those to the site.
-        at, apart = copied_blocks(many * side, np.ones(2, dtype=np.intp), WOODS_M)
+        at, apart = copied_blocks(many * side, np.ones(2, dtype=np.intp), WOODS_M if cameras else 0.0)
         plane, miss_m = lattice.planes(at, many)
         whole = (apart >= far_m) & (miss_m < UNEVEN_SEEN * apart)
         variant = np.arange(len(at)) % (1 if lattice.rng is None else SQUARE_VARIANTS)
