@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 from pydantic import Field, SerializeAsAny
 
@@ -18,13 +18,18 @@ class GroundLayer(fields.PartSection):
 
     registry = GROUND_LAYERS
     selector = "what"
+    is_painted: ClassVar[bool] = False  # nothing of it is drawn: it is a colour of the ground
 
     what: Annotated[fields.Text, Field(description="What lies or grows there.")]
     cover: fields.Number = Field(
         0.5, gt=0, le=DENSEST, description="Share of the ground that it hides, seen from above; mean over the site."
     )
     patch_m: fields.Positive | None = Field(
-        None, ge=0.5, le=1000, description="Size of its patches, metres. Default: as dense everywhere."
+        None,
+        ge=0.5,
+        le=1000,
+        description="Size of its patches, metres. Where it is painted, patches of more than 12 m do not show. "
+        "Default: as dense everywhere.",
     )
 
 

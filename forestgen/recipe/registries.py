@@ -84,6 +84,8 @@ GROUND_COVERS = Registry(
     "ground cover",
     {
         "litter": ("forestgen.scene.grounds.litter:COVER", "fallen leaves and moss"),
+        "needle_litter": ("forestgen.scene.grounds.uneven:NEEDLES", "fallen needles"),
+        "dead_grass": ("forestgen.scene.grounds.uneven:DEAD_GRASS", "dead grass"),
         "soil_dry": ("forestgen.scene.grounds.uneven:SOIL_DRY", "dry soil"),
         "soil_wet": ("forestgen.scene.grounds.uneven:SOIL_WET", "wet soil"),
         "grass": ("forestgen.scene.grounds.uneven:GRASS", "grass"),
@@ -102,6 +104,7 @@ GROUND_LAYERS = Registry(
         "twigs": (f"{_LAYERS}.twigs:LAYER", "dead twigs and small branches"),
         "stones": (f"{_LAYERS}.stones:LAYER", "stones and boulders"),
         "moss": (f"{_LAYERS}.moss:LAYER", "cushions and carpets of moss"),
+        "bare_soil": (f"{_LAYERS}.bare_soil:LAYER", "patches where sand, soil or rock shows"),
         "small_plants": (
             f"{_LAYERS}.small_plants:LAYER",
             "small plants of a species: grass, herbs, seedlings, dwarf shrubs",

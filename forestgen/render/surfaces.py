@@ -33,7 +33,7 @@ from forestgen.core.parts import Part
 from forestgen.render.variant import mi
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Material, Terrain
-from forestgen.scene.surfaces import bare_factor, film_factor
+from forestgen.scene.surfaces import film_factor, ground_texture
 
 Floats = NDArray[np.float64]
 SPHERE_DEG = 8.0  # from which an integrating sphere is lit
@@ -315,15 +315,13 @@ def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
     """Diffuse ground: the terrain's texture on the site, darker where it is wet, one colour in the distance; without
     what lies on it where that is geometry.
     """
-    colour = np.maximum(channels.texture(terrain.texture, terrain.mean_colour, terrain.spectrum), 0.0)
-    near = _bare_and_painted(terrain, colour, channels)
+    near = _bare_and_painted(terrain, channels, np.ones(3))
     if terrain.wet is not None:
-        film = film_factor(terrain, channels).astype(np.float32)
         near = {
             "type": "blendbsdf",
             "weight": {"type": "mesh_attribute", "name": "vertex_wet_share"},
             "dry": near,
-            "wet": _bare_and_painted(terrain, colour * film, channels),
+            "wet": _bare_and_painted(terrain, channels, film_factor(terrain, channels)),
         }
     far_share = {"type": "mesh_attribute", "name": "vertex_far_share"}
     far_colour = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
@@ -331,14 +329,15 @@ def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": {"type": "blendbsdf", "weight": far_share, "near": near, "far": far}}
 
 
-def _bare_and_painted(terrain: Terrain, colour: NDArray[np.float32], channels: Channels) -> dict[str, Any]:
+def _bare_and_painted(terrain: Terrain, channels: Channels, factor: NDArray[np.float64]) -> dict[str, Any]:
+    film = factor.astype(np.float32)
     if terrain.bare is None:
-        return _painted_ground(colour)
+        return _painted_ground(film * ground_texture(terrain, channels))
     return {
         "type": "blendbsdf",
         "weight": {"type": "mesh_attribute", "name": "vertex_bare_share"},
-        "painted": _painted_ground(colour),
-        "unpainted": _painted_ground(colour * bare_factor(terrain, channels).astype(np.float32)),
+        "painted": _painted_ground(film * ground_texture(terrain, channels)),
+        "unpainted": _painted_ground(film * ground_texture(terrain.bare, channels)),
     }
 
 

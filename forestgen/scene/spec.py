@@ -85,13 +85,50 @@ class WetGround:
     spectrum: Spectrum | None  # of which it is the colour; None: the colour is all
 
 
-@dataclass(frozen=True)
+def _mean_colour(texture: NDArray[np.float32]) -> tuple[float, float, float]:
+    red, green, blue = (float(value) for value in texture.mean(axis=(0, 1), dtype=np.float64))
+    return red, green, blue
+
+
+@dataclass(frozen=True, eq=False)
+class GroundPatches:
+    """Patches of one reflectance on the ground's texture."""
+
+    amount: NDArray[np.float32]  # (H, W) share of the texel times its brightness, of mean 1
+    reflectance: tuple[float, float, float]  # linear Rec. 709
+    spectrum: Spectrum
+
+
+@dataclass(frozen=True, eq=False)
+class GroundMixture:
+    """What a texture of the ground consists of: each part has its own reflectance in every channel."""
+
+    base: NDArray[np.float32]  # (H, W, 3) the ground's own texture, less what patches hide
+    reflectance: tuple[float, float, float]  # mean of the ground's own texture
+    spectrum: Spectrum  # of that mean
+    patches: tuple[GroundPatches, ...]
+
+    def image(self) -> NDArray[np.float32]:
+        """(H, W, 3) linear Rec. 709 of all parts."""
+        out = self.base.copy()
+        for one in self.patches:
+            out += one.amount[..., None] * np.array(one.reflectance, dtype=np.float32)
+        return np.minimum(out, np.float32(1.0))
+
+
+@dataclass(frozen=True, eq=False)
 class BareGround:
-    """The ground without what lies on it, which shows where that is geometry; scene/ground_cover.py."""
+    """The ground without what lies on it, which shows where that is geometry; scene/ground_paint.py."""
 
     share: NDArray[np.float32]  # (V,) by vertex: 0 painted with what lies there, 1 bare between the things
-    reflectance: tuple[float, float, float]  # mean colour, linear Rec. 709
-    spectrum: Spectrum  # of which it is the colour
+    texture: NDArray[np.float32]  # as of `Terrain`
+    spectrum: Spectrum  # of the texture's mean colour
+    mixture: GroundMixture | None = None
+
+    @cached_property
+    def mean_colour(self) -> tuple[float, float, float]:
+        """Mean of the texture, linear Rec. 709."""
+        return _mean_colour(self.texture)
 
 
 @dataclass(frozen=True)
@@ -106,12 +143,12 @@ class Terrain:
     far_spectrum: Spectrum | None = None
     wet: WetGround | None = None  # None: dry, or nobody knows
     bare: BareGround | None = None  # None: painted everywhere
+    mixture: GroundMixture | None = None  # of the texture; None: it is all of one spectrum
 
     @cached_property
     def mean_colour(self) -> tuple[float, float, float]:
         """Mean of the texture, linear Rec. 709."""
-        red, green, blue = (float(value) for value in self.texture.mean(axis=(0, 1), dtype=np.float64))
-        return red, green, blue
+        return _mean_colour(self.texture)
 
 
 @dataclass(frozen=True)

@@ -181,9 +181,10 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     textured = hits.valid & (first != NONE)
     u, v = vertex_uv(tracer, hits, corners, textured)
     offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
-    colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
-    of_ground = tracer.table.far_albedo, tracer.table.film_factor, tracer.table.bare_factor
-    shown = ground_colour(tracer, hits, corners, colour, of_ground)
+    places = bilinear_places(offset, width, height, u, v)
+    colour = dr.select(textured, weighted_sum(mi.Color3f, tracer.table.texel, places, textured), mean)
+    bare = bare_colour(hits, textured, tracer.table.texel, tracer.table.bare_from, places)
+    shown = ground_colour(tracer, hits, corners, colour, bare, (tracer.table.far_albedo, tracer.table.film_factor))
     if tracer.spec.snow is not None:
         shown = dr.select(under_snow(tracer, hits).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
     return dr.select(hits.valid, shown, 0.0)
@@ -221,23 +222,34 @@ def under_snow(tracer: SceneTracer, hits: Hits) -> UnderSnow:
     return UnderSnow(covered, covered & (up > 0))
 
 
-def ground_colour(
-    tracer: SceneTracer, hits: Hits, corners: Places, colour: Any, of_ground: tuple[Any, Any, Any]
-) -> Any:
-    """`colour` of hits; the ground's is dimmed where it is wet, that of the distance where it lies far, and its own
-    between things that lie on it.
+def bare_colour(hits: Hits, textured: Any, texel: Any, first: Any | None, places: Places) -> Any | None:
+    """What the ground's texture is at hits without what lies on it; None: nothing does as geometry.
 
-    `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factors of a film of water and of
-    bare ground.
+    `first`: texel of the bare ground's texture; `places`: in the ground's.
+    """
+    if first is None:
+        return None
+    return weighted_sum(mi.Color3f, texel, [(w, row + first) for w, row in places], textured & (hits.instance == 0))
+
+
+def ground_colour(
+    tracer: SceneTracer, hits: Hits, corners: Places, colour: Any, bare: Any | None, of_ground: tuple[Any, Any]
+) -> Any:
+    """`colour` of hits; the ground's is `bare` between things that lie on it, dimmed where it is wet, and that of the
+    distance where it lies far.
+
+    `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factor of a film of water.
     """
     ground = hits.valid & (hits.instance == 0)
-    far_colour, film_factor, bare_factor = of_ground
+    far_colour, film_factor = of_ground
     far = dr.clip(weighted_sum(mi.Float, tracer.table.far_share, corners, ground), 0.0, 1.0)
     near = colour
-    for share, factor in ((tracer.table.wet_share, film_factor), (tracer.table.bare_share, bare_factor)):
-        if share is not None:
-            here = dr.clip(weighted_sum(mi.Float, share, corners, ground), 0.0, 1.0)
-            near = near * (1.0 - here * (1.0 - factor))
+    if bare is not None:
+        share = dr.clip(weighted_sum(mi.Float, tracer.table.bare_share, corners, ground), 0.0, 1.0)
+        near = near + share * (bare - near)
+    if tracer.table.wet_share is not None:
+        wet = dr.clip(weighted_sum(mi.Float, tracer.table.wet_share, corners, ground), 0.0, 1.0)
+        near = near * (1.0 - wet * (1.0 - film_factor))
     return dr.select(ground, near * (1.0 - far) + far_colour * far, colour)
 
 
@@ -251,13 +263,10 @@ def vertex_uv(tracer: SceneTracer, hits: Hits, corners: Places, textured: Any) -
     return u, v
 
 
-def bilinear(texel: Any, first: Any, width: Any, height: Any, u: Any, v: Any, active: Any) -> Any:
-    """Colours of repeating textures as in Mitsuba's `bitmap`: texel centres at (i + 0.5) / width, row 0 at v = 0."""
-    return weighted_sum(mi.Color3f, texel, bilinear_places(first, width, height, u, v), active)
-
-
 def bilinear_places(first: Any, width: Any, height: Any, u: Any, v: Any) -> Places:
-    """Weights and rows of the four texels around a place of a repeating texture."""
+    """Weights and rows of the four texels around a place of a repeating texture, as of Mitsuba's `bitmap`: their
+    centres lie at (i + 0.5) / width, row 0 at v = 0.
+    """
     x, y = ((t - dr.floor(t)) * mi.Float(size) - 0.5 for t, size in ((u, width), (v, height)))
     left, low = mi.Int32(dr.floor(x)), mi.Int32(dr.floor(y))
     columns, rows = mi.Int32(width), mi.Int32(height)

@@ -23,7 +23,7 @@ from forestgen.render.variant import LLVM, dr, mi, on_device, require, tracing_v
 from forestgen.scene.colour import RGB
 from forestgen.scene.projection import DeviceRays, Projection, Rays, projection_of
 from forestgen.scene.spec import Camera, Material, SceneSpec
-from forestgen.scene.surfaces import bare_factor, film_factor
+from forestgen.scene.surfaces import film_factor
 
 # Steps of the R2 sequence (Roberts 2018) in units of 2^-32: powers of the inverse of the real root of x^3 = x + 1.
 LENS_STEPS = (3242174889, 2447445414)
@@ -57,7 +57,7 @@ class HitTables:
     wet_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is wet
     film_factor: tuple[float, float, float]  # of the wet ground's albedo
     bare_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is bare
-    bare_factor: tuple[float, float, float]  # of the bare ground's albedo
+    bare_from: int | None  # first texel of the bare ground; None: none is bare
 
     @property
     def nbytes(self) -> int:
@@ -102,7 +102,11 @@ def hit_tables(spec: SceneSpec) -> HitTables:
     uvs = [None if image is None else uv for uv, image in zip(uvs, images, strict=True)]
     # Normals go with the inverse transpose; for a rotation times a uniform scale that is the matrix itself up to scale.
     inverse_transpose = np.linalg.inv(spec.instances.transform[:, :, :3]).transpose(0, 2, 1)
-    wet, bare = (tuple(of(terrain, RGB).tolist()) for of in (film_factor, bare_factor))
+    texels = [image.reshape(-1, 3) for image in shown.values()]
+    bare_from = None if terrain.bare is None else sum(len(one) for one in texels)
+    if terrain.bare is not None:
+        texels.append(terrain.bare.texture.reshape(-1, 3))
+    film_red, film_green, film_blue = film_factor(terrain, RGB).tolist()
     return HitTables(
         plant_id=np.concatenate([[0], spec.instances.plant_id]).astype(np.uint32),
         exemplar=np.concatenate([[0], np.where(spec.instances.plant_id, spec.instances.exemplar + 1, 0)]).astype(
@@ -123,13 +127,13 @@ def hit_tables(spec: SceneSpec) -> HitTables:
             [(0, 0, 0) if one is None else (first_texel[id(one)], one.shape[1], one.shape[0]) for one in images],
             dtype=np.uint32,
         ),
-        texel=_joined([image.reshape(-1, 3) for image in shown.values()], 3),
+        texel=_joined(texels, 3),
         far_share=np.asarray(terrain.far_share, dtype=np.float32),
         far_albedo=terrain.far_reflectance,
         wet_share=None if terrain.wet is None else terrain.wet.share,
-        film_factor=wet,
+        film_factor=(film_red, film_green, film_blue),
         bare_share=None if terrain.bare is None else terrain.bare.share,
-        bare_factor=bare,
+        bare_from=bare_from,
     )
 
 
@@ -152,11 +156,13 @@ def _joined(blocks: Sequence[NDArray[np.float32] | None], width: int) -> NDArray
 
 
 def uploaded(tables: Any) -> Any:
-    """The fields of a dataclass on the device: arrays flat, and colours as opaque values."""
+    """The fields of a dataclass on the device: arrays flat, and numbers and colours as opaque values."""
     fields: dict[str, Any] = {}
     for name, value in vars(tables).items():
         if isinstance(value, tuple):
             fields[name] = mi.Color3f(*[dr.opaque(mi.Float, float(one)) for one in value])
+        elif isinstance(value, int):
+            fields[name] = dr.opaque(mi.UInt32, value)
         elif value is not None:
             is_float = value.dtype.kind == "f"
             fields[name] = mi.Float(value.ravel()) if is_float else mi.UInt32(value.astype(np.uint32).ravel())

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.identity.surface import (
+    bare_colour,
     bilinear_places,
     corners_of,
     ground_colour,
@@ -23,7 +24,7 @@ from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import dr, mi
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import SceneSpec
-from forestgen.scene.surfaces import bare_factor, film_factor
+from forestgen.scene.surfaces import film_factor, ground_texture
 
 Array = NDArray[np.float32]
 
@@ -49,7 +50,7 @@ class Paint:
     texel: Array  # (T, 3) reflected evenly, in place of `matt`
     far: tuple[float, float, float]  # of the ground in the distance
     film_factor: tuple[float, float, float]  # of the wet ground's colour
-    bare_factor: tuple[float, float, float]  # of the bare ground's colour
+    bare_from: int | None  # first texel of the bare ground; None: none is bare
 
 
 def relief_tables(spec: SceneSpec) -> ReliefTables:
@@ -97,8 +98,8 @@ def face_tangents(mesh: Mesh) -> Array:
 def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
     """All surfaces of a scene in three channels."""
     terrain = spec.terrain
-    ground = channels.texture(terrain.texture, terrain.mean_colour, terrain.spectrum)
-    texels = [np.maximum(ground, 0.0).reshape(-1, 3)]
+    ground = ground_texture(terrain, channels)
+    texels = [ground.reshape(-1, 3)]
     matt, through, gloss, chance = [ground.mean(axis=(0, 1))], [np.zeros(3)], [np.zeros(3)], [np.zeros(2)]
     known: set[int] = set()
     for part, mesh, material in organs_of(spec):
@@ -113,7 +114,11 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
         gloss.append(np.zeros(3) if lobe is None else np.array([sides.gloss / lobe.albedo, lobe.alpha, lobe.index]))
         chance.append(np.array([passing if sides.through.any() else 0.0, 0.0 if lobe is None else glossy]))
     far_red, far_green, far_blue = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
-    wet, bare = (tuple(of(terrain, channels).tolist()) for of in (film_factor, bare_factor))
+    bare_from = None
+    if terrain.bare is not None:  # last, for the tables of reliefs count the texels before
+        bare_from = sum(len(one) for one in texels)
+        texels.append(ground_texture(terrain.bare, channels).reshape(-1, 3))
+    film_red, film_green, film_blue = film_factor(terrain, channels).tolist()
     return Paint(
         np.asarray(matt, np.float32),
         np.asarray(through, np.float32),
@@ -121,8 +126,8 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
         np.asarray(chance, np.float32),
         np.concatenate(texels, dtype=np.float32),
         (far_red, far_green, far_blue),
-        wet,
-        bare,
+        (film_red, film_green, film_blue),
+        bare_from,
     )
 
 
@@ -253,8 +258,8 @@ class Surfaces:
         places = bilinear_places(offset, width, height, u, v)
         colour = weighted_sum(mi.Color3f, self._paint.texel, places, textured)
         relief = weighted_sum(mi.Vector3f, self._relief.normal, places, textured)
-        of_ground = self._paint.far, self._paint.film_factor, self._paint.bare_factor
-        colour = ground_colour(tracer, hits, corners, colour, of_ground)
+        bare = bare_colour(hits, textured, self._paint.texel, self._paint.bare_from, places)
+        colour = ground_colour(tracer, hits, corners, colour, bare, (self._paint.far, self._paint.film_factor))
         matt = dr.select(textured, colour, matt)
         through = dr.gather(mi.Color3f, self._paint.through, hits.organ, valid)
         gloss = dr.gather(mi.Vector3f, self._paint.gloss, hits.organ, valid)
