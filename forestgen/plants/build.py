@@ -16,6 +16,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.dead_branches import dead_branches
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.forks import forked
 from forestgen.plants.grown import ModuleWood
 from forestgen.plants.leaf_fall import with_leaves
 from forestgen.plants.levels import simplified
@@ -96,6 +97,8 @@ def build_exemplar(
     if tree is None:
         fitted = fit(skeleton, templates, plant.fit, height_m, width_m)
     else:
+        if plant.wood.years is not None and plant.wood.years.forks is not None:
+            skeleton = forked(skeleton, plant.wood.years.forks, rng.spawn(1)[0])
         height_m, leaf_rng = tree.height_m, rng.spawn(1)[0]
         fitted = fit_tree(skeleton, plant, templates, tree, leaf_rng).skeleton
     skeleton = _with_visible_organs(fitted, templates)

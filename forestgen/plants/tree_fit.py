@@ -29,6 +29,7 @@ from forestgen.core.parts import Part
 from forestgen.core.stem_form import stem_radius_m
 from forestgen.geometry.mesh import Floats, Ints, Mesh, surface_area_m2
 from forestgen.plants.crown_twigs import DARKEST, EXTINCTION, Leaves, fill_crown, first_stem, rules_of_twigs
+from forestgen.plants.forks import FORKED, is_second_stem
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.tree_size import TreeSize
@@ -381,7 +382,15 @@ def with_taper(skeleton: Skeleton, top_m: float, dbh_m: float) -> Skeleton:
     """
     stem, radius = first_stem(skeleton.axis), skeleton.radius_m.astype(np.float64)
     heights = np.maximum.accumulate(skeleton.position_m[stem, 2].astype(np.float64))
-    radius[stem] = np.maximum(stem_radius_m(heights, top_m, dbh_m), min(_TWIG_RADIUS_M, 0.1 * dbh_m))
+    thinnest = min(_TWIG_RADIUS_M, 0.1 * dbh_m)
+    radius[stem] = np.maximum(stem_radius_m(heights, top_m, dbh_m), thinnest)
+    second = is_second_stem(skeleton)
+    if second.any():
+        fork_m = float(skeleton.position_m[skeleton.parent[np.argmax(second)], 2])
+        above = (stem & (skeleton.position_m[:, 2] > fork_m)) | second
+        own = FORKED * stem_radius_m(skeleton.position_m[above, 2].astype(np.float64), top_m, dbh_m)
+        radius[above] = np.maximum(own, thinnest)
+        stem = stem | second
     onward = skeleton.axis[np.maximum(skeleton.parent, 0)] == skeleton.axis
     most, parents, thick = np.where(onward, 1.0, _BRANCH).tolist(), skeleton.parent.tolist(), radius.tolist()
     for node in np.flatnonzero(~stem).tolist():
