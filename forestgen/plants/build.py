@@ -97,8 +97,7 @@ def build_exemplar(
     if tree is None:
         fitted = fit(skeleton, templates, plant.fit, height_m, width_m)
     else:
-        if plant.wood.years is not None and plant.wood.years.forks is not None:
-            skeleton = forked(skeleton, plant.wood.years.forks, rng.spawn(1)[0])
+        skeleton = forked(skeleton, plant.wood.years, rng)
         height_m, leaf_rng = tree.height_m, rng.spawn(1)[0]
         fitted = fit_tree(skeleton, plant, templates, tree, leaf_rng).skeleton
     skeleton = _with_visible_organs(fitted, templates)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from forestgen.geometry.mesh import Bools, Floats, Ints
 from forestgen.plants.crown_twigs import first_stem
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
-from forestgen.recipe.wood import Forks
+from forestgen.recipe.wood import Wood
 
 FORKED = 0.75  # radius of each stem of a fork over that of one stem there: 0.71 keeps the cross-section; by estimate
 _CURVE = (0.0, 0.15, 0.4, 0.8, 1.4)  # where the curve has nodes, above the fork, over `_UPRIGHT` of the rest
@@ -25,9 +25,11 @@ Placed = Callable[[Floats, Bools, Floats | None], Floats]
 _HALF_TURN = np.array([-1.0, -1.0, 1.0])
 
 
-def forked(skeleton: Skeleton, law: Forks, rng: np.random.Generator) -> Skeleton:
+def forked(skeleton: Skeleton, wood: Wood | None, rng: np.random.Generator) -> Skeleton:
     """The skeleton with a fork by the law's chance; as it was where no stem goes on above."""
-    chance, height, way, angle = rng.random(4)
+    if wood is None or wood.forks is None:
+        return skeleton
+    law, (chance, height, way, angle) = wood.forks, rng.spawn(1)[0].random(4)
     stem = np.flatnonzero(first_stem(skeleton.axis))
     z_m = skeleton.position_m[stem, 2].astype(np.float64)
     low, high = law.between

@@ -10,9 +10,9 @@ from forestgen.core.stem_form import stem_radius_m
 from forestgen.plants.forks import FORKED, forked, is_second_stem
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.tree_fit import with_taper
-from forestgen.recipe.wood import Forks
+from forestgen.recipe.wood import Forks, Wood
 
-ALWAYS = Forks(share=1.0, between=(0.2, 0.6))
+ALWAYS = Wood(forks=Forks(share=1.0, between=(0.2, 0.6)))
 TOP_M, NODES, BRANCHES = 20.0, 21, 60
 
 
@@ -42,7 +42,7 @@ def made() -> list[Skeleton]:
 
 
 def test_as_many_trees_fork_as_the_law_says() -> None:
-    law, whole = Forks(share=0.3), tree()
+    law, whole = Wood(forks=Forks(share=0.3)), tree()
     share = np.mean([forked(whole, law, child_rng(seed, "fork")) is not whole for seed in range(400)])
     assert share == pytest.approx(0.3, abs=0.08)
 
