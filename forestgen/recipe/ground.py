@@ -41,3 +41,22 @@ class Ground(fields.Section):
         "farther away its mean colour is painted. It is background, without a plant_id: herbs that should count as "
         "plants belong into the community. `forestgen models --kind ground_layer` lists the kinds.",
     )
+
+
+class WetSoil(fields.Section):
+    """How the water that a community has in its soil shows in the ground's colour."""
+
+    shown: fields.Flag = Field(True, description="Whether wet ground is darker.")
+    depth_m: fields.Positive | None = Field(
+        None,
+        le=100,
+        description="Depth of the soil that holds the water, metres: what makes a saturation of mm. Default: 1 in "
+        "forest soil, 0.05 in a dryland's, whose rains wet little more than its crust.",
+    )
+    porosity: fields.Fraction = Field(0.4, gt=0, description="Share of the soil that water can fill.")
+    pond_mm: fields.Positive = Field(
+        25.0,
+        le=10_000,
+        description="Water on the ground that begins to drown it, mm; twice as much makes it wholly wet. Less is what "
+        "runs past in showers, in a month's mean.",
+    )

@@ -105,9 +105,16 @@ def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) 
             found = kind.layers(keys, request, child_rng(plan.drawn.image_seed, "ground", index))
         except RecipeError as cause:
             raise cause.at(plan.drawn.where(*where)) from cause
-        layers += [replace(one, name=f"{index}/{one.name}") for one in found]
+        layers += [replace(one, name=f"{index}/{one.name}", where=_where_open(one.where, height)) for one in found]
         notes += _notes(f"site.ground.layers.{index}: {keys.what}", found)
     return replace(_laid(layers, cameras, height, plan.drawn.image_seed), notes=tuple(notes))
+
+
+def _where_open(where: Places | None, height: HeightField) -> Places | None:
+    """The relative density of a layer, less on paths and none in water."""
+    if height.fine_m2 == 0.0:
+        return where
+    return lambda x, y: height.open_share(x, y) * (1.0 if where is None else where(x, y))
 
 
 def _notes(name: str, layers: Sequence[Layer]) -> list[str]:

@@ -42,6 +42,7 @@ class Material:
     transmittance_spectrum: Spectrum | None = None
     leaf_type: LeafType | None = None  # as which its leaves vary; None: all are alike
     seasons: tuple[SeasonShare, ...] = ()  # of leaves beside each other, whose mean the spectra are
+    absorption: Spectrum | None = None  # 1/m, of the water that this is the surface of; None: it is of no water
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,16 @@ class BareGround:
     spectrum: Spectrum  # of which it is the colour
 
 
+@dataclass(frozen=True, eq=False)
+class GroundPatch:
+    """Another ground that shows in places, such as a path's; scene/shaped_ground.py."""
+
+    share: NDArray[np.float32]  # (V,) by vertex: 0 the ground around, 1 this one
+    texture: NDArray[np.float32]  # (H, W, 3) linear Rec. 709 reflectance over the terrain's uv
+    reflectance: tuple[float, float, float]  # mean of the texture
+    spectrum: Spectrum  # of which it is the colour
+
+
 @dataclass(frozen=True)
 class Terrain:
     """The ground: a mesh with a colour texture over its uv, that gives way to one colour far from the site."""
@@ -106,6 +117,7 @@ class Terrain:
     far_spectrum: Spectrum | None = None
     wet: WetGround | None = None  # None: dry, or nobody knows
     bare: BareGround | None = None  # None: painted everywhere
+    patches: tuple[GroundPatch, ...] = ()  # the later ones lie on the earlier
 
     @cached_property
     def mean_colour(self) -> tuple[float, float, float]:

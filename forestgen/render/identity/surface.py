@@ -183,7 +183,8 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
     colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
     of_ground = tracer.table.far_albedo, tracer.table.film_factor, tracer.table.bare_factor
-    shown = ground_colour(tracer, hits, corners, colour, of_ground)
+    patches = patch_colours(tracer.table.patch_texture, tracer.table.texel, u, v, textured)
+    shown = ground_colour(tracer, hits, corners, colour, of_ground, patches)
     if tracer.spec.snow is not None:
         shown = dr.select(under_snow(tracer, hits).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
     return dr.select(hits.valid, shown, 0.0)
@@ -217,28 +218,55 @@ def under_snow(tracer: SceneTracer, hits: Hits) -> UnderSnow:
     share = dr.opaque(mi.Float, tracer.spec.snow.share)
     on_leaf = luck < share * dr.minimum(dr.abs(up) / _LEVEL_LEAF, 1.0)
     on_wood = dr.abs(up) > 1.0 - share * (1.0 - _STEEPEST)
-    covered = hits.valid & (hits.instance > 0) & dr.select(leaflike, on_leaf, on_wood)
+    covered = hits.valid & (hits.instance > 0) & dr.select(leaflike, on_leaf, on_wood) & (part != int(Part.WATER))
     return UnderSnow(covered, covered & (up > 0))
 
 
+def patch_colours(texture: Any | None, texel: Any, u: Any, v: Any, active: Any) -> list[Any]:
+    """Colours of the terrain's patches, by their rows of the table `texel`; meaningless off the terrain."""
+    if texture is None:
+        return []
+    found = []
+    for patch in range(dr.width(texture) // 3):
+        first, width, height = (dr.gather(mi.UInt32, texture, mi.UInt32(3 * patch + k)) for k in range(3))
+        found.append(bilinear(texel, first, width, height, u, v, active))
+    return found
+
+
 def ground_colour(
-    tracer: SceneTracer, hits: Hits, corners: Places, colour: Any, of_ground: tuple[Any, Any, Any]
+    tracer: SceneTracer,
+    hits: Hits,
+    corners: Places,
+    colour: Any,
+    of_ground: tuple[Any, Any, Any],
+    patches: Sequence[Any] = (),
 ) -> Any:
     """`colour` of hits; the ground's is dimmed where it is wet, that of the distance where it lies far, and its own
     between things that lie on it.
 
     `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factors of a film of water and of
-    bare ground.
+    bare ground; `patches` the colours of other grounds in places.
     """
     ground = hits.valid & (hits.instance == 0)
     far_colour, film_factor, bare_factor = of_ground
     far = dr.clip(weighted_sum(mi.Float, tracer.table.far_share, corners, ground), 0.0, 1.0)
-    near = colour
-    for share, factor in ((tracer.table.wet_share, film_factor), (tracer.table.bare_share, bare_factor)):
-        if share is not None:
-            here = dr.clip(weighted_sum(mi.Float, share, corners, ground), 0.0, 1.0)
-            near = near * (1.0 - here * (1.0 - factor))
+    near = _dimmed(tracer.table.wet_share, corners, ground, colour, film_factor)
+    near = _dimmed(tracer.table.bare_share, corners, ground, near, bare_factor)
+    vertices = dr.opaque(mi.UInt32, dr.width(tracer.table.far_share))
+    for index, patch in enumerate(patches):
+        rows = [(weight, corner + index * vertices) for weight, corner in corners]
+        here = dr.clip(weighted_sum(mi.Float, tracer.table.patch_share, rows, ground), 0.0, 1.0)
+        damp = _dimmed(tracer.table.wet_share, corners, ground, patch, film_factor)
+        near = near * (1.0 - here) + damp * here
     return dr.select(ground, near * (1.0 - far) + far_colour * far, colour)
+
+
+def _dimmed(share: Any | None, corners: Places, ground: Any, colour: Any, factor: Any) -> Any:
+    """`colour` times a factor in places, by the share of vertices; None: nowhere."""
+    if share is None:
+        return colour
+    here = dr.clip(weighted_sum(mi.Float, share, corners, ground), 0.0, 1.0)
+    return colour * (1.0 - here * (1.0 - factor))
 
 
 def vertex_uv(tracer: SceneTracer, hits: Hits, corners: Places, textured: Any) -> tuple[Any, Any]:

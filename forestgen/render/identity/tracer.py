@@ -58,6 +58,8 @@ class HitTables:
     film_factor: tuple[float, float, float]  # of the wet ground's albedo
     bare_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is bare
     bare_factor: tuple[float, float, float]  # of the bare ground's albedo
+    patch_share: NDArray[np.float32] | None  # (K, VG) of the terrain's patches by vertex; None: there are none
+    patch_texture: NDArray[np.uint32] | None  # (K, 3) as `texture`
 
     @property
     def nbytes(self) -> int:
@@ -96,6 +98,8 @@ def hit_tables(spec: SceneSpec) -> HitTables:
     images = [terrain.texture, *(_image(*organ) for organ in organs)]  # colour textures
     images = [None if mesh.uv is None else image for mesh, image in zip(meshes, images, strict=True)]
     shown = {id(image): image for image in images if image is not None}  # species share none, organs may
+    patches = [one.texture for one in terrain.patches]
+    shown |= {id(one): one for one in patches}
     first_texel = dict(zip(shown, _first_rows(list(shown.values()), 1).tolist(), strict=True))
     organ_of_exemplar = 1 + np.cumsum([0, *(len(exemplar.organs) for exemplar in spec.exemplars)])
     normals, uvs = ([getattr(mesh, name) for mesh in meshes] for name in ("normals", "uv"))
@@ -130,7 +134,17 @@ def hit_tables(spec: SceneSpec) -> HitTables:
         film_factor=wet,
         bare_share=None if terrain.bare is None else terrain.bare.share,
         bare_factor=bare,
+        patch_share=np.stack([one.share for one in terrain.patches]) if terrain.patches else None,
+        patch_texture=patch_rows(
+            [one.texture for one in terrain.patches], [first_texel[id(one.texture)] for one in terrain.patches]
+        ),
     )
+
+
+def patch_rows(images: Sequence[NDArray[np.float32]], first: Sequence[int]) -> NDArray[np.uint32] | None:
+    """(K, 3) first texel, width and height of the textures of patches; None: there are none."""
+    rows = [(row, image.shape[1], image.shape[0]) for row, image in zip(first, images, strict=True)]
+    return np.array(rows, dtype=np.uint32) if rows else None
 
 
 def _image(part: Part, mesh: Mesh, material: Material) -> NDArray[np.float32] | None:
