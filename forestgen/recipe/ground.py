@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, SerializeAsAny
 
@@ -22,6 +22,11 @@ class GroundLayer(fields.PartSection):
     what: Annotated[fields.Text, Field(description="What lies or grows there.")]
     cover: fields.Number = Field(
         0.5, gt=0, le=DENSEST, description="Share of the ground that it hides, seen from above; mean over the site."
+    )
+    on: Literal["ground", "roadside"] = Field(
+        "ground",
+        description="ground: everywhere but in water and on paths. roadside: on the middle strips of forest roads and "
+        "beside them alone.",
     )
     patch_m: fields.Positive | None = Field(
         None, ge=0.5, le=1000, description="Size of its patches, metres. Default: as dense everywhere."

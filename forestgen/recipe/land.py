@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from forestgen.recipe import fields
-from forestgen.recipe.registries import GROUND_COVERS
+from forestgen.recipe.registries import GROUND_COVERS, GROUND_OF
 
 MOST_LINES, MOST_POINTS = 20, 200
 BEYOND_M = 60.0  # of the site's edge, as far as a path or stream may go on
@@ -40,7 +40,14 @@ class Path(fields.Section):
     width_m: fields.Positive | None = Field(
         None, ge=0.3, le=20, description="Width, metres. Default: 0.8 of a path, 3.5 of a forest road."
     )
-    ground: _Cover = Field("soil_dry", description="What its surface is.")
+    ground: _Cover | None = Field(
+        None,
+        description=f"What its surface is. Default: {GROUND_OF['path']}; {GROUND_OF['forest_road']} of a forest road.",
+    )
+
+    @property
+    def surface(self) -> str:
+        return self.ground or GROUND_OF[self.what]
 
     @property
     def wide_m(self) -> float:
@@ -54,7 +61,7 @@ class _Water(fields.Section):
         le=30,
         description="Absorption at 440 nm by dissolved matter, 1/m: 0 is pure water; brown water of bogs has 10.",
     )
-    ground: _Cover = Field("soil_wet", description="What its bed is.")
+    ground: _Cover = Field(GROUND_OF["bed"], description="What its bed is.")
 
 
 class Pond(_Water):

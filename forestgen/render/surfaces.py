@@ -316,19 +316,34 @@ def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
     what lies on it where that is geometry.
     """
     colour = np.maximum(channels.texture(terrain.texture, terrain.mean_colour, terrain.spectrum), 0.0)
-    near = _bare_and_painted(terrain, colour, channels)
+    near = _in_patches(terrain, _bare_and_painted(terrain, colour, channels), channels)
     if terrain.wet is not None:
         film = film_factor(terrain, channels).astype(np.float32)
         near = {
             "type": "blendbsdf",
             "weight": {"type": "mesh_attribute", "name": "vertex_wet_share"},
             "dry": near,
-            "wet": _bare_and_painted(terrain, colour * film, channels),
+            "wet": _in_patches(terrain, _bare_and_painted(terrain, colour * film, channels), channels, film),
         }
     far_share = {"type": "mesh_attribute", "name": "vertex_far_share"}
     far_colour = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
     far = {"type": "diffuse", "reflectance": {"type": "rgb", "value": far_colour}}
     return {"type": "twosided", "bsdf": {"type": "blendbsdf", "weight": far_share, "near": near, "far": far}}
+
+
+def _in_patches(
+    terrain: Terrain, ground: dict[str, Any], channels: Channels, film: NDArray[np.float32] | float = 1.0
+) -> dict[str, Any]:
+    """A ground with its patches of other grounds."""
+    for index, patch in enumerate(terrain.patches):
+        colour = np.maximum(channels.texture(patch.texture, patch.reflectance, patch.spectrum), 0.0) * film
+        ground = {
+            "type": "blendbsdf",
+            "weight": {"type": "mesh_attribute", "name": f"vertex_patch_share_{index}"},
+            "around": ground,
+            "patch": _painted_ground(colour.astype(np.float32)),
+        }
+    return ground
 
 
 def _bare_and_painted(terrain: Terrain, colour: NDArray[np.float32], channels: Channels) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from forestgen.scene.near_foliage import leaves_of, with_near_plants
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, sun_notes, wetness_of
-from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
+from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.surfaces import FreshLitter, fresh_litter, infrared_notes, materials_of, surface_of
 from forestgen.scene.surroundings import Layer, SurroundedStand, layers_around, surrounded
 from forestgen.scene.terrain import HeightField, build_terrain
@@ -83,7 +83,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
     drawn, recipe, stand = plan.drawn, plan.drawn.recipe, plan.community
     with timer("scene"):
         simulated, kept_off = off_paths_and_water(plan, simulated)
-        population = stand_on(simulated, plan.views.height)
+        height = plan.views.height
+        population = stand_on(simulated, height)
         layers = _layers(plan, population)
     with timer("plants"):
         chosen = choose_exemplars(plan, population, plan.views.all_cameras, layers)
@@ -104,16 +105,12 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         base_materials = _materials(plan, population)
         site = SurroundedStand.of(population, instances, exemplars, base_materials)
         labelled = recipe.site.surroundings.labelled
-        around = surrounded(site, layers, plan.views.height, drawn.image_seed, labelled)
-        around = _on_slopes(around, lying, population.height_m, plan.views.height)
+        around = surrounded(site, layers, height, drawn.image_seed, labelled)
+        around = _on_slopes(around, lying, population.height_m, height)
         population = replace(population, position_m=around.population.position_m[: len(population)])
         trunks = Trunks(exemplars, around.plants)
         views = drawn_cameras(drawn, trunks)
-        rng = child_rng(drawn.image_seed, "terrain", "colour")
-        wetness = wetness_of(stand, population)
-        fresh = _fresh_litter(plan, population)
-        terrain = build_terrain(plan.views.height, rng, recipe.site.ground.kind, wetness, around.reach_m, fresh)
-        terrain = with_land(terrain, plan.views.height, drawn.image_seed)
+        terrain = _terrain(plan, population, around.reach_m)
         plant = np.pad(chosen.first_plant(population.plant_id), (0, len(around.exemplars) - len(exemplars)))
         varied, materials = vary_leaves(around.exemplars, around.materials, plant, drawn.image_seed)
         spec = SceneSpec(
@@ -127,8 +124,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         )
         ground = ground_cover(plan, population, spec.cameras)
         spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars), recipe.time_of_year))
-        spec = with_water(spec, plan.views.height, recipe.wind.speed_m_per_s, drawn.image_seed)
-        spec = in_weather(spec, drawn, plan.views.height)
+        spec = with_water(spec, height, recipe.wind.speed_m_per_s, drawn.image_seed)
+        spec = in_weather(spec, drawn, height)
         known = (*simulated.notes, *kept_off, *ground.notes, *weather_notes(drawn))
         notes = [*_notes(plan, known), *check_trunks(drawn, views, trunks)]
         notes += [*plan.views.check_outside_of_buildings(), *infrared_notes(base_materials, plan.views.all_cameras)]
@@ -180,6 +177,14 @@ def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
     rows = np.setdiff1d(np.arange(len(population)), list(plan.community.obstacles.rows_of(population)))
     rng = child_rng(seed, "surroundings") if kind == "forest" else None
     return layers_around(population, rows, plan.views.height, rng, plan.views.all_cameras)
+
+
+def _terrain(plan: Plan, population: Population, reach_m: float) -> Terrain:
+    """The ground. `reach_m`: how far from the site's edge the stand goes on."""
+    height, kind, seed = plan.views.height, plan.drawn.recipe.site.ground.kind, plan.drawn.image_seed
+    wetness, fresh = wetness_of(plan.community, population), _fresh_litter(plan, population)
+    terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), kind, wetness, reach_m, fresh)
+    return with_land(terrain, height, seed)
 
 
 def _fresh_litter(plan: Plan, population: Population) -> FreshLitter | None:

@@ -83,8 +83,13 @@ class LaidGround:
             exemplars=(*spec.exemplars, *self.exemplars),
             materials={**spec.materials, **self.materials},
             instances=instances,
-            terrain=painted(spec.terrain, self.layers, self.tiles),
+            terrain=painted(spec.terrain, *self._painted()),
         )
+
+    def _painted(self) -> tuple[list[Layer], list[Ints]]:
+        """Layers whose mean colour is painted, and their tiles."""
+        pairs = [pair for pair in zip(self.layers, self.tiles, strict=True) if pair[0].is_painted]
+        return [layer for layer, _ in pairs], [tiles for _, tiles in pairs]
 
 
 def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) -> LaidGround:
@@ -105,16 +110,21 @@ def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) 
             found = kind.layers(keys, request, child_rng(plan.drawn.image_seed, "ground", index))
         except RecipeError as cause:
             raise cause.at(plan.drawn.where(*where)) from cause
-        layers += [replace(one, name=f"{index}/{one.name}", where=_where_open(one.where, height)) for one in found]
+        layers += [_placed(replace(one, name=f"{index}/{one.name}"), keys.on, height) for one in found]
         notes += _notes(f"site.ground.layers.{index}: {keys.what}", found)
     return replace(_laid(layers, cameras, height, plan.drawn.image_seed), notes=tuple(notes))
 
 
-def _where_open(where: Places | None, height: HeightField) -> Places | None:
-    """The relative density of a layer, less on paths and none in water."""
-    if height.fine_m2 == 0.0:
-        return where
-    return lambda x, y: height.open_share(x, y) * (1.0 if where is None else where(x, y))
+def _placed(layer: Layer, on: str, height: HeightField) -> Layer:
+    """A layer less dense on paths, and nowhere in water; or by roads alone, and painted nowhere."""
+    if on == "ground" and height.fine_m2 == 0.0:
+        return layer
+    where, share = layer.where, height.open_share if on == "ground" else height.roadside
+    return replace(
+        layer,
+        where=lambda x, y: share(x, y) * (1.0 if where is None else where(x, y)),
+        is_painted=on == "ground",
+    )
 
 
 def _notes(name: str, layers: Sequence[Layer]) -> list[str]:

@@ -9,8 +9,9 @@ mounds of fallen trees a decimetre or more.
 Paths
 -----
 A path is level across, at its middle's height, and hollow by 4 cm. A forest road has two ruts 8 cm deep and 1.8 m
-apart, as wide as a car's wheels, and a middle strip 3 cm higher, on which half of the ground around stays; its
-shoulders meet the ground beside it within 2 m. Depths vary along them by a third. Numbers are ours.
+apart, as far as a car's wheels, and a middle strip 3 cm higher that is painted as grass; its shoulders meet the ground
+beside it within 2 m. Depths vary along them by a third. Numbers are ours. Blades of grass are a layer of the recipe's,
+`on: roadside`.
 
 Nothing of the community stands on a path and a quarter metre beside it, on a road and a metre beside it, or in water.
 Layers of the ground lie on what paths leave of it, and not in water.
@@ -33,9 +34,10 @@ from forestgen.scene.water import Body, pond, stream
 _RELIEF_CELL_M, _RELIEF_WAVES = 0.375, 48
 _SMOOTHED_M = 6.0  # of a path, over which its height is even
 _RUT_APART_M, _RUT_WIDE_M, _RUT_M, _CROWN_M, _HOLLOW_M = 1.8, 0.22, 0.08, 0.03, 0.04
-_STRIP_M = 0.3  # half the middle strip
+_STRIP_M, _GRASS = 0.45, 0.8  # half the width of the middle strip with its border, and how much of it is grass
 _SOFT_M, _RAGGED_M = 0.25, 0.12  # width of a path's border, and how far it strays
 _SHOULDER_M, _FREE_M = {"path": 0.5, "forest_road": 2.0}, {"path": 0.25, "forest_road": 1.0}
+_VERGE_M = 0.8  # half the width of what grows beside a road
 _BLEND_M = 0.1  # heights over which the ground bends into a bank
 _WET_M = 0.3  # from the shore, where nothing stands
 _MOUTH_M = 0.5  # from the shore, as far as water may stand
@@ -100,11 +102,18 @@ class Track:
         rows, distance, where = self.course.nearest(x_m, y_m, self.half_m + _SOFT_M + 3.0 * _RAGGED_M)
         strays = 0.5 * self.course.between(self.course.uneven, where)
         ragged = _RAGGED_M * (strays + np.sin(5.1 * x_m[rows]) * np.sin(4.3 * y_m[rows]))
-        bare = smooth_step((self.half_m + ragged - distance) / _SOFT_M + 0.5)
-        if self.keys.what == "forest_road":
-            bare *= 1.0 - 0.5 * (1.0 - smooth_step((distance - 0.5 * _STRIP_M + ragged) / _STRIP_M))
         found = np.zeros(len(x_m))
-        found[rows] = bare
+        found[rows] = smooth_step((self.half_m + ragged - distance) / _SOFT_M + 0.5)
+        return found
+
+    def strip(self, x_m: Floats, y_m: Floats) -> Floats:
+        """(N,) share of grass in the middle of a road."""
+        found = np.zeros(len(x_m))
+        if self.keys.what == "forest_road":
+            rows, distance, where = self.course.nearest(x_m, y_m, 2.0 * _STRIP_M)
+            strays = 0.3 * self.course.between(self.course.uneven, where)
+            ragged = strays + 0.3 * np.sin(6.1 * x_m[rows]) * np.sin(5.3 * y_m[rows])
+            found[rows] = _GRASS * (1.0 - smooth_step(distance / _STRIP_M - 0.6 + ragged))
         return found
 
     def within(self, x_m: Floats, y_m: Floats, away_m: float) -> Bools:
@@ -172,7 +181,17 @@ class ShapedGround(HeightField):
     def open_share(self, x_m: Floats, y_m: Floats) -> Floats:
         share = np.ones(len(x_m))
         for track in self.tracks:
-            share *= 1.0 - track.share(x_m, y_m)
+            share *= 1.0 - track.share(x_m, y_m) * (1.0 - track.strip(x_m, y_m))
+        return np.where(self._shore_within(x_m, y_m, 0.0), 0.0, share)
+
+    def roadside(self, x_m: Floats, y_m: Floats) -> Floats:
+        share = np.zeros(len(x_m))
+        for track in self.tracks:
+            if track.keys.what == "forest_road":
+                rows, apart, _ = track.course.nearest(x_m, y_m, track.half_m + 2.0 * _VERGE_M)
+                verge = 1.0 - np.abs(apart - track.half_m - _VERGE_M) / _VERGE_M
+                share[rows] = np.maximum(share[rows], np.maximum(verge, 0.0))
+                share = np.maximum(share, track.strip(x_m, y_m))
         return np.where(self._shore_within(x_m, y_m, 0.0), 0.0, share)
 
     def fine(self, x_m: Floats, y_m: Floats, cell_m: Floats) -> Bools:

@@ -82,6 +82,10 @@ class HeightField:
         """(N,) share of the ground that its layers may lie on."""
         return np.ones(len(x_m))
 
+    def roadside(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) share of the ground that is a road's middle strip or lies beside a road."""
+        return np.zeros(len(x_m))
+
     def fine(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], cell_m: NDArray[np.float64]
     ) -> NDArray[np.bool_]:

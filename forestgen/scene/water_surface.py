@@ -13,7 +13,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Floats, Mesh, part_of, vertex_normals
 from forestgen.plants.bark.texture import with_mean
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.recipe.registries import GROUND_COVERS
+from forestgen.recipe.registries import GROUND_COVERS, GROUND_OF
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_tiles import GROUND
 from forestgen.scene.shaped_ground import ShapedGround
@@ -31,7 +31,11 @@ def with_land(terrain: Terrain, ground: HeightField, seed: int) -> Terrain:
     x, y = terrain.mesh.vertices_m[:, :2].astype(np.float64).T
     shares: dict[str, Floats] = {}
     for track in ground.tracks:
-        shares[track.keys.ground] = np.maximum(shares.get(track.keys.ground, 0.0), track.share(x, y))
+        name = track.keys.surface
+        shares[name] = np.maximum(shares.get(name, 0.0), track.share(x, y))
+    strip = np.max([np.zeros(len(x)), *(track.strip(x, y) for track in ground.tracks)], axis=0)
+    if strip.any():
+        shares[GROUND_OF["strip"]] = np.maximum(shares.get(GROUND_OF["strip"], 0.0), strip)
     for body in ground.bodies:
         near, share = body.near(x, y), np.zeros(len(x))
         share[near.rows] = smooth_step((_MUD_M - near.shore_m) / _MUDDY_M)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from shots import seen
 
+from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
-from forestgen.core.progress import Timings
+from forestgen.core.progress import Silent, Timings
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Mesh
+from forestgen.pipeline import assemble_image
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.recipe.load import load_recipe_data
 from forestgen.render.identity import SceneTracer
 from forestgen.render.light import sun_irradiance
 from forestgen.render.paths.scattering import WATER_INDEX
@@ -21,7 +26,9 @@ from forestgen.render.paths.water import interface
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, map_directions
 from forestgen.render.variant import LLVM, mi, using
 from forestgen.scene.colour import RGB
+from forestgen.scene.plan import check_plan
 from forestgen.scene.spec import Instances, Material, SceneSpec, Sky
+from support.error_messages import raises_error
 from support.scenes import camera_at, plain_ground, scattered_scene
 
 WIDE_M = 4000.0
@@ -101,6 +108,56 @@ def test_the_mirrored_sky_is_that_at_the_mirrored_height() -> None:
 def test_clear_water_over_a_white_bed_is_white(alpha: float, sampled: bool) -> None:
     found = image(pool(1.0, 1.0, 0.0, NIGHT, 55.0, alpha), 1.0, sampled=sampled)
     assert (found.by_sky + found.beyond).mean() == pytest.approx(1.0, abs=0.012)
+
+
+DATA: dict[str, Any] = {
+    "forestgen": 1,
+    "seed": 4,
+    "site": {
+        "size_m": [24, 24],
+        "ground": {"layers": [{"what": "stones", "cover": 0.5, "size_m": 0.15}]},
+        "water": [{"what": "pond", "position_m": [12, 14], "radius_m": 5}],
+        "paths": [{"points_m": [[2, -5], [2, 30]]}],
+    },
+    "species": {"beech": "beech"},
+    "community": {
+        "model": "placed",
+        "plants": [
+            {"species": "beech", "position_m": place, "height_m": 4} for place in ([12, 13], [2.2, 9], [12, 22])
+        ],
+    },
+    "plants": {"geometry": "silhouettes"},
+    "cameras": [
+        {"name": "eye", "size_px": [48, 32], "position_m": [12, 5, 1.8], "look_at_m": [12, 14, -0.6], "hfov_deg": 70}
+    ],
+}
+
+
+def test_water_is_seen_and_labelled_and_nothing_stands_or_lies_in_it() -> None:
+    scene = assemble_image(check_plan(load_recipe_data(DATA, "test")), Silent(), Timings())
+    assert scene.population.position_m[:, :2].tolist() == [[12.0, 22.0]]
+    assert any("2 of 3 plants" in note for note in scene.notes)
+    ground = scene.plan.views.height
+    found, surface = seen(scene.spec, 1)
+    water = found.part[..., 0] == Part.WATER
+    assert 0.1 < water.mean() < 0.9
+    assert np.all(found.plant_id[..., 0][water] == 0)
+    at = surface.position_m[surface.part == Part.WATER].astype(np.float64)
+    np.testing.assert_allclose(at[:, 2], ground.level(*at[:, :2].T), atol=2e-3)
+    assert np.all(ground(*at[:, :2].T) < at[:, 2] + 2e-3)
+    np.testing.assert_allclose(surface.normal[surface.part == Part.WATER], [[0.0, 0.0, 1.0]] * len(at), atol=1e-3)
+    stones = surface.position_m[surface.part == Part.ROCK].astype(np.float64)
+    assert len(stones) > 20
+    assert np.mean(ground.barred(*stones[:, :2].T)) < 0.1  # those at a tile's edge
+
+
+def test_cameras_and_clouds_that_water_does_not_suit() -> None:
+    below = {**DATA["cameras"][0], "position_m": [12, 14, 0.3]}
+    with raises_error(RecipeError, place="cameras.0.position_m"):
+        check_plan(load_recipe_data({**DATA, "cameras": [below]}, "test"))
+    exact = {"sky": {"clouds": "noise"}, "render": {"clouds": "exact"}}
+    with raises_error(RecipeError, place="site.water"):
+        check_plan(load_recipe_data({**DATA, **exact}, "test"))
 
 
 @pytest.mark.parametrize(("albedo", "per_m"), [(0.6, 0.0), (0.3, 0.7)])

@@ -314,20 +314,7 @@ class PathTracer:
     def _round(self, paths: Paths, sequence: Sequence, depth: int) -> tuple[Any, Paths, Any, Any]:
         """Whether each path goes on, the paths one scattering later, and what they brought of sky and sun."""
         sky, sun = self._sky, self._sun
-        hits = self._tracer.looked_up(DeviceRays(paths.direction, mi.Float(1.0)), paths.hit, mi.Bool(True))
-        local = self._surfaces.at(hits)
-        surface: Local | Place | Shore = local
-        distance_m, in_fog = hits.distance_m, mi.Bool(False)
-        shore = None
-        if paths.water is not None:
-            on_water = is_water(self._tracer, hits.organ, hits.valid)
-            surface = shore = Shore(local, on_water, hits.organ, paths.water, paths.matt)
-            kept = dr.exp(-self._surfaces.absorption(paths.water) * distance_m)
-            paths = replace(paths, carried=paths.carried * kept)
-        if paths.flight_m is not None:
-            in_fog = paths.flight_m < FAR_M
-            surface = Place(shore or local, in_fog, paths.direction, paths.asymmetry)
-            distance_m = dr.select(in_fog, paths.flight_m, distance_m)
+        paths, surface, shore, in_fog, distance_m = self._met(paths)
         point = paths.start + paths.direction * distance_m
         # A hit is as uncertain as the largest number that its place was made of.
         lift = LIFT * dr.maximum(dr.maximum(dr.max(dr.abs(point)), distance_m), 1.0)
@@ -378,6 +365,23 @@ class PathTracer:
             later = replace(later, surfaces=count)
             may_scatter &= count + 1 < dr.opaque(mi.UInt32, self._max_depth)
         return goes_on & (may_scatter | met), later, by_sky, by_sun
+
+    def _met(self, paths: Paths) -> tuple[Paths, Local | Place | Shore, Shore | None, Any, Any]:
+        """The paths as they arrive, where they scatter, the same as a shore, whether in fog, and how far they came."""
+        hits = self._tracer.looked_up(DeviceRays(paths.direction, mi.Float(1.0)), paths.hit, mi.Bool(True))
+        local, shore = self._surfaces.at(hits), None
+        distance_m, in_fog = hits.distance_m, mi.Bool(False)
+        if paths.water is not None:
+            on_water = is_water(self._tracer, hits.organ, hits.valid)
+            shore = Shore(local, on_water, hits.organ, paths.water, paths.matt)
+            kept = dr.exp(-self._surfaces.absorption(paths.water) * distance_m)
+            paths = replace(paths, carried=paths.carried * kept)
+        surface: Local | Place | Shore = shore or local
+        if paths.flight_m is not None:
+            in_fog = paths.flight_m < FAR_M
+            surface = Place(shore or local, in_fog, paths.direction, paths.asymmetry)
+            distance_m = dr.select(in_fog, paths.flight_m, distance_m)
+        return paths, surface, shore, in_fog, distance_m
 
     def _by_sun(
         self, paths: Paths, surface: Local | Place | Shore, point: Any, to_sun: Any, leaving: Callable[[Any], Any]

@@ -68,6 +68,7 @@ class Layer:
     spread: Spread = Spread()
     patch_m: float | None = None
     where: Places | None = None  # relative density by x, y of the site, of mean 1; None: the same everywhere
+    is_painted: bool = True  # whether the ground has its mean colour where it is not geometry
 
     @property
     def spectrum(self) -> Spectrum:
