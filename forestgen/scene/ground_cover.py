@@ -49,6 +49,7 @@ _FEWEST = 4.0  # things on a tile, in the mean
 _MOST_SINGLE = 40  # large things on a square metre: at a mean of 4 none has as many
 _NUMBERS = 6  # of a thing that lies by itself
 _WAVES = 24  # of a field of patches
+_EDGE_POINTS = 4  # along a tile, where it is asked for paths and water
 _REACH_M = 2.5  # standard deviation of where leaves fall
 _SPREAD = 0.35  # of the logistic curve that makes patches of waves
 
@@ -120,11 +121,13 @@ def _placed(layer: Layer, on: str, height: HeightField) -> Layer:
     if on == "ground" and height.fine_m2 == 0.0:
         return layer
     where, share = layer.where, height.open_share if on == "ground" else height.roadside
-    return replace(
-        layer,
-        where=lambda x, y: share(x, y) * (1.0 if where is None else where(x, y)),
-        is_painted=on == "ground",
-    )
+    inside = TILE_M * ((np.arange(_EDGE_POINTS) + 0.5) / _EDGE_POINTS - 0.5)
+
+    def density(x: Floats, y: Floats) -> Floats:
+        mean = np.mean([share(x + east, y + north) for east in inside for north in inside], axis=0)
+        return np.asarray(mean if where is None else mean * where(x, y))
+
+    return replace(layer, where=density, is_painted=on == "ground")
 
 
 def _notes(name: str, layers: Sequence[Layer]) -> list[str]:

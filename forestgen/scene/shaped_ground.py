@@ -3,8 +3,9 @@
 Micro-relief
 ------------
 Waves at random of a standard deviation `rms_m` and lengths between `longest_m` and a quarter of it, the long ones
-higher as on `rolling` ground. `rms_m` is the recipe's: on mineral soil between trees some centimetres, with pits and
-mounds of fallen trees a decimetre or more.
+higher as on `rolling` ground. Where fallen trees left pits and mounds, these differ by 0.5 to 2 m in height (USDA,
+Glossary of landform and geologic terms, "tree-tip pit and mound topography"), so their standard deviation is 0.15 m and
+more. The default, of ground without them, is ours.
 
 Paths
 -----
@@ -13,7 +14,7 @@ apart, as far as a car's wheels, and a middle strip 3 cm higher that is painted 
 beside it within 2 m. Depths vary along them by a third. Numbers are ours. Blades of grass are a layer of the recipe's,
 `on: roadside`.
 
-Nothing of the community stands on a path and a quarter metre beside it, on a road and a metre beside it, or in water.
+Nothing of the community stands on a path and a quarter metre beside it, on a road and 1.5 m beside it, or in water.
 Layers of the ground lie on what paths leave of it, and not in water.
 """
 
@@ -36,7 +37,7 @@ _SMOOTHED_M = 6.0  # of a path, over which its height is even
 _RUT_APART_M, _RUT_WIDE_M, _RUT_M, _CROWN_M, _HOLLOW_M = 1.8, 0.22, 0.08, 0.03, 0.04
 _STRIP_M, _GRASS = 0.45, 0.8  # half the width of the middle strip with its border, and how much of it is grass
 _SOFT_M, _RAGGED_M = 0.25, 0.12  # width of a path's border, and how far it strays
-_SHOULDER_M, _FREE_M = {"path": 0.5, "forest_road": 2.0}, {"path": 0.25, "forest_road": 1.0}
+_SHOULDER_M, _FREE_M = {"path": 0.5, "forest_road": 2.0}, {"path": 0.25, "forest_road": 1.5}
 _VERGE_M = 0.8  # half the width of what grows beside a road
 _BLEND_M = 0.1  # heights over which the ground bends into a bank
 _WET_M = 0.3  # from the shore, where nothing stands

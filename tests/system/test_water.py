@@ -27,7 +27,7 @@ from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, map_directions
 from forestgen.render.variant import LLVM, mi, using
 from forestgen.scene.colour import RGB
 from forestgen.scene.plan import check_plan
-from forestgen.scene.spec import Instances, Material, SceneSpec, Sky
+from forestgen.scene.spec import FogLayer, Instances, Material, SceneSpec, Sky
 from support.error_messages import raises_error
 from support.scenes import camera_at, plain_ground, scattered_scene
 
@@ -104,9 +104,12 @@ def test_the_mirrored_sky_is_that_at_the_mirrored_height() -> None:
     assert found == pytest.approx(by_fresnel(65.0) * (np.cos(np.radians(65.0)) ** 2 + 0.1), rel=0.03)
 
 
-@pytest.mark.parametrize(("alpha", "sampled"), [(0.004, False), (0.1, False), (0.1, True)])
-def test_clear_water_over_a_white_bed_is_white(alpha: float, sampled: bool) -> None:
-    found = image(pool(1.0, 1.0, 0.0, NIGHT, 55.0, alpha), 1.0, sampled=sampled)
+@pytest.mark.parametrize(
+    ("alpha", "sampled", "fog"), [(0.004, False, False), (0.1, False, False), (0.1, True, False), (0.1, False, True)]
+)
+def test_clear_water_over_a_white_bed_is_white(alpha: float, sampled: bool, fog: bool) -> None:
+    layers = (FogLayer(0.05, 5.0, 2.0, 0.85),) if fog else ()
+    found = image(replace(pool(1.0, 1.0, 0.0, NIGHT, 55.0, alpha), fog=layers), 1.0, sampled=sampled)
     assert (found.by_sky + found.beyond).mean() == pytest.approx(1.0, abs=0.012)
 
 

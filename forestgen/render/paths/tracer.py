@@ -374,7 +374,8 @@ class PathTracer:
         if paths.water is not None:
             on_water = is_water(self._tracer, hits.organ, hits.valid)
             shore = Shore(local, on_water, hits.organ, paths.water, paths.matt)
-            kept = dr.exp(-self._surfaces.absorption(paths.water) * distance_m)
+            way_m = dr.select(hits.valid, distance_m, 0.0)
+            kept = dr.exp(-self._surfaces.absorption(paths.water) * way_m)
             paths = replace(paths, carried=paths.carried * kept)
         surface: Local | Place | Shore = shore or local
         if paths.flight_m is not None:
