@@ -17,6 +17,8 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.pipeline import assemble_image
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.load import load_recipe_data
+from forestgen.render.build import load, origin_of, scene_dict
+from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer
 from forestgen.render.light import sun_irradiance
 from forestgen.render.paths.scattering import WATER_INDEX
@@ -24,11 +26,13 @@ from forestgen.render.paths.tracer import Image, PathTracer
 from forestgen.render.paths.tracer import Sky as SkyOnDevice
 from forestgen.render.paths.water import interface
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, map_directions
-from forestgen.render.variant import LLVM, mi, using
+from forestgen.render.surfaces import SpectralBsdfs
+from forestgen.render.variant import LLVM, SCALAR, mi, using
 from forestgen.scene.colour import RGB
 from forestgen.scene.plan import check_plan
-from forestgen.scene.spec import FogLayer, Instances, Material, SceneSpec, Sky
+from forestgen.scene.spec import FogLayer, GroundPatch, Instances, Material, SceneSpec, Sky, WetGround
 from support.error_messages import raises_error
+from support.radiometry import upper_sky
 from support.scenes import camera_at, plain_ground, scattered_scene
 
 WIDE_M = 4000.0
@@ -178,3 +182,24 @@ def test_the_bed_in_the_sun(albedo: float, per_m: float) -> None:
     bed = down / (1.0 - albedo * returned) * albedo / np.pi
     expected = bed * np.exp(-per_m * depth_m) * (1.0 - by_fresnel(0.0)) / WATER_INDEX**2
     np.testing.assert_allclose(found, expected * sun_irradiance(NOON, RGB), rtol=0.02)
+
+
+def test_a_patch_of_another_ground_mixes_in_both_renderers_and_in_labels() -> None:
+    """Of 0.2 and 0.6, by a share that grows from 0 to 1 over the view; a film of water dims both."""
+    spec = pool(0.2, 0.0, 0.0, NIGHT, 0.0)
+    ground = spec.terrain
+    share = (ground.mesh.vertices_m[:, 0] > 0).astype(np.float32)
+    wide = Spectrum(np.array([300.0, 2500.0]), np.array([0.6, 0.6]))
+    patch = GroundPatch(share, np.full((4, 4, 3), 0.6, np.float32), (0.6, 0.6, 0.6), wide)
+    none = Instances(np.zeros(0, np.uint32), np.zeros((0, 3, 4)), np.zeros(0, np.uint32))
+    x = 0.5 * WIDE_M
+    camera = camera_at((x, 0.0, 3.0), (x, 0.001, 0.0), (8, 8), 0.5)
+    dry = replace(spec, terrain=replace(ground, patches=(patch,)), instances=none, cameras=(camera,))
+    film = WetGround(np.ones_like(share), (0.1, 0.1, 0.1), None)
+    for one, expected in ((dry, 0.5), (replace(dry, terrain=replace(dry.terrain, wet=film)), 0.25)):
+        assert image(one, 1.0, 64).by_sky.mean() == pytest.approx(expected, rel=0.01)
+        np.testing.assert_allclose(seen(one, 1)[1].albedo, expected, rtol=0.01)
+        with using(SCALAR) as scalar:
+            scene = load({**scene_dict(one, origin_of(camera), SpectralBsdfs()), "light": upper_sky()})
+            light = capture(scalar.load_dict({"type": "path", "max_depth": 2}), scene, camera, samples=64, seed=1)
+        assert light[..., :3].mean() == pytest.approx(expected, rel=0.01)
