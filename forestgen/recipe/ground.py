@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, SerializeAsAny
 
@@ -18,11 +18,16 @@ class GroundLayer(fields.PartSection):
 
     registry = GROUND_LAYERS
     selector = "what"
-    is_painted: ClassVar[bool] = False  # nothing of it is drawn: it is a colour of the ground
+    has_things: ClassVar[bool] = True  # that are drawn; others are a colour of the ground
 
     what: Annotated[fields.Text, Field(description="What lies or grows there.")]
     cover: fields.Number = Field(
         0.5, gt=0, le=DENSEST, description="Share of the ground that it hides, seen from above; mean over the site."
+    )
+    on: Literal["ground", "roadside"] = Field(
+        "ground",
+        description="ground: everywhere but in water and on paths. roadside: on the middle strips of forest roads and "
+        "beside them alone.",
     )
     patch_m: fields.Positive | None = Field(
         None,
@@ -45,4 +50,23 @@ class Ground(fields.Section):
         description="What lies and grows on it as geometry near the cameras, where things are larger than a pixel; "
         "farther away its mean colour is painted. It is background, without a plant_id: herbs that should count as "
         "plants belong into the community. `forestgen models --kind ground_layer` lists the kinds.",
+    )
+
+
+class WetSoil(fields.Section):
+    """How the water that a community has in its soil shows in the ground's colour."""
+
+    shown: fields.Flag = Field(True, description="Whether wet ground is darker.")
+    depth_m: fields.Positive | None = Field(
+        None,
+        le=100,
+        description="Depth of the soil that holds the water, metres: what makes a saturation of mm. Default: 1 in "
+        "forest soil, 0.05 in a dryland's, whose rains wet little more than its crust.",
+    )
+    porosity: fields.Fraction = Field(0.4, gt=0, description="Share of the soil that water can fill.")
+    pond_mm: fields.Positive = Field(
+        25.0,
+        le=10_000,
+        description="Water on the ground that begins to drown it, mm; twice as much makes it wholly wet. Less is what "
+        "runs past in showers, in a month's mean.",
     )

@@ -88,6 +88,8 @@ GROUND_COVERS = Registry(
         "dead_grass": ("forestgen.scene.grounds.uneven:DEAD_GRASS", "dead grass"),
         "soil_dry": ("forestgen.scene.grounds.uneven:SOIL_DRY", "dry soil"),
         "soil_wet": ("forestgen.scene.grounds.uneven:SOIL_WET", "wet soil"),
+        "soil_moist": ("forestgen.scene.grounds.uneven:SOIL_MOIST", "soil halfway between dry and wet"),
+        "gravel": ("forestgen.scene.grounds.uneven:GRAVEL", "gravel"),
         "grass": ("forestgen.scene.grounds.uneven:GRASS", "grass"),
         "rock": ("forestgen.scene.grounds.uneven:ROCK", "rock"),
         "sand": ("forestgen.scene.grounds.uneven:SAND", "sand"),
@@ -95,6 +97,7 @@ GROUND_COVERS = Registry(
     },
     contract="forestgen.scene.terrain:GroundCover",
 )
+GROUND_OF = {"path": "soil_moist", "forest_road": "gravel", "strip": "grass", "bed": "soil_wet"}  # by default
 
 _LAYERS = "forestgen.scene.ground_layers"
 GROUND_LAYERS = Registry(

@@ -312,16 +312,17 @@ def _bitmap(image: NDArray[Any]) -> dict[str, Any]:
 
 
 def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
-    """Diffuse ground: the terrain's texture on the site, darker where it is wet, one colour in the distance; without
-    what lies on it where that is geometry.
+    """Diffuse ground: the terrain's texture on the site, other grounds in places, darker where it is wet, one colour in
+    the distance.
     """
-    near = _bare_and_painted(terrain, channels, np.ones(3))
+    near = _in_patches(terrain, channels)
     if terrain.wet is not None:
+        film = film_factor(terrain, channels).astype(np.float32)
         near = {
             "type": "blendbsdf",
             "weight": {"type": "mesh_attribute", "name": "vertex_wet_share"},
             "dry": near,
-            "wet": _bare_and_painted(terrain, channels, film_factor(terrain, channels)),
+            "wet": _in_patches(terrain, channels, film),
         }
     far_share = {"type": "mesh_attribute", "name": "vertex_far_share"}
     far_colour = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
@@ -329,16 +330,18 @@ def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": {"type": "blendbsdf", "weight": far_share, "near": near, "far": far}}
 
 
-def _bare_and_painted(terrain: Terrain, channels: Channels, factor: NDArray[np.float64]) -> dict[str, Any]:
-    film = factor.astype(np.float32)
-    if terrain.bare is None:
-        return _painted_ground(film * ground_texture(terrain, channels))
-    return {
-        "type": "blendbsdf",
-        "weight": {"type": "mesh_attribute", "name": "vertex_bare_share"},
-        "painted": _painted_ground(film * ground_texture(terrain, channels)),
-        "unpainted": _painted_ground(film * ground_texture(terrain.bare, channels)),
-    }
+def _in_patches(terrain: Terrain, channels: Channels, film: NDArray[np.float32] | float = 1.0) -> dict[str, Any]:
+    """A ground with its patches of other grounds."""
+    ground = _painted_ground(np.asarray(ground_texture(terrain, channels) * film, dtype=np.float32))
+    for index, patch in enumerate(terrain.overlays):
+        colour = ground_texture(patch, channels) * film
+        ground = {
+            "type": "blendbsdf",
+            "weight": {"type": "mesh_attribute", "name": f"vertex_patch_share_{index}"},
+            "around": ground,
+            "patch": _painted_ground(np.asarray(colour, dtype=np.float32)),
+        }
+    return ground
 
 
 def _painted_ground(colour: NDArray[np.float32]) -> dict[str, Any]:

@@ -29,6 +29,7 @@ from forestgen.render.cloud_shadow import base_of, shadow_plane_of
 from forestgen.render.frame import RenderJob, Timer, View
 from forestgen.render.identity import SceneTracer
 from forestgen.render.light import has_sun, sky_map, sun_irradiance
+from forestgen.render.paths.scattering import has_water
 from forestgen.render.paths.tracer import PathTracer
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.colour import Channels
@@ -48,6 +49,10 @@ def build_view(job: RenderJob, progress: Progress, timer: Timer, tracer: SceneTr
         problem, expected = "light through the clouds' volume knows no other weather", "clouds far above the plants"
         hint = "raise the clouds, or leave out the weather"
         raise RecipeError(problem, where="weather", expected=expected, got="clouds near the plants", hint=hint)
+    if job.is_exact and has_water(job.spec):
+        problem, expected = "light through the clouds' volume knows no water", "clouds far above the plants"
+        hint = "raise the clouds, or leave out site.water"
+        raise RecipeError(problem, where="site.water", expected=expected, got="clouds near the plants", hint=hint)
     if job.is_exact:
         from forestgen.render.exact_view import ExactView
 

@@ -43,6 +43,7 @@ _FEWEST = 4.0  # things on a tile, in the mean
 _MOST_SINGLE = 40  # large things on a square metre: at a mean of 4 none has as many
 _NUMBERS = 6  # of a thing that lies by itself
 _WAVES = 24  # of a field of patches
+_EDGE_POINTS = 4  # along a tile, where it is asked for paths and water
 _REACH_M = 2.5  # standard deviation of where leaves fall
 _SPREAD = 0.35  # of the logistic curve that makes patches of waves
 
@@ -79,8 +80,13 @@ class LaidGround:
             exemplars=(*spec.exemplars, *self.exemplars),
             materials={**spec.materials, **self.materials},
             instances=instances,
-            terrain=painted(spec.terrain, self.layers, self.tiles, self.patches, self.seed),
+            terrain=painted(spec.terrain, *self._painted(), self.patches, self.seed),
         )
+
+    def _painted(self) -> tuple[list[Layer], list[Ints]]:
+        """Layers whose mean colour is painted, and their tiles."""
+        pairs = [pair for pair in zip(self.layers, self.tiles, strict=True) if pair[0].is_painted]
+        return [layer for layer, _ in pairs], [tiles for _, tiles in pairs]
 
 
 def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) -> LaidGround:
@@ -103,7 +109,8 @@ def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) 
             found = kind.layers(keys, request, child_rng(plan.drawn.image_seed, "ground", index))
         except RecipeError as cause:
             raise cause.at(plan.drawn.where(*where)) from cause
-        layers += [replace(one, name=f"{index}/{one.name}", relative=relative[index]) for one in found]
+        named = [replace(one, name=f"{index}/{one.name}", relative=relative[index]) for one in found]
+        layers += [_placed(one, keys.on, height) for one in named]
         notes += _notes(f"site.ground.layers.{index}: {keys.what}", found)
     laid = _laid([one for one in layers if one.things], cameras, height, plan.drawn.image_seed)
     return replace(
@@ -115,6 +122,20 @@ def _tiles_of_all(layers: Sequence[Layer], tiles: Sequence[Ints]) -> tuple[Ints,
     """Of layers that are painted alone too: none."""
     drawn = iter(tiles)
     return tuple(next(drawn) if one.things else np.zeros((0, 2), np.intp) for one in layers)
+
+
+def _placed(layer: Layer, on: str, height: HeightField) -> Layer:
+    """A layer less dense on paths, and nowhere in water; or by roads alone, and painted nowhere."""
+    if on == "ground" and height.fine_m2 == 0.0:
+        return layer
+    where, share = layer.where, height.open_share if on == "ground" else height.roadside
+    inside = TILE_M * ((np.arange(_EDGE_POINTS) + 0.5) / _EDGE_POINTS - 0.5)
+
+    def density(x: Floats, y: Floats) -> Floats:
+        mean = np.mean([share(x + east, y + north) for east in inside for north in inside], axis=0)
+        return np.asarray(mean if where is None else mean * where(x, y))
+
+    return replace(layer, where=density, is_painted=on == "ground")
 
 
 def _notes(name: str, layers: Sequence[Layer]) -> list[str]:

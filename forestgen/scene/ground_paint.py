@@ -26,7 +26,7 @@ from forestgen.recipe.ground import GroundLayer
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import Layer
 from forestgen.scene.ground_view import TILE_M
-from forestgen.scene.spec import BareGround, GroundMixture, GroundPatches, Terrain
+from forestgen.scene.spec import GroundMixture, GroundPart, GroundPatch, Terrain
 from forestgen.scene.surfaces import wet_spectrum
 from forestgen.scene.terrain import TEXTURE_TILE_M, tile_noise
 
@@ -46,7 +46,7 @@ def patches_of(sections: Sequence[GroundLayer], seed: int) -> dict[int, Images]:
     found = {}
     for index, keys in enumerate(sections):
         if keys.patch_m is not None and keys.patch_m <= LONGEST_PATCH_M:
-            edge = _SHARP if keys.is_painted else _SOFT
+            edge = _SOFT if keys.has_things else _SHARP
             found[index] = patches(keys.cover, keys.patch_m, edge, child_rng(seed, "ground", "patches", index))
     return found
 
@@ -71,7 +71,7 @@ def relative_cover(sections: Sequence[GroundLayer], found: Patches) -> list[Floa
     relative: list[Floats | None] = []
     for index, keys in enumerate(sections):
         share = found.get(index)
-        if keys.is_painted and share is not None:
+        if not keys.has_things and share is not None:
             left = _by_cell(1.0 - share, cells)
             relative = [left if one is None else one * left for one in relative]
         relative.append(None if share is None else _by_cell(share, cells) / keys.cover)
@@ -107,7 +107,7 @@ def painted(
     if share.any():
         own = _covered(terrain, [one for one in layers if not one.things], found or {}, seed)
         assert own.spectrum is not None
-        under = BareGround(share.astype(np.float32), own.texture, own.spectrum, own.mixture)
+        under = GroundPatch(share.astype(np.float32), own.texture, own.mean_colour, own.spectrum, own.mixture)
     return replace(covered, wet=wet, bare=under)
 
 
@@ -151,7 +151,7 @@ def _mixture(
     for (share, spectrum), deviation in zip(parts[1:], grains[1:], strict=True):
         amount = share * np.clip(1.0 + deviation * grain, 0.2, 2.0)
         amount *= np.float32(np.mean(share) / max(float(amount.mean()), 1e-9))
-        found.append(GroundPatches(amount.astype(np.float32), colours_of_surface(spectrum, None)[0], spectrum))
+        found.append(GroundPart(amount.astype(np.float32), colours_of_surface(spectrum, None)[0], spectrum))
     assert terrain.spectrum is not None
     return GroundMixture(base.astype(np.float32), colour, terrain.spectrum, tuple(found))
 

@@ -42,6 +42,7 @@ class Material:
     transmittance_spectrum: Spectrum | None = None
     leaf_type: LeafType | None = None  # as which its leaves vary; None: all are alike
     seasons: tuple[SeasonShare, ...] = ()  # of leaves beside each other, whose mean the spectra are
+    absorption: Spectrum | None = None  # 1/m, of the water that this is the surface of; None: it is of no water
 
 
 @dataclass(frozen=True)
@@ -85,14 +86,9 @@ class WetGround:
     spectrum: Spectrum | None  # of which it is the colour; None: the colour is all
 
 
-def _mean_colour(texture: NDArray[np.float32]) -> tuple[float, float, float]:
-    red, green, blue = (float(value) for value in texture.mean(axis=(0, 1), dtype=np.float64))
-    return red, green, blue
-
-
 @dataclass(frozen=True, eq=False)
-class GroundPatches:
-    """Patches of one reflectance on the ground's texture."""
+class GroundPart:
+    """One reflectance among others on the ground's texture."""
 
     amount: NDArray[np.float32]  # (H, W) share of the texel times its brightness, of mean 1
     reflectance: tuple[float, float, float]  # linear Rec. 709
@@ -103,32 +99,28 @@ class GroundPatches:
 class GroundMixture:
     """What a texture of the ground consists of: each part has its own reflectance in every channel."""
 
-    base: NDArray[np.float32]  # (H, W, 3) the ground's own texture, less what patches hide
+    base: NDArray[np.float32]  # (H, W, 3) the ground's own texture, less what the parts hide
     reflectance: tuple[float, float, float]  # mean of the ground's own texture
     spectrum: Spectrum  # of that mean
-    patches: tuple[GroundPatches, ...]
+    parts: tuple[GroundPart, ...]
 
     def image(self) -> NDArray[np.float32]:
         """(H, W, 3) linear Rec. 709 of all parts."""
         out = self.base.copy()
-        for one in self.patches:
+        for one in self.parts:
             out += one.amount[..., None] * np.array(one.reflectance, dtype=np.float32)
         return np.minimum(out, np.float32(1.0))
 
 
 @dataclass(frozen=True, eq=False)
-class BareGround:
-    """The ground without what lies on it, which shows where that is geometry; scene/ground_paint.py."""
+class GroundPatch:
+    """Another ground that shows in places, such as a path's, or what is between things that lie there."""
 
-    share: NDArray[np.float32]  # (V,) by vertex: 0 painted with what lies there, 1 bare between the things
-    texture: NDArray[np.float32]  # as of `Terrain`
-    spectrum: Spectrum  # of the texture's mean colour
-    mixture: GroundMixture | None = None
-
-    @cached_property
-    def mean_colour(self) -> tuple[float, float, float]:
-        """Mean of the texture, linear Rec. 709."""
-        return _mean_colour(self.texture)
+    share: NDArray[np.float32]  # (V,) by vertex: 0 the ground around, 1 this one
+    texture: NDArray[np.float32]  # (H, W, 3) linear Rec. 709 reflectance over the terrain's uv
+    reflectance: tuple[float, float, float]  # mean of the texture
+    spectrum: Spectrum  # of which it is the colour
+    mixture: GroundMixture | None = None  # of the texture; None: it is all of one spectrum
 
 
 @dataclass(frozen=True)
@@ -142,13 +134,20 @@ class Terrain:
     spectrum: Spectrum | None = None  # of the texture's mean colour; None: the colour is all
     far_spectrum: Spectrum | None = None
     wet: WetGround | None = None  # None: dry, or nobody knows
-    bare: BareGround | None = None  # None: painted everywhere
     mixture: GroundMixture | None = None  # of the texture; None: it is all of one spectrum
+    bare: GroundPatch | None = None  # what shows between things that are geometry; None: it is painted everywhere
+    patches: tuple[GroundPatch, ...] = ()  # the later ones lie on the earlier
+
+    @property
+    def overlays(self) -> tuple[GroundPatch, ...]:
+        """All other grounds, the later ones on the earlier."""
+        return self.patches if self.bare is None else (self.bare, *self.patches)
 
     @cached_property
     def mean_colour(self) -> tuple[float, float, float]:
         """Mean of the texture, linear Rec. 709."""
-        return _mean_colour(self.texture)
+        red, green, blue = (float(value) for value in self.texture.mean(axis=(0, 1), dtype=np.float64))
+        return red, green, blue
 
 
 @dataclass(frozen=True)

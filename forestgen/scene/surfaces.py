@@ -38,7 +38,7 @@ from forestgen.recipe import species as recipe_species
 from forestgen.recipe.phenology import SUMMER, LeafState
 from forestgen.recipe.spectra import SEASONS, load_spectra, load_table, mixed, of_season, surface_columns
 from forestgen.scene.colour import Channels, colours_of_surface
-from forestgen.scene.spec import BareGround, Camera, Material, SeasonShare, Terrain, WetGround
+from forestgen.scene.spec import Camera, GroundPatch, Material, SeasonShare, Terrain, WetGround
 
 Floats = NDArray[np.float64]
 _INDEX = 1.33
@@ -123,13 +123,14 @@ def wet_ground(dry: Spectrum, saturation: Floats) -> WetGround | None:
     return WetGround(share.astype(np.float32), colours[1], wet)
 
 
-def ground_texture(ground: Terrain | BareGround, channels: Channels) -> NDArray[np.float32]:
+def ground_texture(ground: Terrain | GroundPatch, channels: Channels) -> NDArray[np.float32]:
     """(H, W, 3) reflectance of the ground's texture in the channels."""
     mixture = ground.mixture
     if mixture is None:
-        return np.maximum(channels.texture(ground.texture, ground.mean_colour, ground.spectrum), 0.0)
+        colour = ground.mean_colour if isinstance(ground, Terrain) else ground.reflectance
+        return np.maximum(channels.texture(ground.texture, colour, ground.spectrum), 0.0)
     out = channels.texture(mixture.base, mixture.reflectance, mixture.spectrum)
-    for one in mixture.patches:
+    for one in mixture.parts:
         out += one.amount[..., None] * channels.of_surface(one.reflectance, one.spectrum).astype(np.float32)
     return np.clip(out, 0.0, 1.0)
 

@@ -181,10 +181,10 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     textured = hits.valid & (first != NONE)
     u, v = vertex_uv(tracer, hits, corners, textured)
     offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
-    places = bilinear_places(offset, width, height, u, v)
-    colour = dr.select(textured, weighted_sum(mi.Color3f, tracer.table.texel, places, textured), mean)
-    bare = bare_colour(hits, textured, tracer.table.texel, tracer.table.bare_from, places)
-    shown = ground_colour(tracer, hits, corners, colour, bare, (tracer.table.far_albedo, tracer.table.film_factor))
+    colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
+    of_ground = tracer.table.far_albedo, tracer.table.film_factor
+    patches = patch_colours(tracer.table.patch_texture, tracer.table.texel, u, v, textured)
+    shown = ground_colour(tracer, hits, corners, colour, of_ground, patches)
     if tracer.spec.snow is not None:
         shown = dr.select(under_snow(tracer, hits).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
     return dr.select(hits.valid, shown, 0.0)
@@ -218,39 +218,54 @@ def under_snow(tracer: SceneTracer, hits: Hits) -> UnderSnow:
     share = dr.opaque(mi.Float, tracer.spec.snow.share)
     on_leaf = luck < share * dr.minimum(dr.abs(up) / _LEVEL_LEAF, 1.0)
     on_wood = dr.abs(up) > 1.0 - share * (1.0 - _STEEPEST)
-    covered = hits.valid & (hits.instance > 0) & dr.select(leaflike, on_leaf, on_wood)
+    covered = hits.valid & (hits.instance > 0) & dr.select(leaflike, on_leaf, on_wood) & (part != int(Part.WATER))
     return UnderSnow(covered, covered & (up > 0))
 
 
-def bare_colour(hits: Hits, textured: Any, texel: Any, first: Any | None, places: Places) -> Any | None:
-    """What the ground's texture is at hits without what lies on it; None: nothing does as geometry.
-
-    `first`: texel of the bare ground's texture; `places`: in the ground's.
-    """
-    if first is None:
-        return None
-    return weighted_sum(mi.Color3f, texel, [(w, row + first) for w, row in places], textured & (hits.instance == 0))
+def patch_colours(texture: Any | None, texel: Any, u: Any, v: Any, active: Any) -> list[Any]:
+    """Colours of the terrain's patches, by their rows of the table `texel`; meaningless off the terrain."""
+    if texture is None:
+        return []
+    found = []
+    for patch in range(dr.width(texture) // 3):
+        first, width, height = (dr.gather(mi.UInt32, texture, mi.UInt32(3 * patch + k)) for k in range(3))
+        found.append(bilinear(texel, first, width, height, u, v, active))
+    return found
 
 
 def ground_colour(
-    tracer: SceneTracer, hits: Hits, corners: Places, colour: Any, bare: Any | None, of_ground: tuple[Any, Any]
+    tracer: SceneTracer,
+    hits: Hits,
+    corners: Places,
+    colour: Any,
+    of_ground: tuple[Any, Any],
+    patches: Sequence[Any] = (),
 ) -> Any:
-    """`colour` of hits; the ground's is `bare` between things that lie on it, dimmed where it is wet, and that of the
-    distance where it lies far.
+    """`colour` of hits; the ground's is that of others in places, dimmed where it is wet, and that of the distance
+    where it lies far.
 
-    `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factor of a film of water.
+    `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factor of a film of water;
+    `patches` the colours of other grounds in places, the later ones on the earlier.
     """
     ground = hits.valid & (hits.instance == 0)
     far_colour, film_factor = of_ground
     far = dr.clip(weighted_sum(mi.Float, tracer.table.far_share, corners, ground), 0.0, 1.0)
-    near = colour
-    if bare is not None:
-        share = dr.clip(weighted_sum(mi.Float, tracer.table.bare_share, corners, ground), 0.0, 1.0)
-        near = near + share * (bare - near)
-    if tracer.table.wet_share is not None:
-        wet = dr.clip(weighted_sum(mi.Float, tracer.table.wet_share, corners, ground), 0.0, 1.0)
-        near = near * (1.0 - wet * (1.0 - film_factor))
+    near = _dimmed(tracer.table.wet_share, corners, ground, colour, film_factor)
+    vertices = dr.opaque(mi.UInt32, dr.width(tracer.table.far_share))
+    for index, patch in enumerate(patches):
+        rows = [(weight, corner + index * vertices) for weight, corner in corners]
+        here = dr.clip(weighted_sum(mi.Float, tracer.table.patch_share, rows, ground), 0.0, 1.0)
+        damp = _dimmed(tracer.table.wet_share, corners, ground, patch, film_factor)
+        near = near * (1.0 - here) + damp * here
     return dr.select(ground, near * (1.0 - far) + far_colour * far, colour)
+
+
+def _dimmed(share: Any | None, corners: Places, ground: Any, colour: Any, factor: Any) -> Any:
+    """`colour` times a factor in places, by the share of vertices; None: nowhere."""
+    if share is None:
+        return colour
+    here = dr.clip(weighted_sum(mi.Float, share, corners, ground), 0.0, 1.0)
+    return colour * (1.0 - here * (1.0 - factor))
 
 
 def vertex_uv(tracer: SceneTracer, hits: Hits, corners: Places, textured: Any) -> tuple[Any, Any]:
@@ -263,10 +278,13 @@ def vertex_uv(tracer: SceneTracer, hits: Hits, corners: Places, textured: Any) -
     return u, v
 
 
+def bilinear(texel: Any, first: Any, width: Any, height: Any, u: Any, v: Any, active: Any) -> Any:
+    """Colours of repeating textures as in Mitsuba's `bitmap`: texel centres at (i + 0.5) / width, row 0 at v = 0."""
+    return weighted_sum(mi.Color3f, texel, bilinear_places(first, width, height, u, v), active)
+
+
 def bilinear_places(first: Any, width: Any, height: Any, u: Any, v: Any) -> Places:
-    """Weights and rows of the four texels around a place of a repeating texture, as of Mitsuba's `bitmap`: their
-    centres lie at (i + 0.5) / width, row 0 at v = 0.
-    """
+    """Weights and rows of the four texels around a place of a repeating texture."""
     x, y = ((t - dr.floor(t)) * mi.Float(size) - 0.5 for t, size in ((u, width), (v, height)))
     left, low = mi.Int32(dr.floor(x)), mi.Int32(dr.floor(y))
     columns, rows = mi.Int32(width), mi.Int32(height)

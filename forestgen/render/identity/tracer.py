@@ -56,8 +56,8 @@ class HitTables:
     far_albedo: tuple[float, float, float]
     wet_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is wet
     film_factor: tuple[float, float, float]  # of the wet ground's albedo
-    bare_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is bare
-    bare_from: int | None  # first texel of the bare ground; None: none is bare
+    patch_share: NDArray[np.float32] | None  # (K, VG) of the terrain's patches by vertex; None: there are none
+    patch_texture: NDArray[np.uint32] | None  # (K, 3) as `texture`
 
     @property
     def nbytes(self) -> int:
@@ -96,16 +96,14 @@ def hit_tables(spec: SceneSpec) -> HitTables:
     images = [terrain.texture, *(_image(*organ) for organ in organs)]  # colour textures
     images = [None if mesh.uv is None else image for mesh, image in zip(meshes, images, strict=True)]
     shown = {id(image): image for image in images if image is not None}  # species share none, organs may
+    patches = [one.texture for one in terrain.overlays]
+    shown |= {id(one): one for one in patches}
     first_texel = dict(zip(shown, _first_rows(list(shown.values()), 1).tolist(), strict=True))
     organ_of_exemplar = 1 + np.cumsum([0, *(len(exemplar.organs) for exemplar in spec.exemplars)])
     normals, uvs = ([getattr(mesh, name) for mesh in meshes] for name in ("normals", "uv"))
     uvs = [None if image is None else uv for uv, image in zip(uvs, images, strict=True)]
     # Normals go with the inverse transpose; for a rotation times a uniform scale that is the matrix itself up to scale.
     inverse_transpose = np.linalg.inv(spec.instances.transform[:, :, :3]).transpose(0, 2, 1)
-    texels = [image.reshape(-1, 3) for image in shown.values()]
-    bare_from = None if terrain.bare is None else sum(len(one) for one in texels)
-    if terrain.bare is not None:
-        texels.append(terrain.bare.texture.reshape(-1, 3))
     film_red, film_green, film_blue = film_factor(terrain, RGB).tolist()
     return HitTables(
         plant_id=np.concatenate([[0], spec.instances.plant_id]).astype(np.uint32),
@@ -127,14 +125,20 @@ def hit_tables(spec: SceneSpec) -> HitTables:
             [(0, 0, 0) if one is None else (first_texel[id(one)], one.shape[1], one.shape[0]) for one in images],
             dtype=np.uint32,
         ),
-        texel=_joined(texels, 3),
+        texel=_joined([image.reshape(-1, 3) for image in shown.values()], 3),
         far_share=np.asarray(terrain.far_share, dtype=np.float32),
         far_albedo=terrain.far_reflectance,
         wet_share=None if terrain.wet is None else terrain.wet.share,
         film_factor=(film_red, film_green, film_blue),
-        bare_share=None if terrain.bare is None else terrain.bare.share,
-        bare_from=bare_from,
+        patch_share=np.stack([one.share for one in terrain.overlays]) if terrain.overlays else None,
+        patch_texture=patch_rows(patches, [first_texel[id(one)] for one in patches]),
     )
+
+
+def patch_rows(images: Sequence[NDArray[np.float32]], first: Sequence[int]) -> NDArray[np.uint32] | None:
+    """(K, 3) first texel, width and height of the textures of patches; None: there are none."""
+    rows = [(row, image.shape[1], image.shape[0]) for row, image in zip(first, images, strict=True)]
+    return np.array(rows, dtype=np.uint32) if rows else None
 
 
 def _image(part: Part, mesh: Mesh, material: Material) -> NDArray[np.float32] | None:
@@ -156,13 +160,11 @@ def _joined(blocks: Sequence[NDArray[np.float32] | None], width: int) -> NDArray
 
 
 def uploaded(tables: Any) -> Any:
-    """The fields of a dataclass on the device: arrays flat, and numbers and colours as opaque values."""
+    """The fields of a dataclass on the device: arrays flat, and colours as opaque values."""
     fields: dict[str, Any] = {}
     for name, value in vars(tables).items():
         if isinstance(value, tuple):
             fields[name] = mi.Color3f(*[dr.opaque(mi.Float, float(one)) for one in value])
-        elif isinstance(value, int):
-            fields[name] = dr.opaque(mi.UInt32, value)
         elif value is not None:
             is_float = value.dtype.kind == "f"
             fields[name] = mi.Float(value.ravel()) if is_float else mi.UInt32(value.astype(np.uint32).ravel())

@@ -23,7 +23,7 @@ from forestgen.scene.ground_paint import LONGEST_PATCH_M
 class BareSoilKeys(GroundLayer):
     """Bare patches."""
 
-    is_painted: ClassVar[bool] = True
+    has_things: ClassVar[bool] = False
 
     cover: fields.Number = Field(0.1, gt=0, le=DENSEST, description="Share of the ground that is bare.")
     patch_m: fields.Positive = Field(1.5, ge=0.5, le=LONGEST_PATCH_M, description="Size of the patches, metres.")

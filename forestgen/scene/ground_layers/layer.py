@@ -69,6 +69,7 @@ class Layer:
     patch_m: float | None = None
     relative: Floats | None = None  # cover over its mean on the square metres of the ground's texture; None: even
     where: Places | None = None  # relative density by x, y of the site, of mean 1; None: the same everywhere
+    is_painted: bool = True  # whether the ground has its mean colour where it is not geometry
 
     @property
     def spectrum(self) -> Spectrum:

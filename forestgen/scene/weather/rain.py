@@ -112,6 +112,8 @@ def wetted(spec: SceneSpec, share: float) -> SceneSpec:
 
 
 def _wet(material: Material, share: float) -> Material:
+    if material.absorption is not None:
+        return material
     if max(material.transmittance) > 0:  # leaves: their skin is smooth, and so is the film
         gloss = max(material.gloss, share * _FILM_GLOSS)
         roughness = material.roughness + share * (min(material.roughness, _FILM_ROUGHNESS) - material.roughness)

@@ -90,7 +90,7 @@ def test_patches_have_their_own_spectrum_in_every_channel() -> None:
     texture = ground_texture(terrain, channels)
     assert terrain.bare is None
     assert terrain.mixture is not None
-    share = terrain.mixture.patches[0].amount
+    share = terrain.mixture.parts[0].amount
     sand, soil = (load_spectra(f"ground/{name}")["reflectance"] for name in ("sand", "soil_wet"))
     for channel, wavelength_nm in enumerate((480.0, 842.0, 1600.0)):
         pure, none = texture[share > 0.95][:, channel], texture[share < 0.001][:, channel]
