@@ -151,6 +151,24 @@ def shades(material: Material, factors: Sequence[float], name: str) -> dict[str,
     return {f"{name}-{index}": scaled(material, factor) for index, factor in enumerate(factors)}
 
 
+def mean_surface(materials: Sequence[Material], share: Floats | None = None) -> Material:
+    """A surface with the mean spectra of several, all of which have one; `share`: (M,) of each, even if not given."""
+
+    def mean(spectra: Sequence[Spectrum | None]) -> Spectrum | None:
+        known = [one for one in spectra if one is not None]
+        if len(known) < len(spectra):
+            return None
+        grid = np.unique(np.concatenate([one.wavelength_nm for one in known]))
+        return Spectrum(grid, np.average([one.at(grid) for one in known], axis=0, weights=share))
+
+    reflected = mean([one.reflectance_spectrum for one in materials])
+    assert reflected is not None  # of all layers
+    passed = mean([one.transmittance_spectrum for one in materials])
+    first = materials[0]
+    colours = colours_of_surface(reflected, passed)
+    return Material(*colours, first.roughness, None, first.gloss, reflected, passed)
+
+
 def opaque(spectrum: Spectrum, roughness: float = 0.8) -> Material:
     """A surface of a reflectance."""
     return Material(colours_of_surface(spectrum, None)[0], roughness=roughness, reflectance_spectrum=spectrum)
