@@ -16,14 +16,13 @@ import numpy as np
 
 from forestgen.core.dead_wood import DeadForm, DeadTree
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Floats, Mesh, instance, triangle_areas, unit, vertex_normals
+from forestgen.geometry.mesh import Floats, Mesh, part_of, triangle_areas, unit, vertex_normals
 from forestgen.plants.build import box_of, check_materials, grown_tree
 from forestgen.plants.dead_tree import DeadSkeleton, dead_skeleton
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
 from forestgen.plants.levels import simplified
 from forestgen.plants.meshing import organ_meshes
-from forestgen.plants.organs.flowers import Disc
 from forestgen.plants.parameters import PlantParameters
 from forestgen.plants.skeleton import Skeleton
 from forestgen.plants.stem_surface import EDGE_M, split, surfaced
@@ -68,6 +67,7 @@ _TWIGS = 0.7  # of the tree's leaf area, by which twigs are counted: the finest 
 _UPPER = 0.1  # least z of a normal of the upper side
 _UNEVEN = (0.02, 0.03, 0.06, 0.09, 0.12)  # by decay class, of the radius: standard deviation of the surface, about
 _BARK = 0.06, 0.012  # how much lower bare wood is than bark: of the radius, at most metres
+_FLAT_M = 1e-3  # of a sawn face
 _PLATE_SIDES, _PLATE_RINGS, _PLATE_DEEP = 48, 9, 0.12
 
 
@@ -87,6 +87,8 @@ def bare_parameters(plant: PlantParameters, dead: DeadTree | None = None) -> Pla
         changed["material"] = bare
     if grey:
         changed |= {"branch_material": bare if has_bark else None, "thick_branch_m": None}
+    if dead is not None and dead.form == DeadForm.STUMP and plant.wood.years is not None:
+        changed["years"] = plant.wood.years.model_copy(update={"roots": None})  # some are higher than it
     return plant.model_copy(update={"wood": plant.wood.model_copy(update=changed)})
 
 
@@ -115,7 +117,10 @@ def build_dead(
     seen = simplified(left.skeleton, {}, pixel_m, level_rng)
     organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=pixel_m)
     organs = _uneven(organs, left.skeleton, dead, uneven_rng)
-    organs = (*_patched(organs, plant, left.skeleton, dead, pixel_m, patch_rng), *_faces(left, dead, patch_rng))
+    organs = _sawn(_patched(organs, plant, left.skeleton, dead, pixel_m, patch_rng), left, dead)
+    if left.plate_m > 0.0:
+        foot_m = float(left.skeleton.position_m[0, 2])
+        organs = (*organs, OrganMesh(Part.DEAD_WOOD, SOIL, _root_plate(left.plate_m, foot_m, patch_rng)))
     check_materials(species_name, organs, species.materials)
     low, high = box_of(organs, species_name)
     return Exemplar(
@@ -267,19 +272,22 @@ def _sunken(wood: OrganMesh, skeleton: Skeleton) -> OrganMesh:
     return replace(wood, mesh=replace(mesh, vertices_m=lowered.astype(np.float32)))
 
 
-def _faces(left: DeadSkeleton, dead: DeadTree, rng: np.random.Generator) -> list[OrganMesh]:
-    """A stump's sawn face, an uprooted tree's root plate."""
+def _sawn(organs: tuple[OrganMesh, ...], left: DeadSkeleton, dead: DeadTree) -> tuple[OrganMesh, ...]:
+    """A stump's surfaces with its sawn face as one of its own."""
+    if left.sawn is None:
+        return organs
+    (x, y, top_m), material = left.sawn[0], FALLEN if dead.decay >= _ROTTEN else END_GRAIN
     made = []
-    if left.sawn is not None:
-        place, diameter_m = left.sawn
-        frame = np.column_stack([diameter_m * np.eye(3), place + np.array([0.0, 0.0, 0.002])])
-        face = Disc(form="disc", part="dead_wood", material=END_GRAIN, diameter_m=1.0, sides=32).template()
-        material = FALLEN if dead.decay >= _ROTTEN else END_GRAIN
-        made.append(OrganMesh(Part.DEAD_WOOD, material, instance(face, frame[None].astype(np.float32))))
-    if left.plate_m > 0.0:
-        foot_m = float(left.skeleton.position_m[0, 2])
-        made.append(OrganMesh(Part.DEAD_WOOD, SOIL, _root_plate(left.plate_m, foot_m, rng)))
-    return made
+    for organ in organs:
+        mesh = organ.mesh
+        on_top = np.all(mesh.vertices_m[mesh.faces][:, :, 2] > top_m - _FLAT_M, axis=1)
+        made += [replace(organ, mesh=part_of(mesh, mesh.faces[~on_top]))] if not on_top.all() else []
+        if on_top.any():
+            face = part_of(mesh, mesh.faces[on_top])
+            flat = face.vertices_m[:, :2] - np.array([x, y], dtype=np.float32)
+            uv = 0.5 + 0.5 * flat / max(float(np.linalg.norm(flat, axis=1).max()), 1e-6)
+            made.append(OrganMesh(Part.DEAD_WOOD, material, replace(face, uv=uv.astype(np.float32))))
+    return tuple(made)
 
 
 def _root_plate(radius_m: float, middle_m: float, rng: np.random.Generator) -> Mesh:

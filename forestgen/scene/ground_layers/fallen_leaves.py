@@ -28,6 +28,7 @@ from forestgen.recipe.species import Species
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import (
+    FALLEN,
     GroundLayerKind,
     Layer,
     Request,
@@ -99,12 +100,12 @@ class Leaves(GroundLayerKind[LeavesKeys]):
             if not things:
                 continue
             if species.materials[key].leaf_type == "needle":
-                materials = shades(dry, _NEEDLE_SHADES, f"leaves/{name}")
+                materials = shades(dry, _NEEDLE_SHADES, f"{FALLEN}{name}")
             else:
-                materials = {f"leaves/{name}-{index}": _aged(dry, age) for index, age in enumerate(_AGES)}
+                materials = {f"{FALLEN}{name}-{index}": _aged(dry, age) for index, age in enumerate(_AGES)}
             found.append(
                 Layer(
-                    name=f"leaves/{name}",
+                    name=f"{FALLEN}{name}",
                     things=things,
                     materials=materials,
                     cover=1.0 - (1.0 - keys.cover) ** share,
@@ -137,7 +138,7 @@ def _fallen(request: Request, name: str, species: Species, key: str, rng: np.ran
     flat = join([one.patch for one in form.patches()])
     flat = flat._replace(points=length_m / drawn_m * flat.points)
     for index in range(_EACH * len(_AGES)):
-        shaped = sheet(Part.LITTER, f"leaves/{name}-{index % len(_AGES)}", _dried(flat, rng))
+        shaped = sheet(Part.LITTER, f"{FALLEN}{name}-{index % len(_AGES)}", _dried(flat, rng))
         things.append(Thing(centred([shaped]), length_m))
     return tuple(things)
 
@@ -194,7 +195,7 @@ def _needles(shape: Any, name: str, rng: np.random.Generator) -> tuple[Thing, ..
         across = np.column_stack([-np.sin(turn), np.cos(turn), np.zeros(_IN_ONE)])
         linear = np.stack([across, along, np.cross(across, along)], axis=-1)
         patch = copies(blade, linear, at)
-        things.append(Thing(centred([sheet(Part.LITTER, f"leaves/{name}-{index}", patch)]), length_m))
+        things.append(Thing(centred([sheet(Part.LITTER, f"{FALLEN}{name}-{index}", patch)]), length_m))
     return tuple(things)
 
 
