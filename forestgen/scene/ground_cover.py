@@ -31,9 +31,9 @@ from forestgen.geometry.mesh import Floats
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.registries import GROUND_LAYERS
 from forestgen.scene.blocks import sheared
-from forestgen.scene.ground_layers.layer import Layer, Places, Request
+from forestgen.scene.ground_layers.layer import GROUND, Layer, Places, Request
 from forestgen.scene.ground_paint import painted, patches_of, relative_cover
-from forestgen.scene.ground_tiles import COVERS, GROUND, MOST_THINGS, VARIANTS, number_per_m2, single, tile
+from forestgen.scene.ground_tiles import COVERS, MOST_THINGS, VARIANTS, number_per_m2, single, tile
 from forestgen.scene.ground_view import MOST_TILES, TILE_M, best_pixel_m, nearest, seen_tiles
 from forestgen.scene.plan import Plan
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec

@@ -15,7 +15,7 @@ from forestgen.plants.bark.texture import with_mean
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.registries import GROUND_COVERS, GROUND_OF
 from forestgen.scene.colour import colours_of_surface
-from forestgen.scene.ground_tiles import GROUND
+from forestgen.scene.ground_layers.layer import GROUND
 from forestgen.scene.shaped_ground import ShapedGround
 from forestgen.scene.spec import GroundPatch, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.terrain import HeightField, smooth_step

@@ -26,7 +26,7 @@ _RAYS_AT_ONCE, _SUMMED_AT_ONCE = 2_000_000, 1_000_000
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
 # a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
 LIFT = 1e-5
-_SNOW_GROUPS = (7, 4)  # bits of a face's number that are alike for neighbours: of a shoot, and of a leaf
+_SNOW_GROUPS = (10, 7)  # bits of a face's number that are alike for neighbours: of a load on a branch, of a shoot
 # Vertical parts of normals: of the steepest wood that holds snow where all is under it; and of leaves, which together
 # hold it however each one stands.
 _STEEPEST, _LEVEL_LEAF = 0.15, 0.35

@@ -247,6 +247,9 @@ def visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
     return dr.normalize(mi.Vector3f(width * facet.x, width * facet.y, dr.maximum(facet.z, 1e-6)))
 
 
+_SNOW_SMOOTH = 1.0  # how far the normals of snow on leaves and wood turn up: its surface is smoother than what bears it
+
+
 class Surfaces:
     """The tables of a scene on the device; its paint changes with the channels."""
 
@@ -294,6 +297,9 @@ class Surfaces:
             matt, through = dr.select(snow.seen, self._snow, matt), dr.select(snow.covered, 0.0, through)
             gloss.x = dr.select(snow.seen, 0.0, gloss.x)
             chance.x, chance.y = dr.select(snow.covered, 0.0, chance.x), dr.select(snow.seen, 0.0, chance.y)
+            smooth = dr.normalize(normal + _SNOW_SMOOTH * mi.Vector3f(0.0, 0.0, 1.0))
+            normal = dr.select(snow.seen & (dr.dot(smooth, towards) > 0), smooth, normal)
+            textured &= ~snow.seen
         facet = self._facet(hits, normal, towards, relief, textured)
         return Local(towards, geometric, normal, facet, matt, through, gloss, chance)
 

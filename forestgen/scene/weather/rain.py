@@ -7,8 +7,9 @@
   and covers what it passes by its share of the time. A nearer surface hides it (render/falling.py).
 - All drops are a medium of twice their cross-section, pi N0 / slope³, through which light is followed as in fog; it
   turns by few degrees (Henyey and Greenstein's g = 0.95).
-- Wet surfaces: bare wood and ground darken as under a film of water (scene/surfaces.py); leaves have a film's mirror, a
-  gloss of 0.04 of smooth water.
+- Wet surfaces: wood, ground and fallen leaves darken as under a film of water (scene/surfaces.py). Leaves, living and
+  fallen, and stones have a film's mirror, a gloss of 0.04 of smooth water.
+- Streaks are faint: a drop of 2 mm covers a pixel of its streak for 3% of an exposure of 0.01 s.
 - Labels are those without rain. The sky is the recipe's: `sky: {kind: overcast}` suits rain.
 
 Example
@@ -39,6 +40,7 @@ from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import SKIES
 from forestgen.recipe.weather import Weather
 from forestgen.scene.colour import colours_of_surface
+from forestgen.scene.ground_layers.layer import is_litter
 from forestgen.scene.spec import Falling, FogLayer, Material, SceneSpec, Terrain, WetGround
 from forestgen.scene.surfaces import under_film, wet_spectrum
 from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed
@@ -107,31 +109,38 @@ class Rain(WeatherKind[RainKeys]):
 
 def wetted(spec: SceneSpec, share: float) -> SceneSpec:
     """The scene with a film of water on a share of its surfaces."""
-    materials = {key: _wet(one, share) for key, one in spec.materials.items()}
+    materials = {
+        key: _wet(one, share, is_living=max(one.transmittance) > 0 and not is_litter(*key))
+        for key, one in spec.materials.items()
+    }
     return replace(spec, materials=materials, terrain=_wet_terrain(spec.terrain, share))
 
 
-def _wet(material: Material, share: float) -> Material:
-    if material.absorption is not None:
+def _wet(material: Material, share: float, *, is_living: bool) -> Material:
+    if material.absorption is not None:  # water
         return material
-    if max(material.transmittance) > 0:  # leaves: their skin is smooth, and so is the film
-        gloss = max(material.gloss, share * _FILM_GLOSS)
-        roughness = material.roughness + share * (min(material.roughness, _FILM_ROUGHNESS) - material.roughness)
+    gloss = max(material.gloss, share * _FILM_GLOSS)
+    roughness = material.roughness + share * (min(material.roughness, _FILM_ROUGHNESS) - material.roughness)
+    if is_living:  # a leaf's skin is smooth, and so is the film
         return replace(material, gloss=gloss, roughness=roughness)
-    dry, spectrum = material.reflectance_spectrum, None
+    texture, dry, spectrum = material.texture, material.reflectance_spectrum, None
+    if texture is not None:  # relief has no mirror
+        gloss, roughness = material.gloss, material.roughness
+    mirrored = gloss - material.gloss
     if dry is None:
         plain = np.array(material.reflectance)
-        red, green, blue = ((1.0 - share) * plain + share * under_film(plain)).tolist()
+        red, green, blue = ((1.0 - share) * plain + share * under_film(plain) + mirrored).tolist()
         colour = (red, green, blue)
     else:
         film = wet_spectrum(dry)
-        spectrum = Spectrum(film.wavelength_nm, (1.0 - share) * dry.at(film.wavelength_nm) + share * film.value)
+        wet = (1.0 - share) * dry.at(film.wavelength_nm) + share * film.value + mirrored
+        spectrum = Spectrum(film.wavelength_nm, wet)
         colour, _ = colours_of_surface(spectrum, None)
-    texture = material.texture
     if texture is not None:
         factor = np.array(colour) / np.maximum(material.reflectance, 1e-6)
         texture = replace(texture, colour=(texture.colour * factor).astype(np.float32))
-    return replace(material, reflectance=colour, reflectance_spectrum=spectrum, texture=texture)
+    made = replace(material, reflectance=colour, reflectance_spectrum=spectrum, texture=texture)
+    return replace(made, gloss=gloss, roughness=roughness)
 
 
 def _wet_terrain(terrain: Terrain, share: float) -> Terrain:

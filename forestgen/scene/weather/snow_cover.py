@@ -1,7 +1,7 @@
 """Snow on the ground and on plants.
 
-- On the ground it lies `depth_m` deep, a quarter more or less in drifts of some metres: the ground rises by it, and
-  what is lower is hidden. Ponds and streams stay open. It has the reflectance of `ground/snow`: fresh dry snow,
+- On the ground it lies `depth_m` deep, a quarter more or less in drifts and hollows of some metres: the ground rises by
+  it, and what is lower is hidden. Ponds and streams stay open. It has the reflectance of `ground/snow`: fresh dry snow,
   computed by Kokhanovsky and Zege (2004) from the absorption of ice (Warren and Brandt 2008). 40% of the land around
   lies under it.
 - On plants it lies on sides that face up: on level wood, stones and roofs, and on a share of the leaves and needles,
@@ -41,7 +41,7 @@ from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, che
 
 Floats = NDArray[np.float64]
 _DRIFT = 0.25  # of the depth: standard deviation
-_WAVES, _WAVE_M = 16, (3.0, 15.0)  # of drifts
+_WAVES, _WAVE_M = 32, (1.6, 15.0)  # of drifts
 
 
 class SnowKeys(Weather):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from forestgen.render.falling import coverage
+from forestgen.scene.ground_layers.layer import FALLEN, GROUND
 from forestgen.scene.projection import image_circle
 from forestgen.scene.spec import Falling, Material
 from forestgen.scene.surfaces import under_film
@@ -58,15 +59,19 @@ def test_no_drop_falls_outside_of_a_fisheyes_circle() -> None:
 
 def test_what_has_no_spectrum_gets_wet_and_smooth_by_share() -> None:
     bark, leaf = Material((0.3, 0.2, 0.1)), Material((0.1, 0.2, 0.1), (0.1, 0.2, 0.1), roughness=0.65)
+    keys = ("beech", "bark"), ("beech", "leaf"), (GROUND, f"{FALLEN}beech-0")
     spec = scattered_scene(1, exemplars=1, leaves=4, terrain=plain_ground(-5.0, 5.0, albedo=0.3))
-    spec = replace(spec, materials={"bark": bark, "leaf": leaf})
-    half, all_wet = wetted(spec, 0.5), wetted(spec, 1.0)
-    assert all_wet.materials["bark"].reflectance == pytest.approx(under_film(np.array(bark.reflectance)).tolist())
-    mean = (np.array(bark.reflectance) + all_wet.materials["bark"].reflectance) / 2.0
-    assert half.materials["bark"].reflectance == pytest.approx(mean.tolist())
-    assert half.materials["leaf"].roughness == pytest.approx((0.65 + all_wet.materials["leaf"].roughness) / 2.0)
-    assert half.terrain.wet is not None
-    assert half.terrain.wet.reflectance[0] < 0.3
+    spec = replace(spec, materials=dict(zip(keys, (bark, leaf, leaf), strict=True)))
+    half, all_wet = (list(wetted(spec, share).materials.values()) for share in (0.5, 1.0))
+    for dry, wet, some in zip((bark, leaf), all_wet[::2], half[::2], strict=True):  # the bark, the fallen leaf
+        film = under_film(np.array(dry.reflectance)) + wet.gloss
+        assert wet.reflectance == pytest.approx(film.tolist())
+        assert some.reflectance == pytest.approx((0.5 * (np.array(dry.reflectance) + film)).tolist())
+    assert all_wet[1].reflectance == leaf.reflectance
+    assert half[1].roughness == pytest.approx((0.65 + all_wet[1].roughness) / 2.0)
+    wet = wetted(spec, 0.5).terrain.wet
+    assert wet is not None
+    assert wet.reflectance[0] < 0.3
 
 
 def test_a_near_surface_hides_them() -> None:
