@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, SerializeAsAny
+from pydantic import Field, SerializeAsAny, SerializerFunctionWrapHandler, model_serializer
 
 from forestgen.recipe import fields
 from forestgen.recipe.registries import GROUND_COVERS, GROUND_LAYERS
@@ -31,6 +31,11 @@ class GroundLayer(fields.PartSection):
     patch_m: fields.Positive | None = Field(
         None, ge=0.5, le=1000, description="Size of its patches, metres. Default: as dense everywhere."
     )
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual_place(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        found: dict[str, Any] = handler(self)
+        return {key: value for key, value in found.items() if (key, value) != ("on", "ground")}
 
 
 class Ground(fields.Section):
