@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, SerializeAsAny
+from pydantic import Field, SerializeAsAny, SerializerFunctionWrapHandler, model_serializer
 
 from forestgen.recipe import fields
 from forestgen.recipe.registries import GROUND_COVERS, GROUND_LAYERS
@@ -36,6 +36,11 @@ class GroundLayer(fields.PartSection):
         description="Size of its patches, metres. Where it is painted, patches of more than 12 m do not show. "
         "Default: as dense everywhere.",
     )
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual_place(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        found: dict[str, Any] = handler(self)
+        return {key: value for key, value in found.items() if (key, value) != ("on", "ground")}
 
 
 class Ground(fields.Section):

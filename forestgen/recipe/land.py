@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from forestgen.recipe import fields
 from forestgen.recipe.registries import GROUND_COVERS, GROUND_OF
@@ -15,7 +15,15 @@ DISSOLVED_PER_M = 2.4  # see scene/water.py
 
 Corner = Annotated[fields.Number, Field(ge=-1e4, le=1e4)]
 PlaceOnGround = tuple[Corner, Corner]
-Line = Annotated[tuple[PlaceOnGround, ...], Field(min_length=2, max_length=MOST_POINTS)]
+
+
+def _goes_on(points: tuple[PlaceOnGround, ...]) -> tuple[PlaceOnGround, ...]:
+    if len(set(points)) < 2:
+        raise fields.violation("two different places at least", problem="this line has no length")
+    return points
+
+
+Line = Annotated[tuple[PlaceOnGround, ...], Field(min_length=2, max_length=MOST_POINTS), AfterValidator(_goes_on)]
 _Cover = Annotated[fields.Text, *fields.part_name(GROUND_COVERS)]
 
 

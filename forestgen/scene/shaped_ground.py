@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Floats
 from forestgen.recipe import land
@@ -225,17 +226,23 @@ def _lower(ground_m: Floats, bed_m: Floats) -> Floats:
 def shaped(
     base: HeightField, relief: land.MicroRelief | None, paths: land.Paths, water: land.Waters, seed: int
 ) -> ShapedGround:
-    """A ground with what its site's recipe adds."""
+    """A ground with what its site's recipe adds.
+
+    Raises `RecipeError`: a stream that would run uphill, by its number.
+    """
     rngs = child_rng(seed, "terrain", "land").spawn(3)
     tracks = [_track(keys, base, rng) for keys, rng in zip(paths, rngs[1].spawn(len(paths)), strict=True)]
     waves = None if relief is None else Relief.of(relief, rngs[0])
     ground = ShapedGround(base.size_m, base, waves, tuple(tracks))
     for keys, rng in zip(water, rngs[2].spawn(len(water)), strict=True):
-        made = (
-            pond(keys, ground.surface, rng)
-            if isinstance(keys, land.Pond)
-            else stream(keys, ground.surface, ground.level, rng)
-        )
+        made: Body
+        if isinstance(keys, land.Pond):
+            made = pond(keys, ground.surface, rng)
+        else:
+            try:
+                made = stream(keys, ground.surface, ground.level, rng)
+            except RecipeError as cause:
+                raise cause.at(str(len(ground.bodies))) from cause
         ground = replace(ground, bodies=(*ground.bodies, made))
     return ground
 

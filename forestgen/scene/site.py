@@ -104,7 +104,8 @@ def sun_notes(recipe: Recipe) -> list[str]:
 def height_field(drawn: DrawnRecipe) -> HeightField:
     """Height of the ground at any x and y; the same object whenever a recipe's image is asked for again.
 
-    Raises `RecipeError`: a map of heights that cannot be read, has holes, or has not the site's shape; with its line.
+    Raises `RecipeError`: a map of heights that cannot be read, has holes, or has not the site's shape; a stream that
+    would run uphill; with its line.
     """
     site = drawn.recipe.site
     try:
@@ -114,7 +115,10 @@ def height_field(drawn: DrawnRecipe) -> HeightField:
         raise cause.at(where) from cause
     if site.micro_relief is None and not site.paths and not site.water:
         return base
-    return _shaped(base, site.micro_relief, site.paths, site.water, drawn.image_seed)
+    try:
+        return _shaped(base, site.micro_relief, site.paths, site.water, drawn.image_seed)
+    except RecipeError as cause:
+        raise cause.at(drawn.where("site", "water", int(cause.where or 0))) from cause
 
 
 @lru_cache(maxsize=16)

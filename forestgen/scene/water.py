@@ -41,6 +41,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.errors import RecipeError
 from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Floats
 from forestgen.plants.bark.texture import SurfaceTexture
@@ -165,6 +166,12 @@ def stream(keys: land.Stream, ground: Surface, pond_level: Surface, rng: np.rand
     dry_m = ground(*places.reshape(-1, 2).T).reshape(places.shape[:2]).min(axis=1) - _FREEBOARD_M
     still_m = pond_level(*course.places_m.T)
     later_m = np.maximum.accumulate(still_m[::-1])[::-1]  # of ponds that it comes to
+    uphill = np.flatnonzero(~np.isfinite(still_m) & (later_m > dry_m + _FREEBOARD_M))
+    if len(uphill):
+        (x, y), rise_m = course.places_m[uphill[0]], later_m[uphill[0]] - dry_m[uphill[0]] - _FREEBOARD_M
+        problem, expected = "this stream would run uphill to a pond", "ground above the pond's water all the way to it"
+        got = f"ground {rise_m:.2g} m below it at [{x:.1f}, {y:.1f}]"
+        raise RecipeError(problem, expected=expected, got=got, hint="move the pond or the stream")
     level = np.minimum.accumulate(np.where(np.isfinite(still_m), still_m, dry_m))
     even = uniform_filter1d(level, max(1, int(_LEVELLED_M / STEP_M)), mode="nearest")
     level = np.maximum(np.minimum.accumulate(np.minimum(even, level + _FREEBOARD_M)), later_m)

@@ -34,6 +34,7 @@ from forestgen.scene.spec import FogLayer, GroundPatch, Instances, Material, Sce
 from support.error_messages import raises_error
 from support.radiometry import upper_sky
 from support.scenes import camera_at, plain_ground, scattered_scene
+from support.twins import trace_twin
 
 WIDE_M = 4000.0
 NIGHT, NOON = Sky(-30.0, 0.0, 3.0), Sky(50.0, 180.0, 2.0)
@@ -156,6 +157,10 @@ def test_water_is_seen_and_labelled_and_nothing_stands_or_lies_in_it() -> None:
     stones = surface.position_m[surface.part == Part.ROCK].astype(np.float64)
     assert len(stones) > 20
     assert np.mean(ground.barred(*stones[:, :2].T)) < 0.1  # those at a tile's edge
+    alone = replace(scene.spec, instances=scene.spec.instances.at(np.array([len(scene.spec.instances) - 1])))
+    ours, twin = seen(alone, 4)[0], trace_twin(alone, alone.cameras[0], 4)
+    assert np.mean(ours.part == Part.WATER) > 0.1
+    assert np.mean(ours.part == twin.part) > 0.999  # but for ties at the shore
 
 
 def test_cameras_and_clouds_that_water_does_not_suit() -> None:

@@ -147,6 +147,18 @@ def test_without_its_keys_the_ground_is_as_it_was() -> None:
     assert "water" not in drawn.recipe.site.model_dump()
 
 
+def test_a_stream_does_not_run_uphill_to_a_pond() -> None:
+    site: dict[str, Any] = {"size_m": [60, 60], "terrain": {"kind": "rolling", "amplitude_m": 3, "wavelength_m": 40}}
+    hills = height_field(load_recipe_data({**DATA, "site": site}, "test").draw(0))
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(5.0, 60.0, 5.0), np.arange(5.0, 60.0, 5.0)))
+    order = np.argsort(hills(x, y))
+    low, top, lowest = ([float(x[k]), float(y[k])] for k in order[[8, -1, 0]])
+    pond = {"what": "pond", "position_m": top, "radius_m": 2}
+    site["water"] = [pond, {"what": "stream", "points_m": [low, top, top, top, lowest]}]
+    with raises_error(RecipeError, place="site.water.1"):
+        height_field(load_recipe_data({**DATA, "site": site}, "test").draw(0))
+
+
 @pytest.mark.parametrize(
     ("site", "place"),
     [
@@ -155,6 +167,7 @@ def test_without_its_keys_the_ground_is_as_it_was() -> None:
         ({"water": [{"what": "pond", "position_m": [5, 5], "radius_m": 3, "depth_m": -1}]}, "site.water.0.depth_m"),
         ({"water": [{"what": "lake"}]}, "site.water.0.what"),
         ({"paths": [{"points_m": [[5, 5]]}]}, "site.paths.0.points_m"),
+        ({"paths": [{"points_m": [[5, 5], [5, 5]]}]}, "site.paths.0.points_m"),
         ({"paths": [{"points_m": [[5, 5], [9, 9]], "ground": "tar"}]}, "site.paths.0.ground"),
         ({"micro_relief": {"rms_m": 2}}, "site.micro_relief.rms_m"),
     ],
