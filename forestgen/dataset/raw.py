@@ -59,8 +59,9 @@ from forestgen.dataset.tonemap import picture_bands
 from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.spectra import load_table
 from forestgen.render.frame import Radiance
+from forestgen.render.metering import metered_luminance
 from forestgen.scene.colour import colour_of_radiance
-from forestgen.scene.projection import centre_rays, image_circle, projection_of
+from forestgen.scene.projection import centre_rays, projection_of
 from forestgen.scene.spec import Camera
 
 JSON_NAME = "raw.json"
@@ -69,7 +70,6 @@ SATURATION_LUX_S = 78.0  # at ISO 1: ISO 12232, saturation-based speed
 _BLACK_SHARE = 1 / 32
 _ROWS = 256  # even, as the mosaic's squares are
 _READ_NOISES = 5.0  # that fit below the black level
-_SUN_SHARE = 0.5  # per cent of pixels that the meter leaves out, the brightest
 _D65_KELVIN, _D65_END_NM, _LAST_NM = 6504.0, 780, 2500
 _MOSAIC = ((0, 1), (1, 2))  # red, green over green, blue: index of the channel by row and column
 
@@ -203,11 +203,7 @@ def _arriving(light: NDArray[np.float32], sensor: _Sensor, exposure: Exposure) -
 def _metered_luminance(light: NDArray[np.float32], sensor: _Sensor, camera: Camera) -> float:
     """Mean over the picture, without the brightest."""
     parts = [_luminance(light[first : first + _ROWS], sensor) @ sensor.meter for first in range(0, len(light), _ROWS)]
-    grey = np.concatenate(parts)[image_circle(camera)]
-    grey = grey[np.isfinite(grey)]
-    if not grey.size:
-        return 0.0
-    return float(np.minimum(grey, np.percentile(grey, 100.0 - _SUN_SHARE)).mean())
+    return metered_luminance(np.concatenate(parts), camera)
 
 
 def _sensor(radiance: Radiance) -> _Sensor:

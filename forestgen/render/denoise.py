@@ -90,7 +90,8 @@ def with_clouds(guides: Guides, spec: SceneSpec, camera: Camera, sky: Floats) ->
     rows, columns = np.nonzero(sky > 0)
     for number in range(_CLOUD_RAYS):
         along, down = (number + 0.5) / _CLOUD_RAYS, (number * 0.6180339887498949 + 0.5) % 1.0
-        places = np.broadcast_to(np.array([along, down, 0.5, 0.5])[:, None], (4, len(rows)))
+        when = (number * 0.7548776662466927 + 0.5) % 1.0
+        places = np.broadcast_to(np.array([along, down, 0.5, 0.5, when])[:, None], (5, len(rows)))
         origin, direction, _ = lens_rays(camera, rows, columns, places)
         distance = distance_to_depth(clouds, origin, direction, _SEEN_DEPTH)
         met = np.isfinite(distance)

@@ -45,7 +45,7 @@ from forestgen.atmosphere.extinction import KOSCHMIEDER
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.parts import Part
-from forestgen.core.progress import Progress, Timings
+from forestgen.core.progress import Progress, Silent, Timings
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.schema import Recipe
@@ -56,9 +56,11 @@ from forestgen.render.falling import with_streaks
 from forestgen.render.frame import Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface, Timer, View
 from forestgen.render.haze import extinction_towards, seen_of, seen_values, through_haze
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.identity.surface import pixel_sums
+from forestgen.render.identity.surface import SAMPLES, pixel_sums
+from forestgen.render.identity.tracer import Hits
+from forestgen.render.metering import light_around, with_shutter
 from forestgen.render.skies.model import daylight_of
-from forestgen.render.variant import MOST_SLICE_SAMPLES, SLICES
+from forestgen.render.variant import MOST_SLICE_SAMPLES, SLICES, dr, mi
 from forestgen.render.views import build_view
 from forestgen.render.wavelengths import Quadrature, quadrature_of
 from forestgen.scene.projection import image_circle
@@ -116,12 +118,15 @@ def render_frame(
         cloud_transport=cloud_transport_of(settings.clouds, tracer.spec, (camera,)),
         position_m=surface.position_m,
     )
+    shot = with_shutter(shot, lambda still: _metered(still, tracer, timings))
+    camera = shot.camera
     kept = None if key is None else unfinished(key, seed, camera.name)
     radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept, tracer=tracer)
     extinction = extinction_towards(camera, tracer.spec.sky, settings.mode)
     wanted = [] if extinction is None else [seen_values(tracer, camera, extinction)]
     if settings.denoise:
-        wanted.insert(0, guide_values(tracer, camera))
+        own = [guide_values(tracer, camera)]
+        wanted = (own if camera.motion is None else [*own, _open_values]) + wanted
     sums = []
     if wanted:
         with timings("identity: guides"):  # and the haze's distances, along the same rays
@@ -131,11 +136,29 @@ def render_frame(
             radiance = through_haze(radiance, tracer.spec, camera, seen_of(sums[-1]), extinction, settings.mode)
     if settings.denoise:
         with timings("denoise"):
-            sky = (identity.part == Part.NOTHING).mean(axis=2)
+            sky = (identity.part == Part.NOTHING).mean(axis=2) if camera.motion is None else sums[1][0] / SAMPLES
             guides = with_clouds(guides_of(sums[0]), tracer.spec, camera, sky)
             clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)
-    return with_streaks(Frame(camera, radiance, identity, surface), tracer.spec.falling, seed)
+    frame = Frame(camera, radiance, identity, surface)
+    return with_streaks(
+        frame, tracer.spec.falling, seed, lambda: light_around(shot, lambda still: _metered(still, tracer, timings))
+    )
+
+
+def _metered(still: RenderJob, tracer: SceneTracer, timings: Timings) -> Radiance:
+    """What a meter sees before the image is taken."""
+    radiance, camera = render_radiance(still, progress=Silent(), timer=timings, tracer=tracer), still.camera
+    extinction = extinction_towards(camera, tracer.spec.sky, still.mode)
+    if extinction is None:
+        return radiance
+    sums = pixel_sums(tracer, camera, [seen_values(tracer, camera, extinction)])
+    return through_haze(radiance, tracer.spec, camera, seen_of(sums[0]), extinction, still.mode)
+
+
+def _open_values(hits: Hits) -> list[Any]:
+    """1 for rays that meet nothing."""
+    return [dr.select(hits.valid, 0.0, mi.Float(1.0))]
 
 
 @dataclass(frozen=True)
