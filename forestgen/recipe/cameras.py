@@ -111,6 +111,7 @@ class Camera(PartSection):
     default_look: ClassVar[Look | None] = None  # None: over the site, by look_at_m
     default_place: ClassVar[Point] = (0.5, 0.02, 1.7)  # shares of the site's width and depth, and metres above ground
     is_level: ClassVar[bool] = False  # whatever it looks at
+    has_lens: ClassVar[bool] = False  # one that may show ghosts of the sun: `focal_px` is its focal length
     covers_ground: ClassVar[bool] = False  # whether `footprint_m` is known, as drone_grid needs
 
     name: Name = Field(description="Name in file names; default camera0, camera1, ...")
@@ -177,7 +178,7 @@ class Camera(PartSection):
 
     @model_validator(mode="after")
     def _is_one_camera(self) -> Self:
-        wrong = self.wrong_optics() or _rigged(self) or _looking(self) or _looks_at_itself(self) or _unexposed(self)
+        wrong = self.wrong_optics() or _rigged(self) or _looking(self) or _looks_at_itself(self) or _exposed(self)
         if wrong is not None:
             raise wrong
         return self
@@ -359,7 +360,13 @@ def _looks_at_itself(camera: Camera) -> PydanticCustomError | None:
     return None
 
 
-def _unexposed(camera: Camera) -> PydanticCustomError | None:
+def _exposed(camera: Camera) -> PydanticCustomError | None:
+    """What is wrong with an exposure beside the camera's other keys."""
+    if camera.exposure is not None and camera.exposure.ghosts is not None and not camera.has_lens:
+        expected, got = "a camera with a lens, such as perspective", _article(camera.kind)
+        return violation(
+            expected, problem="a lens' ghosts are those of a flat image", got=got, at=("exposure", "ghosts")
+        )
     if camera.motion is None or camera.exposure is not None:
         return None
     hint = "exposure: {} is metered, exposure: {shutter_s: 0.002} is not"

@@ -81,6 +81,11 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
     return values
 
 
+def open_values(hits: Hits) -> list[Any]:
+    """1 for rays that meet nothing."""
+    return [dr.select(hits.valid, 0.0, mi.Float(1.0))]
+
+
 def with_clouds(guides: Guides, spec: SceneSpec, camera: Camera, sky: Floats) -> Guides:
     """The guides with those of clouds with detail in the `sky` (H, W), the share of a pixel that sees nothing else."""
     clouds, to_sun = spec.clouds, spec.sky.to_light

@@ -13,11 +13,11 @@ from forestgen.core.progress import Timings
 from forestgen.labels.labelled import project
 from forestgen.recipe.exposure import Exposure
 from forestgen.render.amodal import trace_amodal
+from forestgen.render.denoise import open_values
 from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.surface import SAMPLES, pixel_sums
 from forestgen.render.light import sky_map
 from forestgen.render.paths.tracer import PathTracer
-from forestgen.render.rendering import _open_values
 from forestgen.scene.colour import RGB
 from forestgen.scene.motion import row_times_s, still_at
 from forestgen.scene.spec import Camera, CameraMotion, SceneSpec
@@ -105,7 +105,7 @@ def test_a_blurred_image_is_the_mean_of_still_ones_through_the_shutter(kind):
     apart = np.abs(light(tracer, camera, 1024, 99) - mean).mean()
     assert apart < 0.015
     assert apart < 0.5 * np.abs(standing - mean).mean()
-    guide = pixel_sums(tracer, camera, [_open_values])[0][0] / SAMPLES
+    guide = pixel_sums(tracer, camera, [open_values])[0][0] / SAMPLES
     assert np.abs(guide - mean[..., 3]).mean() < 0.02
 
 

@@ -20,6 +20,7 @@ from forestgen.dataset.check.files import (
     read_picture,
 )
 from forestgen.dataset.check.frame_data import EXR, FrameData, Wrong, frame_check
+from forestgen.dataset.ghosts import ghosts_of
 from forestgen.dataset.optics import falloff, through_lens
 from forestgen.dataset.photo import NAME as PHOTO
 from forestgen.dataset.photo import photo_of
@@ -145,6 +146,9 @@ def raw(frame: FrameData) -> Iterator[Finding | Wrong]:
         yield finding("the raw image is of a part that frame.exr lacks", got=facts["of"])
         return
     light = frame.exr[facts["of"]]
+    if facts.get("ghosts") is not None:
+        shown = ghosts_of(facts["ghosts"], frame.size_px)
+        light = {name: light[name] + shown[..., k] for k, name in enumerate(facts["ghosts"]["channels"])}
     for key, name in facts["files"].items():
         numbers = read_picture(frame.root, frame.file(name))
         if numbers.ndim != 2 or numbers.shape != frame.instance.shape:
