@@ -14,7 +14,7 @@ R is that of a quarter wave of magnesium fluoride (n = 1.38) at 550 nm between a
 Wolf 1999, section 1.6.4), and Fresnel's between cemented glasses. Losses at other surfaces are left out.
 
 The lens is a double Gauss of f/2 (Tronnier, US patent 2,673,491, in Smith, Modern lens design, 1992, p. 312), scaled to
-the camera's focal length: `exposure: {ghosts: double_gauss}`.
+the camera's focal length: `exposure: {ghosts: coated}`, or `uncoated`, where R is Fresnel's at all surfaces.
 
 References
 ----------
@@ -101,10 +101,10 @@ def ghosts() -> tuple[Ghost, ...]:
     return tuple(found)
 
 
-def reflectance(surface: int, wavelength_nm: float) -> float:
+def reflectance(surface: int, wavelength_nm: float, *, coated: bool = True) -> float:
     """Of light that falls straight on a surface of the lens."""
     before, behind = _index_behind(surface - 1), _index_behind(surface)
-    if min(before, behind) > 1.0:
+    if not coated or min(before, behind) > 1.0:
         return float(((before - behind) / (before + behind)) ** 2)
     glass, phase = max(before, behind), np.cos(np.pi * _COATED_FOR_NM / wavelength_nm)
     outer, inner = (1.0 - _COATING_INDEX) / (1.0 + _COATING_INDEX), (_COATING_INDEX - glass) / (_COATING_INDEX + glass)
@@ -119,10 +119,11 @@ def ghosts_of(about: Mapping[str, Any], size_px: tuple[int, int]) -> Floats:
     ----------
     about : of raw.json: `sun_px`, the sun's image from the image's middle, right and down, which may lie beyond the
         image; `focal_px`; `f_number`; and by channel `irradiance` of the sun on a surface that faces it, as much as
-        reaches the lens, and `wavelength_nm`.
+        reaches the lens, and `wavelength_nm`; `surfaces`: coated or uncoated.
     """
     width, height = size_px
     irradiance, nm = np.array(about["irradiance"], dtype=np.float64), about["wavelength_nm"]
+    coated = about["surfaces"] == "coated"
     image = np.zeros((height, width, len(nm)))
     sun, focal_px, f_number = np.array(about["sun_px"], dtype=np.float64), about["focal_px"], about["f_number"]
     light = irradiance * focal_px / np.hypot(focal_px, np.hypot(*sun)) * (4.0 * f_number**2 / np.pi)
@@ -130,7 +131,9 @@ def ghosts_of(about: Mapping[str, Any], size_px: tuple[int, int]) -> Floats:
         found = _disc(ghost, size_px, focal_px, f_number, sun)
         if found is not None:
             rows, columns, share = found
-            back = np.prod([[reflectance(one, length) for length in nm] for one in ghost.surfaces], axis=0)
+            back = np.prod(
+                [[reflectance(one, length, coated=coated) for length in nm] for one in ghost.surfaces], axis=0
+            )
             image[rows, columns] += share[..., None] * (light * back)
     return image
 

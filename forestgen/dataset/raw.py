@@ -213,7 +213,7 @@ def _ghosts(radiance: Radiance, camera: Camera, exposure: Exposure) -> dict[str,
     x, y, z = radiance.sun.direction
     nm = [centre_nm(band) for band in radiance.bands] or [COLOURS_NM[name] for name in radiance.channels]
     return {
-        "lens": exposure.ghosts,
+        "surfaces": exposure.ghosts,
         "f_number": float(exposure.f_number),
         "focal_px": camera.focal_px,
         "sun_px": [x / z * camera.focal_px, y / z * camera.focal_px],

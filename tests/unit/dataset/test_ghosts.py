@@ -11,7 +11,14 @@ from forestgen.dataset.ghosts import ghosts_of, reflectance
 
 def about(sun_px, f_number=8.0, focal_px=300.0):
     nm, light = [610.0, 550.0, 465.0], [1e5, 1e5, 1e5]
-    return {"sun_px": sun_px, "focal_px": focal_px, "f_number": f_number, "irradiance": light, "wavelength_nm": nm}
+    return {
+        "surfaces": "coated",
+        "sun_px": sun_px,
+        "focal_px": focal_px,
+        "f_number": f_number,
+        "irradiance": light,
+        "wavelength_nm": nm,
+    }
 
 
 def test_the_lens_is_that_of_the_patent():
@@ -25,6 +32,7 @@ def test_the_lens_is_that_of_the_patent():
 def test_coatings_reflect_little_in_green_and_cemented_glasses_less():
     assert reflectance(0, 550.0) == pytest.approx(((1.0 * 1.67 - 1.38**2) / (1.67 + 1.38**2)) ** 2, rel=1e-9)
     assert reflectance(0, 465.0) > reflectance(0, 550.0) < reflectance(0, 610.0)
+    assert reflectance(0, 550.0, coated=False) == pytest.approx((0.67 / 2.67) ** 2)
     assert reflectance(7, 550.0) == pytest.approx((0.055 / 3.261) ** 2, rel=1e-6)
 
 

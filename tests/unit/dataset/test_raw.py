@@ -283,7 +283,7 @@ def test_bands_pass_the_check(tmp_path, about):
 
 def test_an_image_with_ghosts_of_the_sun_passes_the_check(tmp_path):
     sun = SunAtLens((0.1, -0.2, 0.9), (9e5, 8e5, 7e5))
-    frame = photographed(tmp_path, changed(EXPOSED, ghosts="double_gauss"), sun=sun)
+    frame = photographed(tmp_path, changed(EXPOSED, ghosts="coated"), sun=sun)
     assert list(light.raw.findings(frame)) == []
     facts = json.loads((frame.root / frame.name / "raw.json").read_text())
     facts["ghosts"] = None

@@ -21,7 +21,7 @@ from support.scenes import camera_at, plain_ground, scattered_scene
 def test_the_sun_shines_on_a_lens_unless_something_is_in_the_way():
     spec = scattered_scene(1, exemplars=1, leaves=4, terrain=plain_ground(-500.0, 500.0))
     to_sun, eye = spec.sky.to_sun, np.array([20.0, 0.0, 2.0])
-    facing = replace(camera_at(tuple(eye), tuple(eye + to_sun), (32, 24)), exposure=Exposure(ghosts="double_gauss"))
+    facing = replace(camera_at(tuple(eye), tuple(eye + to_sun), (32, 24)), exposure=Exposure(ghosts="coated"))
     away = replace(facing, world_from_camera=camera_at(tuple(eye), tuple(eye - to_sun), (32, 24)).world_from_camera)
     under = replace(facing, position_m=(20.0, 0.0, -2.0))
 
