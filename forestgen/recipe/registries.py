@@ -123,6 +123,7 @@ WEATHER = Registry(
         "ground_fog": (f"{_AIR}.ground_fog:KIND", "fog on the ground, of a visibility and depth"),
         "rain": (f"{_AIR}.rain:KIND", "rain: streaks, dim air, wet plants and ground"),
         "snow_cover": (f"{_AIR}.snow_cover:KIND", "snow that lies on the ground and on plants"),
+        "snowfall": (f"{_AIR}.snowfall:KIND", "snow that falls: flakes and dim air"),
     },
     contract="forestgen.scene.weather.kind:WeatherKind",
 )

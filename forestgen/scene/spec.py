@@ -207,7 +207,7 @@ def towards(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Falling:
-    """Drops, whose diameters above a least one have an exponential distribution."""
+    """Drops or flakes, whose diameters above a least one have an exponential distribution."""
 
     number_per_m3: float  # of those above the least diameter
     least_mm: float
@@ -215,6 +215,8 @@ class Falling:
     drift_m_per_s: tuple[float, float]  # east, north
     shutter_s: float  # of cameras without one of their own
     fall: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # m/s by mm
+    seen_mm: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None  # as wide as it looks, by mm; None: so
+    is_white: bool = False  # it scatters light to all sides; else it is clear
 
 
 @dataclass(frozen=True)
@@ -245,6 +247,15 @@ class Lens:
 
 
 @dataclass(frozen=True)
+class CameraMotion:
+    """How a camera moves while it takes an image: scene/motion.py."""
+
+    velocity_m_per_s: tuple[float, float, float]  # world
+    rotation_rad_per_s: tuple[float, float, float]  # about its own axes: right, down, forward
+    readout_s: float  # from the first row's exposure to the last one's, and a row more; 0: all rows together
+
+
+@dataclass(frozen=True)
 class Camera:
     """A camera. OpenCV axes: x right, y down, z forward; pixel centres at +0.5. scene/projection.py has its rays."""
 
@@ -261,6 +272,7 @@ class Camera:
     bands: tuple[Band, ...] = ()  # what its sensor answers to; none: colour, linear Rec. 709
     exposure: Exposure | None = None  # for a raw-like image beside the linear one
     numbers: Mapping[str, float] = field(default_factory=dict)  # what else its projection needs
+    motion: CameraMotion | None = None  # None: it stands still; where there is one, there is an exposure
 
     @property
     def focal_px(self) -> float:

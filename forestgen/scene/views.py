@@ -20,7 +20,7 @@ from forestgen.recipe.spectra import bands_of, load_bands
 from forestgen.scene.projection import check_projection
 from forestgen.scene.rigs.rig import Poses, path_poses
 from forestgen.scene.site import height_field
-from forestgen.scene.spec import Camera, Lens
+from forestgen.scene.spec import Camera, CameraMotion, Lens
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.weather.kind import raised_m
@@ -230,10 +230,19 @@ def expand(
                 bands=() if section.bands is None else bands.get(section.bands, ()),
                 exposure=section.exposure,
                 numbers=section.own_numbers,
+                motion=_motion(section),
             )
         )
     check_projection(cameras[0])
     return cameras
+
+
+def _motion(section: CameraSection) -> CameraMotion | None:
+    keys = section.motion
+    if keys is None or not keys.moves:
+        return None
+    pitch, yaw, roll = (math.radians(one) for one in keys.rotation_deg_per_s)
+    return CameraMotion(keys.velocity_m_per_s, (pitch, yaw, roll), keys.readout_s)
 
 
 def _sequence(section: CameraSection, index: int) -> str | None:

@@ -16,6 +16,7 @@ from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, sample_off
 from forestgen.render.skies.model import casts_shadows
 from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import dr, mi
+from forestgen.scene.motion import is_rolling
 from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
 
@@ -88,9 +89,12 @@ def _fill(target: Identity | Surface, rows: slice, found: dict[str, Any]) -> Non
 
 
 def pixel_sums(tracer: SceneTracer, camera: Camera, wanted: Sequence[Values]) -> list[NDArray[np.float32]]:
-    """(C, H, W) for each of `wanted`: its C values by ray, summed over a pixel's `SAMPLES` rays, all in one launch."""
+    """(C, H, W) for each of `wanted`: its C values by ray, summed over a pixel's `SAMPLES` rays, all in one launch.
+
+    Rays of a camera that moves are spread over the exposure, as its light is.
+    """
     blocks = []
-    for _, hits in tracer.by_rows(camera, sample_offsets(SAMPLES), _SUMMED_AT_ONCE):
+    for _, hits in tracer.by_rows(camera, sample_offsets(SAMPLES), _SUMMED_AT_ONCE, exposed=True):
         values = [list(one(hits)) for one in wanted]
         dr.eval(values)  # together, and before the sums: each sum alone would trace all the rays again
         sums = [[dr.block_sum(one, SAMPLES) for one in group] for group in values]
@@ -132,7 +136,7 @@ def _light_and_shape(tracer: SceneTracer, camera: Camera, hits: Hits) -> dict[st
 
 def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """(rows, W, 3) world, in double precision from the distances along pixel centres' rays; NaN for the sky."""
-    if not projection_of(camera).is_pinhole:
+    if not projection_of(camera).is_pinhole or is_rolling(camera):
         rays = world_rays(camera, rows)
         far = np.where(np.isfinite(distance_m), distance_m, np.nan)[..., None]
         return (rays.origin_m + rays.direction * far).astype(np.float32)

@@ -48,6 +48,7 @@ Floats = NDArray[np.float64]
 _PATHS_AT_ONCE = 1_500_000
 _MOST_LIKELY = 0.95  # a path to go on, once chance may end it
 _FOG_CHOICE = 1 << 16  # the first of the pairs that fog takes
+_TIME_CHOICE = _FOG_CHOICE - 1  # the pair of which a ray's time in the exposure is one
 _BELOW_GROUND_M = 100.0  # below all terrain, where fog ends
 _MOST_IN_FOG = 4096  # scatterings of a path, those at surfaces too
 _CHOICES = 4  # pairs of numbers for a scattering: sun, which lobe and whether to go on, onwards, sky
@@ -293,8 +294,9 @@ class PathTracer:
         width = dr.opaque(mi.UInt32, self._camera.size_px[0])
         row = pixel // width
         right, down = sequence.pair(mi.UInt32(0))
+        time = None if self._camera.motion is None else sequence.pair(mi.UInt32(_TIME_CHOICE))[0]
         # Replicates go on along the lens' points from places of their own.
-        rays = pixel_rays(self._camera, pixel - row * width, row, right, down, number + (key >> 8))
+        rays = pixel_rays(self._camera, pixel - row * width, row, right, down, number + (key >> 8), time)
         active = mi.Bool(True) if rays.valid is None else rays.valid
         ray = mi.Ray3f(self._tracer.start_of(self._camera, rays), rays.direction)
         return rays, self._tracer.scene.ray_intersect_preliminary(ray, coherent=True, active=active), active
