@@ -34,7 +34,7 @@ community:
 sky: {sun: {elevation_deg: 42, azimuth_deg: 200}}
 wind: {speed_m_per_s: 0.2}
 cameras:
-  - {name: pond, position_m: [23, 20.5, 2.2], look_at_m: [24.5, 40, -0.6], hfov_deg: 72, size_px: [480, 320]}
+  - {name: pond, position_m: [34.5, 27, 1.8], look_at_m: [14, 36, -0.2], hfov_deg: 72, size_px: [480, 320]}
   - {name: forest_road, position_m: [53.2, 9, 1.7], look_at_m: [52.4, 28, 0.3], hfov_deg: 62, size_px: [480, 320]}
 render: {samples: 48}
 """

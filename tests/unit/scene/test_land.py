@@ -59,9 +59,9 @@ def test_a_pond_has_its_size_and_depth_and_runs_out_nowhere(base: HeightField) -
 def test_a_stream_runs_down_to_a_pond_and_cuts_no_cliffs(base: HeightField, ground: ShapedGround) -> None:
     fall = np.diff(ground.bodies[1].level_m)
     assert fall.max() < 1e-9
-    x, y = grid(0.1)
+    x, y = grid(0.15)
     side = round(np.sqrt(len(x)))
-    slopes = np.gradient(ground(x, y).reshape(side, side), 0.1)
+    slopes = np.gradient(ground(x, y).reshape(side, side), 0.15)
     assert np.hypot(*slopes).max() < 1.2  # the base has 0.3, a bank up to 1
     far = np.hypot(x - 34.0, y - 36.0) > 40.0
     assert np.mean(ground(x[far], y[far]) == base(x[far], y[far])) > 0.5
