@@ -7,8 +7,8 @@
   and covers what it passes by its share of the time. A nearer surface hides it (render/falling.py).
 - All drops are a medium of twice their cross-section, pi N0 / slope³, through which light is followed as in fog; it
   turns by few degrees (Henyey and Greenstein's g = 0.95).
-- Wet surfaces: wood, ground and fallen leaves darken as under a film of water (scene/surfaces.py). Leaves, living and
-  fallen, and stones have a film's mirror, a gloss of 0.04 of smooth water.
+- Wet surfaces: wood, ground and fallen leaves darken as under a film of water (scene/surfaces.py). Living leaves
+  have a film's mirror, a gloss of 0.04 of smooth water; fallen ones, which soak it up, get as smooth and keep theirs.
 - Streaks are faint: a drop of 2 mm covers a pixel of its streak for 3% of an exposure of 0.01 s.
 - Labels are those without rain. The sky is the recipe's: `sky: {kind: overcast}` suits rain.
 
@@ -107,38 +107,31 @@ class Rain(WeatherKind[RainKeys]):
 
 def wetted(spec: SceneSpec, share: float) -> SceneSpec:
     """The scene with a film of water on a share of its surfaces."""
-    materials = {
-        key: _wet(one, share, is_living=max(one.transmittance) > 0 and not is_litter(*key))
-        for key, one in spec.materials.items()
-    }
+    materials = {key: _wet(one, share, is_litter=is_litter(*key)) for key, one in spec.materials.items()}
     return replace(spec, materials=materials, terrain=_wet_terrain(spec.terrain, share))
 
 
-def _wet(material: Material, share: float, *, is_living: bool) -> Material:
+def _wet(material: Material, share: float, *, is_litter: bool) -> Material:
     if material.absorption is not None:  # water
         return material
-    gloss = max(material.gloss, share * _FILM_GLOSS)
+    is_leaf = max(material.transmittance) > 0
     roughness = material.roughness + share * (min(material.roughness, _FILM_ROUGHNESS) - material.roughness)
-    if is_living:  # a leaf's skin is smooth, and so is the film
-        return replace(material, gloss=gloss, roughness=roughness)
+    if is_leaf and not is_litter:  # its skin is smooth, and so is the film
+        return replace(material, gloss=max(material.gloss, share * _FILM_GLOSS), roughness=roughness)
     texture, dry, spectrum = material.texture, material.reflectance_spectrum, None
-    if texture is not None:  # relief has no mirror
-        gloss, roughness = material.gloss, material.roughness
-    mirrored = gloss - material.gloss
     if dry is None:
         plain = np.array(material.reflectance)
-        red, green, blue = ((1.0 - share) * plain + share * under_film(plain) + mirrored).tolist()
+        red, green, blue = ((1.0 - share) * plain + share * under_film(plain)).tolist()
         colour = (red, green, blue)
     else:
         film = wet_spectrum(dry)
-        wet = (1.0 - share) * dry.at(film.wavelength_nm) + share * film.value + mirrored
-        spectrum = Spectrum(film.wavelength_nm, wet)
+        spectrum = Spectrum(film.wavelength_nm, (1.0 - share) * dry.at(film.wavelength_nm) + share * film.value)
         colour, _ = colours_of_surface(spectrum, None)
     if texture is not None:
         factor = np.array(colour) / np.maximum(material.reflectance, 1e-6)
         texture = replace(texture, colour=(texture.colour * factor).astype(np.float32))
     made = replace(material, reflectance=colour, reflectance_spectrum=spectrum, texture=texture)
-    return replace(made, gloss=gloss, roughness=roughness)
+    return replace(made, roughness=roughness) if is_litter else made
 
 
 def _wet_terrain(terrain: Terrain, share: float) -> Terrain:
