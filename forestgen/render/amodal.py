@@ -36,7 +36,7 @@ BEYOND = 16  # image sizes: as far as a box may reach
 _POINTS_AT_ONCE = 1 << 19  # scratch memory stays near 30 MB
 _RAYS_AT_ONCE = 1 << 21  # of a launch: about 100 bytes each
 _PIXELS_AT_ONCE = 1 << 23  # of windows that wait to be cut to their hits: 2 bytes each
-_BANDS = 32  # of rows, under a rolling shutter
+_BANDS = 10  # of rows, under a rolling shutter
 _TRIANGLES_KEPT = 4_000_000  # in scenes that wait for the next camera: about 0.6 GB
 
 
