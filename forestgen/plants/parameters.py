@@ -74,6 +74,13 @@ class PlantParameters(Section):
     shapes: dict[str, OrganShape] = Field(default_factory=dict, description="forms of the organs, by name")
     foliage: tuple[Foliage, ...] = Field((), description="where organs sit, beside those that the generator places")
     crown_twigs: CrownTwigs | None = Field(None, description="twigs that fill the crown of a tree of given sizes")
+    fullness: float = Field(
+        0.4,
+        ge=0.1,
+        le=0.5,
+        description="mean of (r / R)² of a tree's leaves, r from the axis, R half of the crown's width: branches near "
+        "the axis are stretched until it is reached; an ellipsoid has 0.4, a cone 0.3",
+    )
     variation: Variation | None = Field(None, description="growth responses that make plants of a base model differ")
     fit: Fit = Field(
         "scale",

@@ -7,7 +7,7 @@ A generator grows a plant of about the right height and width. Here it gets the 
 - Stems below the crown lose most of their way aside: those of forests are straight.
 - Heights are stretched apart above and below the crown's base, which is the height that 2% of the leaf area lie below,
   widths throughout, until the geometry's extents fit. Organs keep their attitude. Where a few long branches make the
-  extents, the others are stretched further: leaves are as far from the axis as in an ellipsoid of even density.
+  extents, the others are stretched further: leaves are as far from the axis as the species' `fullness` says.
 - Where the species has `crown_twigs`, they take the place of the thin wood and its leaves, and what has moved is fitted
   once more.
 - Where the species has a `sweep`, all that is at a height moves aside by as much as the stem there.
@@ -29,6 +29,7 @@ from forestgen.core.parts import Part
 from forestgen.core.stem_form import stem_radius_m
 from forestgen.geometry.mesh import Floats, Ints, Mesh, surface_area_m2
 from forestgen.plants.crown_twigs import DARKEST, EXTINCTION, Leaves, fill_crown, first_stem, rules_of_twigs
+from forestgen.plants.forks import FORKED, is_second_stem
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.tree_size import TreeSize
@@ -44,7 +45,6 @@ _SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the lengt
 _MOST_LEAVES = 8.0  # times as many leaves as the generator placed, in the mean of a crown
 _STRAIGHTENED = 0.7  # of a stem's way aside, as it grew
 _BOWS = 6  # of a stem
-_EVEN = 0.4  # mean of (r / R)² of points in an ellipsoid, r from the axis and R its greatest
 _MOST_FILLED = 1.5  # the stretch of what is next to the axis, over that of the farthest, less 1
 _TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
 _BRANCH = 0.8
@@ -93,7 +93,7 @@ def fit_tree(
     """The tree at its sizes, its crown filled with twigs where the species has them."""
     blade = blade_areas_m2(plant.shapes)
     leafy = fit_leaves(skeleton, plant.shapes, size, rng)
-    stretch = stretch_to(leafy, templates, blade, size)
+    stretch = stretch_to(leafy, templates, blade, size, plant.fullness)
     made, base = stretch.skeleton(leafy), np.arange(len(skeleton.parent))
     stretches: list[Stretch | Bend] = [stretch]
     leaves = _leaves(made, blade)
@@ -101,7 +101,7 @@ def fit_tree(
     if plant.crown_twigs is not None and rules and leaves.total_m2 > 0.0:
         made, base = fill_crown(made, plant.crown_twigs, rules, blade, leaves, rng)
         made = fit_leaves(made, plant.shapes, size, rng)
-        stretches.append(stretch_to(made, templates, blade, size))
+        stretches.append(stretch_to(made, templates, blade, size, plant.fullness))
         made = stretches[-1].skeleton(made)
     years = plant.wood.years
     if years is not None and years.sweep is not None:
@@ -258,9 +258,12 @@ def _carried(skeleton: Skeleton, points: Callable[[Floats], Floats]) -> Skeleton
 
 
 def stretch_to(
-    skeleton: Skeleton, templates: Mapping[str, Mesh], blade: Mapping[str, float], size: TreeSize
+    skeleton: Skeleton, templates: Mapping[str, Mesh], blade: Mapping[str, float], size: TreeSize, fullness: float
 ) -> Stretch:
-    """What gives the skeleton, with its organs, the tree's height, crown width and crown base."""
+    """What gives the skeleton, with its organs, the tree's height, crown width and crown base.
+
+    `fullness`: see `plants.parameters.PlantParameters`.
+    """
     feet, low, high = organ_boxes(skeleton.organs, templates)
     area = np.concatenate([np.zeros(1), *(_areas(one, blade) for one in skeleton.organs)])
     nodes = skeleton.position_m.astype(np.float64)
@@ -273,7 +276,7 @@ def stretch_to(
     wide = size.crown_width_m / max(_mean_width(nodes, feet + low, feet + high), 1e-6)
     reach = max(float(np.hypot(*np.concatenate([nodes, feet])[:, :2].T).max()), 1e-6)
     stretch = Stretch(wide, 0.0, reach, knee, base, raw_top, size.height_m, _stem_below(skeleton, knee))
-    stretch = _filled(stretch, nodes, feet, area)
+    stretch = _filled(stretch, nodes, feet, area, fullness)
     span = max(_mean_width(stretch.points(nodes), stretch.points(feet), stretch.points(feet)) / wide, 1e-6)
     for _ in range(_ROUNDS):
         at = stretch.heights(feet[:, 2])
@@ -293,16 +296,18 @@ def stretch_to(
     return stretch
 
 
-def _filled(stretch: Stretch, nodes: Floats, feet: Floats, area: Floats) -> Stretch:
-    """The stretch with the least `fill` at which leaves are as far from the axis as in an ellipsoid."""
+def _filled(stretch: Stretch, nodes: Floats, feet: Floats, area: Floats, fullness: float) -> Stretch:
+    """The stretch with the least `fill` at which leaves are as far from the axis as `fullness` says."""
+    if not area.any():
+        return stretch
     low, high = 0.0, _MOST_FILLED
     for _ in range(8):
         middle = 0.5 * (low + high)
         tried = replace(stretch, fill=middle)
         wood, organs = tried.points(nodes), tried.points(feet)
         radius = 0.5 * max(_mean_width(wood, organs, organs), 1e-6)
-        found = float(np.average(np.sum(organs[:, :2] ** 2, axis=1), weights=area)) / radius**2 if area.any() else _EVEN
-        low, high = (middle, high) if found < _EVEN else (low, middle)
+        found = float(np.average(np.sum(organs[:, :2] ** 2, axis=1), weights=area)) / radius**2
+        low, high = (middle, high) if found < fullness else (low, middle)
     return replace(stretch, fill=low)
 
 
@@ -383,7 +388,15 @@ def with_taper(skeleton: Skeleton, top_m: float, dbh_m: float) -> Skeleton:
     """
     stem, radius = first_stem(skeleton.axis), skeleton.radius_m.astype(np.float64)
     heights = np.maximum.accumulate(skeleton.position_m[stem, 2].astype(np.float64))
-    radius[stem] = np.maximum(stem_radius_m(heights, top_m, dbh_m), min(_TWIG_RADIUS_M, 0.1 * dbh_m))
+    thinnest = min(_TWIG_RADIUS_M, 0.1 * dbh_m)
+    radius[stem] = np.maximum(stem_radius_m(heights, top_m, dbh_m), thinnest)
+    second = is_second_stem(skeleton)
+    if second.any():
+        fork_m = float(skeleton.position_m[skeleton.parent[np.argmax(second)], 2])
+        above = (stem & (skeleton.position_m[:, 2] > fork_m)) | second
+        own = FORKED * stem_radius_m(skeleton.position_m[above, 2].astype(np.float64), top_m, dbh_m)
+        radius[above] = np.maximum(own, thinnest)
+        stem = stem | second
     onward = skeleton.axis[np.maximum(skeleton.parent, 0)] == skeleton.axis
     most, parents, thick = np.where(onward, 1.0, _BRANCH).tolist(), skeleton.parent.tolist(), radius.tolist()
     for node in np.flatnonzero(~stem).tolist():

@@ -22,8 +22,8 @@ NeedleWidth = Annotated[float, Field(ge=1e-4, le=0.05)]
 MOST_NEEDLES = 2000
 _COVER = 0.8  # area of a needle over its length times its width
 _LENGTH_POWER = 0.4
-_STRIP_LENGTH = 1.2  # over the step between pairs of crossed strips
-_LEVEL_SHARE = 0.9  # of the area, in strips that lie in the plane of the twig's two sides
+_STRIP_LENGTH = 1.0  # over the step between pairs of crossed strips
+_LEVEL_SHARE = 0.88  # of the area, in strips that lie in the plane of the twig's two sides
 _STRIP_ROLL = 0.5  # radians, at most
 _BEYOND = 0.1  # of a strip beyond the twig's tip
 _LONGEST = 3.2  # a needle that stands for many is at most so many times as long

@@ -43,7 +43,7 @@ from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import is_litter
 from forestgen.scene.spec import Falling, FogLayer, Material, SceneSpec, Terrain, WetGround
 from forestgen.scene.surfaces import under_film, wet_spectrum
-from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed
+from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed, wind_m_per_s
 
 _N0_PER_M3_MM = 8000.0
 _ASYMMETRY = 0.95
@@ -56,7 +56,7 @@ class RainKeys(Weather):
 
     rate_mm_per_h: Positive = Field(8.0, le=200, description="How much falls: 2 light, 8 moderate, 30 heavy.")
     shutter_s: Positive = Field(
-        0.01, le=1, description="How long a camera without an exposure's shutter_s sees the drops, seconds."
+        0.01, le=1, description="How long a camera without an exposure sees the drops, seconds."
     )
     wet: Fraction = Field(1.0, description="How wet plants and ground are: 0 dry, 1 under a film of water.")
 
@@ -86,15 +86,13 @@ class Rain(WeatherKind[RainKeys]):
 
     def on(self, keys: RainKeys, spec: SceneSpec, request: WeatherRequest) -> SceneSpec:
         layer = FogLayer(extinction_per_m(keys.rate_mm_per_h), request.ground_m + _DEEP_M, 1.0, _ASYMMETRY)
-        wind, recipe = np.radians(request.drawn.recipe.site.wind_from_deg), request.drawn.recipe
-        drift = -recipe.wind.speed_m_per_s * np.array([np.sin(wind), np.cos(wind)])
         least_mm = 0.5
         slope = slope_per_mm(keys.rate_mm_per_h)
         falling = Falling(
             number_per_m3=_N0_PER_M3_MM / slope * float(np.exp(-slope * least_mm)),
             least_mm=least_mm,
             mean_excess_mm=1.0 / slope,
-            drift_m_per_s=(float(drift[0]), float(drift[1])),
+            drift_m_per_s=wind_m_per_s(request.drawn),
             shutter_s=keys.shutter_s,
             fall=fall_m_per_s,
         )
@@ -114,6 +112,8 @@ def wetted(spec: SceneSpec, share: float) -> SceneSpec:
 
 
 def _wet(material: Material, share: float, *, is_litter: bool) -> Material:
+    if material.absorption is not None:  # water
+        return material
     is_leaf = max(material.transmittance) > 0
     roughness = material.roughness + share * (min(material.roughness, _FILM_ROUGHNESS) - material.roughness)
     if is_leaf and not is_litter:  # its skin is smooth, and so is the film

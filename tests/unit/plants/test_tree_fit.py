@@ -64,6 +64,25 @@ def test_trees_of_one_height_differ_and_a_seed_is_one_tree() -> None:
     assert request_of(plan, "spruce", 20.0, 5).tree == trees[5]
 
 
+@pytest.mark.parametrize(("height_m", "grown"), [(20.0, "stand"), (9.0, "open")])
+def test_crowns_of_spruces_end_in_a_tip(height_m: float, grown: str) -> None:
+    """The radius about the stem that holds 90% of the leaf area falls from the crown's middle to its top."""
+    plan = plan_of("spruce", 2)
+    exemplar = grow_exemplar(request_of(plan, "spruce", height_m, 2, grown))  # type: ignore[arg-type]
+    height, area = leaf_heights(exemplar)
+    leaves = [one.mesh for one in exemplar.organs if one.part == Part.LEAF]
+    place = np.concatenate([mesh.vertices_m.astype(float)[mesh.faces].mean(axis=1) for mesh in leaves])[:, :2]
+    base_m = np.quantile(height, BELOW_CROWN)
+    layer = np.digitize((height - base_m) / (height.max() - base_m), [0.5, 0.7, 0.9])
+    radius_m = []
+    for here in (layer == k for k in range(1, 4)):
+        away = np.hypot(*(place[here] - np.average(place[here], axis=0, weights=area[here])).T)
+        order = np.argsort(away)
+        radius_m.append(away[order][np.searchsorted(np.cumsum(area[here][order]), 0.9 * area[here].sum())])
+    assert radius_m[0] > 1.2 * radius_m[1] > 2.0 * radius_m[2]
+    assert radius_m[2] < 0.3 * 0.5 * exemplar.crown_width_m
+
+
 def test_open_grown_trees_are_stout_with_a_low_crown() -> None:
     plan = plan_of("oak", 0)
     trees = [request_of(plan, "oak", 16.0, 1, grown).tree for grown in ("suppressed", "stand", "open")]  # type: ignore[arg-type]

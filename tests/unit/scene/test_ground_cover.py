@@ -20,11 +20,12 @@ from forestgen.recipe.load import load_recipe_data
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene import ground_cover, ground_view
 from forestgen.scene.build import BuiltScene
-from forestgen.scene.ground_cover import bare_share, leaf_shares, local_cover, painted, tile_numbers
+from forestgen.scene.ground_cover import leaf_shares, local_cover, tile_numbers
 from forestgen.scene.ground_layers.fallen_leaves import LAYER as FALLEN
 from forestgen.scene.ground_layers.layer import GROUND, Layer, Request, Spread, Thing
 from forestgen.scene.ground_layers.moss import LAYER as MOSS
 from forestgen.scene.ground_layers.twigs import LAYER as TWIGS
+from forestgen.scene.ground_paint import bare_share, painted
 from forestgen.scene.ground_tiles import COVERS, VARIANTS, tile
 from forestgen.scene.ground_view import TILE_M, nearest, tiles_before
 from forestgen.scene.plan import check_plan

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from forestgen.render import falling as render_falling
 from forestgen.render.falling import coverage
 from forestgen.scene.ground_layers.layer import FALLEN, GROUND
 from forestgen.scene.projection import image_circle
 from forestgen.scene.spec import Falling, Material
 from forestgen.scene.surfaces import under_film
+from forestgen.scene.weather import snowfall
 from forestgen.scene.weather.rain import extinction_per_m, fall_m_per_s, slope_per_mm, wetted
 from support.scenes import camera_at, plain_ground, scattered_scene
 
@@ -81,3 +83,32 @@ def test_a_near_surface_hides_them() -> None:
     covered = coverage(falling(0.01), camera, wall, np.random.default_rng(5))
     assert covered[:, :60].max() == 0.0
     assert covered[:, 60:].max() > 0.0
+
+
+def test_flakes_carry_the_snow_that_falls_and_dim_the_air() -> None:
+    """The water of Gunn and Marshall's flakes at Locatelli and Hobbs' speeds is the rate of usual snowfalls."""
+    melted = np.linspace(0.01, 20.0, 8000)
+    for rate in (0.5, 1.0):
+        number = snowfall.number_per_m3_mm(rate) * np.exp(-snowfall.slope_per_mm(rate) * melted)
+        fallen = np.trapezoid(number * np.pi / 6.0 * melted**3 * snowfall.fall_m_per_s(melted), melted) * 3600.0 * 1e-6
+        assert fallen == pytest.approx(rate, rel=0.2)
+        taken = np.trapezoid(number * 2.0 * np.pi / 4.0 * snowfall.seen_mm(melted) ** 2, melted) * 1e-6
+        assert snowfall.extinction_per_m(rate) == pytest.approx(taken, rel=0.01)
+
+
+def test_many_things_are_drawn_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = replace(camera_at((0.0, 0.0, 2.0), (0.0, 50.0, 2.0), (64, 32), 60.0), projection="panorama")
+    many, far = replace(falling(0.01), number_per_m3=20.0), np.full((32, 64), np.inf, np.float32)
+    whole = coverage(many, camera, far, np.random.default_rng(5))
+    monkeypatch.setattr(render_falling, "_MOST_THINGS", 10_000)
+    parts = coverage(many, camera, far, np.random.default_rng(5))
+    assert parts.mean() == pytest.approx(whole.mean(), rel=0.03)
+    assert (parts != whole).any()
+
+
+def test_wide_flakes_are_discs_that_cover_what_they_measure() -> None:
+    camera = camera_at((0.0, 0.0, 2.0), (0.0, 50.0, 2.0), (240, 160), 60.0)
+    wide = replace(falling(0.0001), number_per_m3=0.5, seen_mm=lambda mm: 20.0 + 0.0 * mm)
+    covered = coverage(wide, camera, np.full((160, 240), np.inf, np.float32), np.random.default_rng(5))
+    assert covered.mean() == pytest.approx(0.5 * 11.0 * np.pi / 4.0 * 20.0**2 * 1e-6, rel=0.15)
+    assert covered.max() > 0.8
