@@ -75,6 +75,18 @@ def test_without_other_costs_the_twigs_are_the_shortest_tree(monkeypatch: pytest
     assert np.all(bearer < own + np.arange(len(order)))  # bearers come first
 
 
+def test_twigs_that_rather_grow_level_do() -> None:
+    """The mean steepness of ways falls; the same tips are reached."""
+    tips, wood = np.random.default_rng(3).uniform([-3, -3, 3], [3, 3, 10], (400, 3)), stem()
+    steep = []
+    for level in (0.0, 1.5):
+        order, bearer = crown_twigs._spanned(wood, tips, CrownTwigs(replaces_below_m=0.01, leaves_each=5, level=level))
+        assert sorted(order.tolist()) == sorted(tips.tolist())
+        way = order - np.concatenate([wood.position_m.astype(np.float64), order])[bearer]
+        steep.append(np.mean(np.abs(way[:, 2]) / np.linalg.norm(way, axis=1)))
+    assert steep[1] < 0.75 * steep[0]
+
+
 def test_points_thin_out_where_others_shade_them() -> None:
     """In a cylinder, leaf area over depth is ln(1 + (exp(k L) - 1) v) / k; without shade, and across, it is even."""
     hull = crown_twigs._Hull(2.0, 12.0, np.full((48, 24), 3.0))
