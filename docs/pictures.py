@@ -26,8 +26,9 @@ densities.png                   densities        what `forestgen simulate` shows
 
 and, by docs/label_pictures.py, labels.jpg: a view and its labels; by docs/light_pictures.py, light.jpg: other skies,
 a season and bands; by docs/weather_pictures.py, weather_profiles.png: the air in which four clouds form; by
-docs/plant_types.py, plant_types.png: the sixteen types of branch modules; by docs/biome_pictures.py, biomes.jpg: every
-biome; by docs/report_picture.py, report.jpg: the page that `forestgen report` makes of a small data set.
+docs/land_pictures.py, pond.jpg and forest_road.jpg; by docs/plant_types.py, plant_types.png: the sixteen types of
+branch modules; by docs/biome_pictures.py, biomes.jpg: every biome; by docs/report_picture.py, report.jpg: the page that
+`forestgen report` makes of a small data set.
 
 With names behind it, `uv run python docs/pictures.py self_thinning succession_maps`, it makes these alone.
 The plants' pictures, library.jpg and species/, are made by docs/species_sheet.py.
@@ -43,6 +44,7 @@ from pathlib import Path
 
 import biome_pictures
 import label_pictures
+import land_pictures
 import light_pictures
 import numpy as np
 import placement_pictures
@@ -222,6 +224,7 @@ PICTURES_OF = {
     "labels": label_pictures.labels,
     "light": light_pictures.light,
     "weather_views": light_pictures.weather_views,
+    "land": land_pictures.land,
     "plant_types": plant_types.plant_types,
     "report": report_picture.report,
 }

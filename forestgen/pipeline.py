@@ -33,7 +33,7 @@ from forestgen.render.identity import SceneTracer
 from forestgen.render.rendering import haze_notes, noise_notes, render_frame
 from forestgen.scene.build import BuiltScene, build_scene
 from forestgen.scene.far_mesh import SPECIES as FAR_SPECIES
-from forestgen.scene.ground_tiles import GROUND
+from forestgen.scene.ground_layers.layer import GROUND
 from forestgen.scene.plan import Plan, check_memory, check_plan
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import Camera

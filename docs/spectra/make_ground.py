@@ -265,6 +265,10 @@ def write_measured(library: Library) -> None:
         "bark/dead_birch": ("bark of a dead birch", ["dedbirch"]),
         "bark/dead_aspen": ("bark of a dead aspen", ["dedaspen"]),
         "bark/dead_spruce": ("bark of a dead spruce", ["dedspruc"]),
+        "wood/fallen": (
+            "dead wood on the ground, old and weathered",
+            ["deadwood", "oldwood", "wdslash", "MCON_Tower_CWD2_Canopy"],
+        ),
         "ground/litter_needles": ("fallen needles", ["deadneed", "MCON_Tower_LitterNeedles_Canopy"]),
         "ground/litter_grass": ("dead grass", ["deadgras", "goldgras", "brte_br"]),
         "ground/sand": ("beach sand, mean of 39 places", ["lbxsxx*"]),

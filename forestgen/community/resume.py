@@ -69,12 +69,14 @@ def _about_site(plan: CommunityPlan) -> dict[str, Any]:
     for key, value in shape.items():
         if is_map_file(value):
             shape[key] = {"sha256": value["sha256"]}  # a map is its content, wherever it lies
+    land = plan.drawn.recipe.site.model_dump(mode="json", include={"micro_relief", "paths", "water"})
     return {
         "size_m": site.size_m,
         "terrain": "flat" if site.height is None else shape,
         "altitude_m": site.altitude_m,
         "latitude_deg": site.latitude_deg,
         "wind_from_deg": site.wind_from_deg,
+        **land,  # what is left out is not there
         **({"buildings": [one.model_dump(mode="json") for one in site.buildings]} if site.buildings else {}),
     }
 

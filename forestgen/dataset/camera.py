@@ -8,6 +8,8 @@
 | world_from_camera     | its inverse; its last column is position_m                                                |
 | position_m            | world                                                                                     |
 | sequence, time_s      | the camera path that the frame is of, or null; seconds since its beginning                |
+| optics                | of a camera with an exposure: f_number, and what its lens does to the raw image           |
+| motion                | of a camera that moves, see below; null: it stands still                                  |
 | hfov_deg, K, ...      | what the model needs: the page of its projection (`forestgen models NAME`) has the keys,  |
 |                       | and where a point of the camera's axes appears in the image                               |
 
@@ -17,6 +19,15 @@
 | orthographic          | orthographic  | along z                                                                   |
 | fisheye               | fisheye       | along the ray                                                             |
 | equirectangular       | panorama      | along the ray                                                             |
+
+A camera that moves has the pose above in the middle of the image's exposure. `motion` has its `velocity_m_per_s`,
+world; its `rotation_deg_per_s` about its own x, y and z; `shutter_s`, for how long each row is exposed; and the middle
+of the exposure of row i, counted from 0, at t = `first_row_s` + i `row_step_s`. There, with w in radians,
+
+    position(t) = position_m + t velocity_m_per_s
+    world_from_camera(t) = world_from_camera expm(t [w]x)          its columns are the camera's axes
+
+Labels of row i are those of that pose. Light comes from all times within shutter_s / 2 of it.
 """
 
 from __future__ import annotations
@@ -26,9 +37,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.scene.motion import row_times_s, shutter_s
 from forestgen.scene.projection import projection_of
-from forestgen.scene.spec import Camera
+from forestgen.scene.spec import Camera, CameraMotion
 
+_OPTICS = ("f_number", "vignetting", "falloff", "chromatic_aberration", "veiling_glare")
 _NDC_NEAR_M = 0.1  # of worldToNDC's depth, which readers discard
 
 
@@ -52,6 +65,10 @@ def world_from_camera(camera: Camera) -> NDArray[np.float64]:
 def camera_model(camera: Camera) -> dict[str, Any]:
     """The content of camera.json, plain values."""
     projection = projection_of(camera)
+    optics = None
+    if camera.exposure is not None:
+        optics = {key: getattr(camera.exposure, key) for key in _OPTICS}
+        optics |= {key: list(optics[key]) for key in ("falloff", "chromatic_aberration")}
     return {
         "name": camera.name,
         "model": projection.model,
@@ -63,6 +80,20 @@ def camera_model(camera: Camera) -> dict[str, Any]:
         "position_m": [float(x) for x in camera.position_m],
         "sequence": camera.sequence,
         "time_s": float(camera.time_s),
+        "optics": optics,
+        "motion": None if camera.motion is None else _motion(camera, camera.motion),
+    }
+
+
+def _motion(camera: Camera, motion: CameraMotion) -> dict[str, Any]:
+    first_s = float(row_times_s(camera)[0]) + 0.0
+    return {
+        "velocity_m_per_s": list(motion.velocity_m_per_s),
+        "rotation_deg_per_s": np.degrees(motion.rotation_rad_per_s).tolist(),
+        "readout_s": motion.readout_s,
+        "shutter_s": shutter_s(camera),
+        "first_row_s": first_s,
+        "row_step_s": motion.readout_s / camera.size_px[1],
     }
 
 

@@ -59,6 +59,13 @@ class Photo:
     content: bytes  # JPEG
     facts: Mapping[str, Any]  # for raw.json
 
+    @property
+    def decoded(self) -> NDArray[np.uint8]:
+        """(H, W, 3) as it is read back."""
+        from PIL import Image
+
+        return np.asarray(Image.open(io.BytesIO(self.content)).convert("RGB"))
+
 
 def photo_of(raw: Raw, jpeg: Jpeg) -> Photo:
     """The picture of a raw image of three colours."""

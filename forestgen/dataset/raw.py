@@ -36,7 +36,8 @@ has the numbers that lead back::
 
     radiance of the channel = (D - black_level) radiance_per_dn[channel] / V
 
-V includes the falloff; lateral colour and glare are not undone by it. dataset/photo.py makes the camera's picture.
+V includes the falloff; lateral colour, glare and ghosts (dataset/ghosts.py) are not undone by it. dataset/photo.py has
+the camera's picture.
 """
 
 from __future__ import annotations
@@ -53,14 +54,16 @@ from numpy.typing import NDArray
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Spectrum
 from forestgen.dataset.files import write_json
+from forestgen.dataset.ghosts import COLOURS_NM, ghosts_of
 from forestgen.dataset.optics import falloff, through_lens
 from forestgen.dataset.png import write_png
-from forestgen.dataset.tonemap import picture_bands
+from forestgen.dataset.tonemap import centre_nm, picture_bands
 from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.spectra import load_table
 from forestgen.render.frame import Radiance
+from forestgen.render.metering import metered_luminance
 from forestgen.scene.colour import colour_of_radiance
-from forestgen.scene.projection import centre_rays, image_circle, projection_of
+from forestgen.scene.projection import centre_rays, projection_of
 from forestgen.scene.spec import Camera
 
 JSON_NAME = "raw.json"
@@ -69,7 +72,6 @@ SATURATION_LUX_S = 78.0  # at ISO 1: ISO 12232, saturation-based speed
 _BLACK_SHARE = 1 / 32
 _ROWS = 256  # even, as the mosaic's squares are
 _READ_NOISES = 5.0  # that fit below the black level
-_SUN_SHARE = 0.5  # per cent of pixels that the meter leaves out, the brightest
 _D65_KELVIN, _D65_END_NM, _LAST_NM = 6504.0, 780, 2500
 _MOSAIC = ((0, 1), (1, 2))  # red, green over green, blue: index of the channel by row and column
 
@@ -106,6 +108,9 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
     sensor = _sensor(radiance)
     light = radiance.mean if radiance.denoised is None else radiance.denoised
     shutter_s = exposure.shutter_for_s(_metered_luminance(light, sensor, camera))
+    ghosts = _ghosts(radiance, camera, exposure)
+    if ghosts is not None:
+        light = light + ghosts_of(ghosts, camera.size_px).astype(np.float32)
     black, white, gain = levels(exposure)
     electrons_per_luminance = (
         np.pi / 4 * shutter_s / exposure.f_number**2 * exposure.full_well_electrons * exposure.base_iso
@@ -143,6 +148,7 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
         **{name: float(getattr(exposure, name)) for name in _EXPOSURE},
         "falloff": list(exposure.falloff),
         "chromatic_aberration": list(exposure.chromatic_aberration if sensor.is_colour else (0.0, 0.0)),
+        "ghosts": ghosts,
         "projection": camera.projection,
         "hfov_deg": float(camera.hfov_deg),
         "radiance_per_dn": dict(zip(sensor.names, per_dn.tolist(), strict=True)),
@@ -200,14 +206,27 @@ def _arriving(light: NDArray[np.float32], sensor: _Sensor, exposure: Exposure) -
     return through_lens(_luminance(np.nan_to_num(light), sensor), colours, exposure.veiling_glare)
 
 
+def _ghosts(radiance: Radiance, camera: Camera, exposure: Exposure) -> dict[str, Any] | None:
+    """What ghosts follow from, by the radiance's channels; None: there are none."""
+    if exposure.ghosts is None or radiance.sun is None:
+        return None
+    x, y, z = radiance.sun.direction
+    nm = [centre_nm(band) for band in radiance.bands] or [COLOURS_NM[name] for name in radiance.channels]
+    return {
+        "surfaces": exposure.ghosts,
+        "f_number": float(exposure.f_number),
+        "focal_px": camera.focal_px,
+        "sun_px": [x / z * camera.focal_px, y / z * camera.focal_px],
+        "channels": list(radiance.channels),
+        "irradiance": list(radiance.sun.irradiance),
+        "wavelength_nm": nm,
+    }
+
+
 def _metered_luminance(light: NDArray[np.float32], sensor: _Sensor, camera: Camera) -> float:
     """Mean over the picture, without the brightest."""
     parts = [_luminance(light[first : first + _ROWS], sensor) @ sensor.meter for first in range(0, len(light), _ROWS)]
-    grey = np.concatenate(parts)[image_circle(camera)]
-    grey = grey[np.isfinite(grey)]
-    if not grey.size:
-        return 0.0
-    return float(np.minimum(grey, np.percentile(grey, 100.0 - _SUN_SHARE)).mean())
+    return metered_luminance(np.concatenate(parts), camera)
 
 
 def _sensor(radiance: Radiance) -> _Sensor:

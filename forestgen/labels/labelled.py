@@ -175,7 +175,8 @@ def plant_views(
 
 def project(camera: Camera, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """(..., 2) pixels, right and down, of (..., 3) points in the world; NaN for those that the camera cannot see."""
-    seen = projection.project(camera, (points_m - np.asarray(camera.position_m)) @ camera.world_from_camera)
+    away = points_m - np.asarray(camera.position_m)
+    seen = projection.project(camera, projection.in_own_axes(camera, away))
     pixels = np.stack([seen.x_px, seen.y_px], axis=-1)
     return np.asarray(np.where(seen.in_front[..., None], pixels, np.nan))
 

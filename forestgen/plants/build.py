@@ -16,6 +16,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Mesh, surface_area_m2
 from forestgen.plants.dead_branches import dead_branches
 from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.plants.forks import forked
 from forestgen.plants.grown import ModuleWood
 from forestgen.plants.leaf_fall import with_leaves
 from forestgen.plants.levels import simplified
@@ -96,8 +97,8 @@ def build_exemplar(
     if tree is None:
         fitted = fit(skeleton, templates, plant.fit, height_m, width_m)
     else:
-        height_m, leaf_rng = tree.height_m, rng.spawn(1)[0]
-        fitted = fit_tree(skeleton, plant, templates, tree, leaf_rng).skeleton
+        skeleton, height_m = forked(skeleton, plant.wood.years, rng), tree.height_m
+        fitted = fit_tree(skeleton, plant, templates, tree, rng.spawn(1)[0]).skeleton
     skeleton = _with_visible_organs(fitted, templates)
     _check_organs(skeleton, templates)
     in_leaf_m, years, (season_rng, wood_rng) = 0.0, plant.wood.years, rng.spawn(2)

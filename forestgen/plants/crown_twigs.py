@@ -60,6 +60,7 @@ class CrownTwigs(Section):
     bend: float = Field(0.5, ge=0, le=1, description="how far a twig sets out along its bearer, not straight ahead")
     dome: float = Field(0.0, ge=0, le=1, description="how far the crown is filled up to half an ellipsoid above")
     droop: float = Field(0.0, ge=-1, le=1, description="how far twigs rather grow down than up; negative: up")
+    level: float = Field(0.0, ge=0, le=4, description="how far twigs rather grow level: flat sprays in tiers")
 
 
 def rules_of_twigs(
@@ -227,17 +228,20 @@ def _beyond_ends(wood: Skeleton, way_m: float) -> Floats:
 
 
 @compiled
-def _way_cost(start: Floats, end: Floats, ahead: Floats, droop: float) -> Any:
-    """Length of a way, more if it turns back from `ahead`, the bearer's direction, or runs against `droop`."""
+def _way_cost(start: Floats, end: Floats, ahead: Floats, droop: float, level: float) -> Any:
+    """Length of a way, more if it turns back from `ahead`, the bearer's direction, or runs against `droop`, or is
+    steeper than level by `level`, but for what the bearer is.
+    """
     x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     length = np.sqrt(x * x + y * y + z * z) + 1e-9
     back = 1.0 - (x * ahead[0] + y * ahead[1] + z * ahead[2]) / length
     wrong = 1.0 + np.sign(droop) * z / length
-    return length * (1.0 + 0.5 * TURN_COST * back + 0.5 * abs(droop) * wrong)
+    steep = min(abs(z) / length, abs(z / length - ahead[2]))
+    return length * (1.0 + 0.5 * TURN_COST * back + 0.5 * abs(droop) * wrong + level * steep)
 
 
 @compiled
-def _span(position, ahead, radius, near, tips, droop):  # type: ignore[no-untyped-def]
+def _span(position, ahead, radius, near, tips, droop, level):  # type: ignore[no-untyped-def]
     """The order in which tips are reached, and what bears each: a node, or the number of nodes plus a tip's rank.
 
     `position`, `ahead`, `radius`: (N, 3), (N, 3), (N,) of nodes. `near`: (T, K) nodes that tips may be reached from.
@@ -248,7 +252,7 @@ def _span(position, ahead, radius, near, tips, droop):  # type: ignore[no-untype
     waiting = np.arange(count)
     for i in range(count):
         for node in near[i]:
-            cost = _way_cost(position[node], tips[i], ahead[node], droop) + THICK_COST * radius[node]
+            cost = _way_cost(position[node], tips[i], ahead[node], droop, level) + THICK_COST * radius[node]
             if cost < least[i]:
                 least[i], bearer[i] = cost, node
     ahead_of_tip = np.empty(3)
@@ -268,7 +272,7 @@ def _span(position, ahead, radius, near, tips, droop):  # type: ignore[no-untype
         path[rank] = length + (path[bearer[here] - many] if inner else 0.0)
         for k in range(count - rank - 1):
             other = waiting[k]
-            cost = _way_cost(tips[here], tips[other], ahead_of_tip, droop) + PATH_COST * path[rank]
+            cost = _way_cost(tips[here], tips[other], ahead_of_tip, droop, level) + PATH_COST * path[rank]
             if cost < least[other]:
                 least[other], bearer[other] = cost, many + rank
     return order, bearer[order]
@@ -281,7 +285,7 @@ def _spanned(wood: Skeleton, tips: Floats, twigs: CrownTwigs) -> tuple[Floats, I
     position = wood.position_m.astype(np.float64)
     ahead = unit(position - position[np.maximum(wood.parent, 0)])
     near = np.asarray(cKDTree(position).query(tips, k=np.arange(1, min(_NEAREST, len(position)) + 1))[1])
-    order, bearer = _span(position, ahead, wood.radius_m.astype(np.float64), near, tips, twigs.droop)
+    order, bearer = _span(position, ahead, wood.radius_m.astype(np.float64), near, tips, twigs.droop, twigs.level)
     return tips[order], bearer
 
 

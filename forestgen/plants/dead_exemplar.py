@@ -1,39 +1,47 @@
 """One exemplar of a dead tree: the living tree of its species, what death leaves of it (`dead_tree`), and its surface.
 
-Bark falls off the stem in patches, more with every decay class; below it is grey wood. Branches lose theirs first.
-Moss grows on what lies, on its upper side. A patch is some of the mesh's triangles: noise along and around the stem
-says which, the same for all classes.
+Bark falls off the stem in patches, more with every decay class; below it is wood, grey of what stands in the sun and
+brown of what lies. Branches lose theirs first. Moss grows on what lies, on its upper side, and the covers of the
+species' `wood` on its bark. Noise along and around the stem says where, the same for all classes. Surfaces are uneven,
+more with every class.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from forestgen.core.dead_wood import DeadForm, DeadTree
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Floats, Mesh, instance, part_of, triangle_areas, vertex_normals
+from forestgen.geometry.mesh import Floats, Mesh, part_of, triangle_areas, unit, vertex_normals
 from forestgen.plants.build import box_of, check_materials, grown_tree
 from forestgen.plants.dead_tree import DeadSkeleton, dead_skeleton
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.grown import ModuleWood
 from forestgen.plants.levels import simplified
 from forestgen.plants.meshing import organ_meshes
-from forestgen.plants.organs.flowers import Disc
 from forestgen.plants.parameters import PlantParameters
+from forestgen.plants.skeleton import Skeleton
+from forestgen.plants.stem_surface import EDGE_M, split, surfaced
 from forestgen.plants.tree_fit import fit_tree
 from forestgen.plants.tree_size import TreeSize
 from forestgen.recipe.species import Material, Species
 
-WEATHERED, MOSS, END_GRAIN, SOIL = "dead_wood", "dead_wood_moss", "dead_wood_end_grain", "dead_wood_soil"
+WEATHERED, FALLEN, MOSS = "dead_wood", "dead_wood_fallen", "dead_wood_moss"
+END_GRAIN, SOIL = "dead_wood_end_grain", "dead_wood_soil"
 _MATERIALS: Mapping[str, dict[str, Any]] = {
     WEATHERED: {
         "spectrum": "wood/snag",
         "roughness": 0.9,
         "bark": {"pattern": "fibrous", "tile_m": [0.3, 0.6], "dark": [0.05, 0.045, 0.04], "lichen": 0.06},
+    },
+    FALLEN: {
+        "spectrum": "wood/fallen",
+        "roughness": 0.9,
+        "bark": {"pattern": "fibrous", "tile_m": [0.3, 0.6], "dark": [0.03, 0.025, 0.02], "marks": 0.09},
     },
     MOSS: {
         "spectrum": "wood/moss",
@@ -57,6 +65,9 @@ _GREY_BRANCHES = 2  # the class from which branches have no bark
 _ROTTEN = 4  # the class from which a sawn face is as grey as the rest
 _TWIGS = 0.7  # of the tree's leaf area, by which twigs are counted: the finest are gone
 _UPPER = 0.1  # least z of a normal of the upper side
+_UNEVEN = (0.02, 0.03, 0.06, 0.09, 0.12)  # by decay class, of the radius: standard deviation of the surface, about
+_BARK = 0.06, 0.012  # how much lower bare wood is than bark: of the radius, at most metres
+_FLAT_M = 1e-3  # of a sawn face
 _PLATE_SIDES, _PLATE_RINGS, _PLATE_DEEP = 48, 9, 0.12
 
 
@@ -68,13 +79,16 @@ def with_dead_wood(species: Species) -> Species:
 
 def bare_parameters(plant: PlantParameters, dead: DeadTree | None = None) -> PlantParameters:
     """The plant's parameters for dead wood: of a dead tree's class; None: all of it grey."""
+    bare = WEATHERED if dead is None else _bare_wood(dead)
     has_bark = dead is not None and _BARE[dead.decay - 1] < 1.0
     grey = dead is None or dead.decay >= _GREY_BRANCHES
     changed: dict[str, Any] = {"dead": True}
     if not has_bark:
-        changed["material"] = WEATHERED
+        changed["material"] = bare
     if grey:
-        changed |= {"branch_material": WEATHERED if has_bark else None, "thick_branch_m": None}
+        changed |= {"branch_material": bare if has_bark else None, "thick_branch_m": None}
+    if dead is not None and dead.form == DeadForm.STUMP and plant.wood.years is not None:
+        changed["years"] = plant.wood.years.model_copy(update={"roots": None})  # some are higher than it
     return plant.model_copy(update={"wood": plant.wood.model_copy(update=changed)})
 
 
@@ -96,13 +110,17 @@ def build_dead(
     sizes of the whole tree when it lived. Others as for `build.build_exemplar`.
     """
     grown, level_rng = grown_tree(species_name, plant, tree, rng, wood)
-    fit_rng, dead_rng, patch_rng = rng.spawn(3)
+    fit_rng, dead_rng, patch_rng, uneven_rng = rng.spawn(4)
     leafless = replace(tree, leaf_area_m2=_TWIGS * tree.leaf_area_m2)
     living = fit_tree(grown, plant, plant.templates(), leafless, fit_rng).skeleton
     left = dead_skeleton(living, dead, tree.height_m, tree.dbh_m, dead_rng)
     seen = simplified(left.skeleton, {}, pixel_m, level_rng)
     organs = organ_meshes(seen, plant.shapes, plant.wood, pixel_m=pixel_m)
-    organs = (*_patched(organs, plant, dead, patch_rng), *_faces(left, dead, patch_rng))
+    organs = _uneven(organs, left.skeleton, dead, uneven_rng)
+    organs = _sawn(_patched(organs, plant, left.skeleton, dead, pixel_m, patch_rng), left, dead)
+    if left.plate_m > 0.0:
+        foot_m = float(left.skeleton.position_m[0, 2])
+        organs = (*organs, OrganMesh(Part.DEAD_WOOD, SOIL, _root_plate(left.plate_m, foot_m, patch_rng)))
     check_materials(species_name, organs, species.materials)
     low, high = box_of(organs, species_name)
     return Exemplar(
@@ -117,34 +135,8 @@ def build_dead(
     )
 
 
-class _Patch(NamedTuple):
-    """Triangles that have another material."""
-
-    material: str
-    share: float  # of the area
-
-
-def _patched(
-    organs: tuple[OrganMesh, ...], plant: PlantParameters, dead: DeadTree, rng: np.random.Generator
-) -> tuple[OrganMesh, ...]:
-    """The surfaces with moss, and the stem's with patches of bare wood."""
-    bare_waves, moss_waves = (_Waves.of(one) for one in rng.spawn(2))
-    bare, moss = _Patch(WEATHERED, _BARE[dead.decay - 1]), _Patch(MOSS, _MOSSY[dead.decay - 1])
-    mossy = dead.lies or dead.form == DeadForm.STUMP
-    made: list[OrganMesh] = []
-    for organ in organs:
-        mesh, pieces = organ.mesh, [organ]
-        if mossy and moss.share > 0.0:
-            assert mesh.normals is not None  # wood has
-            up = mesh.normals[mesh.faces].mean(axis=1)[:, 2].astype(np.float64)
-            upper = up > _UPPER
-            score = np.where(upper, -up - 0.6 * moss_waves.at(mesh), np.inf)
-            pieces = _split(organ, score, moss, upper)
-        if organ.material == plant.wood.material and bare.share < 1.0:
-            rest = pieces[0]
-            pieces = [*_split(rest, bare_waves.at(rest.mesh), bare), *pieces[1:]]
-        made += pieces
-    return tuple(made)
+def _bare_wood(dead: DeadTree) -> str:
+    return FALLEN if dead.lies or dead.form == DeadForm.STUMP else WEATHERED
 
 
 class _Waves(NamedTuple):
@@ -159,39 +151,143 @@ class _Waves(NamedTuple):
         return cls(2.0 * np.pi / length_m * rng.normal(size=(12, 3)), rng.uniform(0.0, 2.0 * np.pi, 12))
 
     def at(self, mesh: Mesh) -> Floats:
-        """(F,) at the middles of a mesh's triangles, about -1 to 1."""
-        middle = mesh.vertices_m.astype(np.float64)[mesh.faces].mean(axis=1)
-        return np.asarray(np.sin(middle @ self.way.T + self.phase).sum(axis=1) / 3.0)
+        """(V,) at a mesh's vertices, about -1 to 1."""
+        return np.asarray(np.sin(mesh.vertices_m.astype(np.float64) @ self.way.T + self.phase).sum(axis=1) / 3.0)
+
+    def slope(self, mesh: Mesh) -> Floats:
+        """(V, 3) a metre."""
+        return np.asarray(np.cos(mesh.vertices_m.astype(np.float64) @ self.way.T + self.phase) @ self.way / 3.0)
 
 
-def _split(organ: OrganMesh, score: Floats, patch: _Patch, among: Any = None) -> list[OrganMesh]:
-    """The surface, and as a second one the triangles of least score, of a patch's share of the area."""
+@dataclass(frozen=True)
+class _Patches:
+    """Above 0 where bark is gone or, on the upper side, moss grows."""
+
+    waves: _Waves
+    is_moss: bool
+    level: float = 0.0
+    near: float = 0.3  # see `stem_surface.Field`
+
+    def score(self, mesh: Mesh) -> Floats:
+        """(V,) how soon a place is part of a patch."""
+        return 0.6 * self.waves.at(mesh) + _up(mesh) if self.is_moss else -self.waves.at(mesh)
+
+    def at(self, mesh: Mesh) -> Floats:
+        value = self.level + self.score(mesh)
+        return np.minimum(value, _up(mesh) - _UPPER) if self.is_moss else value
+
+
+def _up(mesh: Mesh) -> Floats:
+    assert mesh.normals is not None  # wood has
+    return mesh.normals[:, 2].astype(np.float64)
+
+
+def _uneven(
+    organs: tuple[OrganMesh, ...], skeleton: Skeleton, dead: DeadTree, rng: np.random.Generator
+) -> tuple[OrganMesh, ...]:
+    """The wood with lumps and hollows; a stump keeps the shape that its sawn face has."""
+    if dead.form == DeadForm.STUMP:
+        return organs
+    waves, made = _Waves.of(rng), []
+    for organ in organs:
+        mesh = organ.mesh
+        assert mesh.normals is not None  # wood has
+        size = _UNEVEN[dead.decay - 1] * _radius_at(skeleton, mesh)[:, None]
+        normal = mesh.normals.astype(np.float64)
+        moved = mesh.vertices_m + size * waves.at(mesh)[:, None] * normal
+        slope = size * waves.slope(mesh)
+        leant = unit(normal - slope + np.sum(slope * normal, axis=1, keepdims=True) * normal)
+        new = replace(mesh, vertices_m=moved.astype(np.float32), normals=leant.astype(np.float32))
+        made.append(replace(organ, mesh=new))
+    return tuple(made)
+
+
+def _radius_at(skeleton: Skeleton, mesh: Mesh) -> Floats:
+    """(V,) radius of the wood at the nearest node of each vertex."""
+    from scipy.spatial import cKDTree  # slow to import
+
+    nearest = cKDTree(skeleton.position_m).query(mesh.vertices_m)[1]
+    return skeleton.radius_m[nearest].astype(np.float64)
+
+
+def _patched(
+    organs: tuple[OrganMesh, ...],
+    plant: PlantParameters,
+    skeleton: Skeleton,
+    dead: DeadTree,
+    pixel_m: float,
+    rng: np.random.Generator,
+) -> tuple[OrganMesh, ...]:
+    """The surfaces with moss, and the stem's with patches of bare wood, and covers on its bark."""
+    bare_waves, moss_waves = (_Waves.of(one) for one in rng.spawn(2))
+    bare, moss = _BARE[dead.decay - 1], _MOSSY[dead.decay - 1]
+    mossy = dead.lies or dead.form == DeadForm.STUMP
+    edge_m = max(EDGE_M, 0.5 * pixel_m)
+    made: list[OrganMesh] = []
+    for organ in organs:
+        pieces = [organ]
+        if mossy and moss > 0.0:
+            pieces = _grown(organ, _Patches(moss_waves, True), moss, edge_m, MOSS)
+        for piece in pieces:
+            if piece.material != plant.wood.material or piece.material == _bare_wood(dead):
+                made.append(piece)
+                continue
+            for part in _grown(piece, _Patches(bare_waves, False), bare, edge_m, _bare_wood(dead)):
+                if part.material == plant.wood.material:
+                    made += _covered(part, plant, skeleton, pixel_m)
+                else:
+                    made.append(_sunken(part, skeleton))
+    return tuple(made)
+
+
+def _grown(organ: OrganMesh, patches: _Patches, share: float, edge_m: float, material: str) -> list[OrganMesh]:
+    """The surface, and as another one its patches, of a share of the area; of moss, a share of the upper side."""
     mesh = organ.mesh
-    area = triangle_areas(mesh.vertices_m, mesh.faces)
-    if among is not None:
-        area = np.where(among, area, 0.0)
-    order = np.argsort(score, kind="stable")
-    chosen = np.zeros(len(area), dtype=bool)
-    chosen[order] = np.cumsum(area[order]) <= patch.share * area.sum()
-    if among is not None:
-        chosen &= among
-    parts = ((~chosen, organ.material), (chosen, patch.material))
-    return [replace(organ, mesh=part_of(mesh, mesh.faces[own]), material=key) for own, key in parts if own.any()]
+    if share <= 0.0 or not mesh.triangles:
+        return [organ]
+    area, score = triangle_areas(mesh.vertices_m, mesh.faces), patches.score(mesh)[mesh.faces].mean(axis=1)
+    if patches.is_moss:
+        area = np.where(_up(mesh)[mesh.faces].mean(axis=1) > _UPPER, area, 0.0)
+    order = np.argsort(-score, kind="stable")
+    last = int(np.searchsorted(np.cumsum(area[order]), share * area.sum()))
+    level = -float(score[order[min(last, len(order) - 1)]])
+    return split(organ, replace(patches, level=level), edge_m, material)
 
 
-def _faces(left: DeadSkeleton, dead: DeadTree, rng: np.random.Generator) -> list[OrganMesh]:
-    """A stump's sawn face, an uprooted tree's root plate."""
+def _covered(bark: OrganMesh, plant: PlantParameters, skeleton: Skeleton, pixel_m: float) -> list[OrganMesh]:
+    """Bark with what grows on it."""
+    years = plant.wood.years
+    if years is None:
+        return [bark]
+    alone = years.model_copy(update={"bark_zones": ()})
+    return surfaced(bark, alone, float(skeleton.radius_m[0]), pixel_m, plant.wood.bark_tile_m)
+
+
+def _sunken(wood: OrganMesh, skeleton: Skeleton) -> OrganMesh:
+    """Bare wood, lower than the bark around."""
+    mesh = wood.mesh
+    assert mesh.normals is not None  # wood has
+    deep = np.minimum(_BARK[0] * _radius_at(skeleton, mesh), _BARK[1])
+    lowered = mesh.vertices_m - deep[:, None] * mesh.normals
+    return replace(wood, mesh=replace(mesh, vertices_m=lowered.astype(np.float32)))
+
+
+def _sawn(organs: tuple[OrganMesh, ...], left: DeadSkeleton, dead: DeadTree) -> tuple[OrganMesh, ...]:
+    """A stump's surfaces with its sawn face as one of its own."""
+    if left.sawn is None:
+        return organs
+    (x, y, top_m), material = left.sawn[0], FALLEN if dead.decay >= _ROTTEN else END_GRAIN
     made = []
-    if left.sawn is not None:
-        place, diameter_m = left.sawn
-        frame = np.column_stack([diameter_m * np.eye(3), place + np.array([0.0, 0.0, 0.002])])
-        face = Disc(form="disc", part="dead_wood", material=END_GRAIN, diameter_m=1.0, sides=32).template()
-        material = WEATHERED if dead.decay >= _ROTTEN else END_GRAIN
-        made.append(OrganMesh(Part.DEAD_WOOD, material, instance(face, frame[None].astype(np.float32))))
-    if left.plate_m > 0.0:
-        foot_m = float(left.skeleton.position_m[0, 2])
-        made.append(OrganMesh(Part.DEAD_WOOD, SOIL, _root_plate(left.plate_m, foot_m, rng)))
-    return made
+    for organ in organs:
+        mesh = organ.mesh
+        on_top = np.all(mesh.vertices_m[mesh.faces][:, :, 2] > top_m - _FLAT_M, axis=1)
+        made += [replace(organ, mesh=part_of(mesh, mesh.faces[~on_top]))] if not on_top.all() else []
+        if on_top.any():
+            face = part_of(mesh, mesh.faces[on_top])
+            flat = face.vertices_m[:, :2] - np.array([x, y], dtype=np.float32)
+            uv = 0.5 + 0.5 * flat / max(float(np.linalg.norm(flat, axis=1).max()), 1e-6)
+            made.append(OrganMesh(Part.DEAD_WOOD, material, replace(face, uv=uv.astype(np.float32))))
+    return tuple(made)
 
 
 def _root_plate(radius_m: float, middle_m: float, rng: np.random.Generator) -> Mesh:

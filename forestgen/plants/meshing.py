@@ -115,7 +115,7 @@ def organ_meshes(
     parts: dict[tuple[Part, str], list[MarkedMesh]] = {}
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
     years = None if wood.dead else wood.years
-    roots = None if years is None or pixel_m > 0.0 else years.roots
+    roots = None if wood.years is None or pixel_m > 0.0 else wood.years.roots
     parts[stem, wood.material] = wood_meshes(skeleton, True, wood.flare, tile_m=wood.bark_tile_m, roots=roots)
     thick = np.inf if wood.thick_branch_m is None else wood.thick_branch_m
     for foot_m, material, tile_m in (

@@ -18,6 +18,7 @@ Phytosociology and Ecology of Cryptogamic Epiphytes, chapters on exposure and he
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -32,7 +33,7 @@ LEVELS = (0.4, 0.85)  # share of a covered bark's texture that has the cover's c
 _DENSE = 0.25
 _LEAST_SHARE = 0.03  # of a cover
 _LEAST_RADIUS_M = 0.03  # of a stem that bears anything
-_EDGE_M = 0.08  # of the finest triangles, at the ground
+EDGE_M = 0.08  # of the finest triangles, at the ground
 _COARSER_M = 2.0  # height at which they are twice as large
 _ROUNDS = 10  # of refinement
 _WAVES_M = (1.6, 0.8, 0.4, 0.2)  # lengths of the noise's waves; shorter ones are weaker
@@ -56,11 +57,11 @@ def surfaced(
     if base_radius_m < _LEAST_RADIUS_M:
         return [organ]
     waves = _Waves(round(1e6 * base_radius_m))
-    edge_m, top_m = max(_EDGE_M, 0.5 * pixel_m), float(organ.mesh.vertices_m[:, 2].max())
+    edge_m, top_m = max(EDGE_M, 0.5 * pixel_m), float(organ.mesh.vertices_m[:, 2].max())
     pieces = [organ]
     for zone in wood.bark_zones:
         field = _ZoneField(zone, waves, top_m)
-        found = [new for one in pieces for new in _split(one, field, edge_m, zone.material)]
+        found = [new for one in pieces for new in split(one, field, edge_m, zone.material)]
         pieces = [_tiled(one, tile_m, zone.tile_m) if one.material == zone.material else one for one in found]
     if pixel_m > 0.0:
         return pieces
@@ -70,9 +71,9 @@ def surfaced(
         pieces = [one for one in pieces if COVERED in one.material]
         for one in bare:
             thin = covered_name(one.material, cover.material, 0)
-            for part in _split(one, grows, edge_m, thin):
+            for part in split(one, grows, edge_m, thin):
                 dense = covered_name(one.material, cover.material, 1)
-                pieces += _split(part, _Raised(grows), np.inf, dense) if part.material == thin else [part]
+                pieces += split(part, _Raised(grows), np.inf, dense) if part.material == thin else [part]
     return pieces
 
 
@@ -142,9 +143,20 @@ class _Raised:
         return np.asarray(self._field.at(mesh) - _DENSE)
 
 
-def _split(
-    organ: OrganMesh, field: _ZoneField | _CoverField | _Raised, edge_m: float, material: str
-) -> list[OrganMesh]:
+class Field(Protocol):
+    """A value on a surface."""
+
+    @property
+    def near(self) -> float:
+        """How near to 0 it is, at the corners of a triangle, where it may be 0 between them."""
+        ...
+
+    def at(self, mesh: Mesh) -> Floats:
+        """(V,) at a mesh's vertices."""
+        ...
+
+
+def split(organ: OrganMesh, field: Field, edge_m: float, material: str) -> list[OrganMesh]:
     """The surface, and what has another material where the field is above 0."""
     mesh, origin = organ.mesh, np.arange(organ.mesh.triangles)
     value = field.at(mesh)

@@ -29,6 +29,7 @@ from forestgen.core.parts import Part
 from forestgen.core.stem_form import stem_radius_m
 from forestgen.geometry.mesh import Floats, Ints, Mesh, surface_area_m2
 from forestgen.plants.crown_twigs import DARKEST, EXTINCTION, Leaves, fill_crown, first_stem, rules_of_twigs
+from forestgen.plants.forks import FORKED, is_second_stem
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.tree_size import TreeSize
@@ -43,6 +44,7 @@ _LEAF_SIZE = (0.5, 1.25)  # factor on the length of leaves; their number makes u
 _SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the length
 _MOST_LEAVES = 8.0  # times as many leaves as the generator placed, in the mean of a crown
 _STRAIGHTENED = 0.7  # of a stem's way aside, as it grew
+_BOWS = 6  # of a stem
 _MOST_FILLED = 1.5  # the stretch of what is next to the axis, over that of the farthest, less 1
 _TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
 _BRANCH = 0.8
@@ -218,25 +220,26 @@ class Stretch:
 class Bend:
     """The way aside of all that is at a height z of a tree of the height H: a lean at the foot, and bows above.
 
-    lean fades (1 - exp(-z / fades)) + H (bow_1 sin(pi z / H) + bow_2 / 2 sin(2 pi z / H))
+    lean fades (1 - exp(-z / fades)) + H sum_k bow_k / k sin(k pi z / H),    k = 1 to 6
     """
 
     lean: Floats  # (2,) slopes
     fades_m: float
-    bows: Floats  # (2, 2) over the height
+    bows: Floats  # (6, 2) over the height
     height_m: float
 
     @classmethod
     def of(cls, law: Sweep, height_m: float, rng: np.random.Generator) -> Bend:
         lean = np.tan(np.radians(law.foot_deg)) * rng.normal(size=2) / np.sqrt(2.0)
-        return cls(lean, law.fades_m, law.bow * rng.normal(size=(2, 2)) / np.sqrt(2.0), height_m)
+        return cls(lean, law.fades_m, law.bow * rng.normal(size=(_BOWS, 2)) / np.sqrt(2.0), height_m)
 
     def points(self, points: Floats) -> Floats:
         """(M, 3) points, moved."""
         height_m = np.maximum(points[:, 2:], 0.0)
         share = np.minimum(height_m / self.height_m, 1.0) * np.pi
         aside = self.lean * self.fades_m * (1.0 - np.exp(-height_m / self.fades_m))
-        aside += self.height_m * (self.bows[0] * np.sin(share) + 0.5 * self.bows[1] * np.sin(2.0 * share))
+        k = np.arange(1, len(self.bows) + 1)
+        aside += self.height_m * np.sin(share * k) @ (self.bows / k[:, None])
         return np.concatenate([points[:, :2] + aside, points[:, 2:]], axis=1)
 
     def skeleton(self, skeleton: Skeleton) -> Skeleton:
@@ -386,7 +389,15 @@ def with_taper(skeleton: Skeleton, top_m: float, dbh_m: float) -> Skeleton:
     """
     stem, radius = first_stem(skeleton.axis), skeleton.radius_m.astype(np.float64)
     heights = np.maximum.accumulate(skeleton.position_m[stem, 2].astype(np.float64))
-    radius[stem] = np.maximum(stem_radius_m(heights, top_m, dbh_m), min(_TWIG_RADIUS_M, 0.1 * dbh_m))
+    thinnest = min(_TWIG_RADIUS_M, 0.1 * dbh_m)
+    radius[stem] = np.maximum(stem_radius_m(heights, top_m, dbh_m), thinnest)
+    second = is_second_stem(skeleton)
+    if second.any():
+        fork_m = float(skeleton.position_m[skeleton.parent[np.argmax(second)], 2])
+        above = (stem & (skeleton.position_m[:, 2] > fork_m)) | second
+        own = FORKED * stem_radius_m(skeleton.position_m[above, 2].astype(np.float64), top_m, dbh_m)
+        radius[above] = np.maximum(own, thinnest)
+        stem = stem | second
     onward = skeleton.axis[np.maximum(skeleton.parent, 0)] == skeleton.axis
     most, parents, thick = np.where(onward, 1.0, _BRANCH).tolist(), skeleton.parent.tolist(), radius.tolist()
     for node in np.flatnonzero(~stem).tolist():

@@ -34,6 +34,8 @@ from forestgen.recipe.spectra import MOST_BYTES
 
 MOST_FRAMES = 1000  # of all cameras together
 GroundPoint = tuple[Coordinate, Coordinate]
+Speed = Annotated[Number, Field(ge=-1000, le=1000)]
+Turn = Annotated[Number, Field(ge=-3600, le=3600)]
 FramesPerSecond = Annotated[Number, Field(ge=0.001, le=1000)]
 
 Pixels = Annotated[Whole, Field(ge=8, le=16384)]
@@ -70,6 +72,26 @@ class CameraPath(Section):
     )
 
 
+class CameraMotion(Section):
+    """How a camera moves while its shutter is open; see scene/motion.py. It needs an exposure, which has the time."""
+
+    velocity_m_per_s: tuple[Speed, Speed, Speed] = Field(
+        (0.0, 0.0, 0.0), description="x east, y north, z up, metres a second."
+    )
+    rotation_deg_per_s: tuple[Turn, Turn, Turn] = Field(
+        (0.0, 0.0, 0.0),
+        description="About the camera's own right, down and forward: positive ones turn it up, to the right, and "
+        "clockwise.",
+    )
+    readout_s: Number = Field(
+        0.0, ge=0, le=10, description="Of a rolling shutter, which exposes row after row: for all rows. 0: all at once."
+    )
+
+    @property
+    def moves(self) -> bool:
+        return any((*self.velocity_m_per_s, *self.rotation_deg_per_s))
+
+
 class RigKeys(PartSection):
     """Several images of one entry of a recipe's cameras. How many follows from the recipe alone."""
 
@@ -89,6 +111,7 @@ class Camera(PartSection):
     default_look: ClassVar[Look | None] = None  # None: over the site, by look_at_m
     default_place: ClassVar[Point] = (0.5, 0.02, 1.7)  # shares of the site's width and depth, and metres above ground
     is_level: ClassVar[bool] = False  # whatever it looks at
+    has_lens: ClassVar[bool] = False  # one that may show ghosts of the sun: `focal_px` is its focal length
     covers_ground: ClassVar[bool] = False  # whether `footprint_m` is known, as drone_grid needs
 
     name: Name = Field(description="Name in file names; default camera0, camera1, ...")
@@ -135,6 +158,9 @@ class Camera(PartSection):
         "colour.",
     )
     exposure: Exposure | None = Field(None, description="For a raw image beside the linear one. None: no such.")
+    motion: CameraMotion | None = Field(
+        None, description="While the exposure's shutter is open: motion blur, rolling shutter. None: it stands still."
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -152,7 +178,7 @@ class Camera(PartSection):
 
     @model_validator(mode="after")
     def _is_one_camera(self) -> Self:
-        wrong = self.wrong_optics() or _rigged(self) or _looking(self) or _looks_at_itself(self)
+        wrong = self.wrong_optics() or _rigged(self) or _looking(self) or _looks_at_itself(self) or _exposed(self)
         if wrong is not None:
             raise wrong
         return self
@@ -332,6 +358,20 @@ def _looks_at_itself(camera: Camera) -> PydanticCustomError | None:
             at = ("path", "look_at_m" if camera.path.look_at_m else "position_m")
             return violation(expected, problem=f"{problem} {index} of its path", got=got, at=at)
     return None
+
+
+def _exposed(camera: Camera) -> PydanticCustomError | None:
+    """What is wrong with an exposure beside the camera's other keys."""
+    if camera.exposure is not None and camera.exposure.ghosts is not None and not camera.has_lens:
+        expected, got = "a camera with a lens, such as perspective", _article(camera.kind)
+        return violation(
+            expected, problem="a lens' ghosts are those of a flat image", got=got, at=("exposure", "ghosts")
+        )
+    if camera.motion is None or camera.exposure is not None:
+        return None
+    hint = "exposure: {} is metered, exposure: {shutter_s: 0.002} is not"
+    problem, got = "the camera moves for an unknown time", "no exposure"
+    return violation("an exposure, whose shutter is open", problem=problem, got=got, hint=hint, at="motion")
 
 
 def check_cameras(cameras: Sequence[Camera]) -> None:

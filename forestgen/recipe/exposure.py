@@ -57,6 +57,11 @@ class Exposure(Section):
     veiling_glare: Number = Field(
         0.0, ge=0, le=0.3, description="Share of the light that the lens spreads widely over the image: 0.01 to 0.05."
     )
+    ghosts: Literal["coated", "uncoated"] | None = Field(
+        None,
+        description="Of perspective: images of the stop that the surfaces of a double Gauss make of the sun, faint "
+        "ones if coated, about 200 times as bright ones if not, as before 1940. None: none.",
+    )
     full_well_electrons: Positive = Field(30_000.0, ge=10, le=1e8, description="That a pixel holds.")
     read_noise_electrons: NonNegative = Field(
         3.0, le=1e5, description="Standard deviation of what reading a pixel adds."

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, SerializeAsAny
+from pydantic import Field, SerializeAsAny, SerializerFunctionWrapHandler, model_serializer
 
 from forestgen.recipe import fields
 from forestgen.recipe.registries import GROUND_COVERS, GROUND_LAYERS
@@ -18,14 +18,29 @@ class GroundLayer(fields.PartSection):
 
     registry = GROUND_LAYERS
     selector = "what"
+    has_things: ClassVar[bool] = True  # that are drawn; others are a colour of the ground
 
     what: Annotated[fields.Text, Field(description="What lies or grows there.")]
     cover: fields.Number = Field(
         0.5, gt=0, le=DENSEST, description="Share of the ground that it hides, seen from above; mean over the site."
     )
-    patch_m: fields.Positive | None = Field(
-        None, ge=0.5, le=1000, description="Size of its patches, metres. Default: as dense everywhere."
+    on: Literal["ground", "roadside"] = Field(
+        "ground",
+        description="ground: everywhere but in water and on paths. roadside: on the middle strips of forest roads and "
+        "beside them alone.",
     )
+    patch_m: fields.Positive | None = Field(
+        None,
+        ge=0.5,
+        le=1000,
+        description="Size of its patches, metres. Where it is painted, patches of more than 12 m do not show. "
+        "Default: as dense everywhere.",
+    )
+
+    @model_serializer(mode="wrap")
+    def _without_the_usual_place(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        found: dict[str, Any] = handler(self)
+        return {key: value for key, value in found.items() if (key, value) != ("on", "ground")}
 
 
 class Ground(fields.Section):
@@ -40,4 +55,23 @@ class Ground(fields.Section):
         description="What lies and grows on it as geometry near the cameras, where things are larger than a pixel; "
         "farther away its mean colour is painted. It is background, without a plant_id: herbs that should count as "
         "plants belong into the community. `forestgen models --kind ground_layer` lists the kinds.",
+    )
+
+
+class WetSoil(fields.Section):
+    """How the water that a community has in its soil shows in the ground's colour."""
+
+    shown: fields.Flag = Field(True, description="Whether wet ground is darker.")
+    depth_m: fields.Positive | None = Field(
+        None,
+        le=100,
+        description="Depth of the soil that holds the water, metres: what makes a saturation of mm. Default: 1 in "
+        "forest soil, 0.05 in a dryland's, whose rains wet little more than its crust.",
+    )
+    porosity: fields.Fraction = Field(0.4, gt=0, description="Share of the soil that water can fill.")
+    pond_mm: fields.Positive = Field(
+        25.0,
+        le=10_000,
+        description="Water on the ground that begins to drown it, mm; twice as much makes it wholly wet. Less is what "
+        "runs past in showers, in a month's mean.",
     )

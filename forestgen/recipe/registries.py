@@ -84,8 +84,12 @@ GROUND_COVERS = Registry(
     "ground cover",
     {
         "litter": ("forestgen.scene.grounds.litter:COVER", "fallen leaves and moss"),
+        "needle_litter": ("forestgen.scene.grounds.uneven:NEEDLES", "fallen needles"),
+        "dead_grass": ("forestgen.scene.grounds.uneven:DEAD_GRASS", "dead grass"),
         "soil_dry": ("forestgen.scene.grounds.uneven:SOIL_DRY", "dry soil"),
         "soil_wet": ("forestgen.scene.grounds.uneven:SOIL_WET", "wet soil"),
+        "soil_moist": ("forestgen.scene.grounds.uneven:SOIL_MOIST", "soil halfway between dry and wet"),
+        "gravel": ("forestgen.scene.grounds.uneven:GRAVEL", "gravel"),
         "grass": ("forestgen.scene.grounds.uneven:GRASS", "grass"),
         "rock": ("forestgen.scene.grounds.uneven:ROCK", "rock"),
         "sand": ("forestgen.scene.grounds.uneven:SAND", "sand"),
@@ -93,6 +97,7 @@ GROUND_COVERS = Registry(
     },
     contract="forestgen.scene.terrain:GroundCover",
 )
+GROUND_OF = {"path": "soil_moist", "forest_road": "gravel", "strip": "grass", "bed": "soil_wet"}  # by default
 
 _LAYERS = "forestgen.scene.ground_layers"
 GROUND_LAYERS = Registry(
@@ -102,6 +107,7 @@ GROUND_LAYERS = Registry(
         "twigs": (f"{_LAYERS}.twigs:LAYER", "dead twigs and small branches"),
         "stones": (f"{_LAYERS}.stones:LAYER", "stones and boulders"),
         "moss": (f"{_LAYERS}.moss:LAYER", "cushions and carpets of moss"),
+        "bare_soil": (f"{_LAYERS}.bare_soil:LAYER", "patches where sand, soil or rock shows"),
         "small_plants": (
             f"{_LAYERS}.small_plants:LAYER",
             "small plants of a species: grass, herbs, seedlings, dwarf shrubs",
@@ -117,6 +123,7 @@ WEATHER = Registry(
         "ground_fog": (f"{_AIR}.ground_fog:KIND", "fog on the ground, of a visibility and depth"),
         "rain": (f"{_AIR}.rain:KIND", "rain: streaks, dim air, wet plants and ground"),
         "snow_cover": (f"{_AIR}.snow_cover:KIND", "snow that lies on the ground and on plants"),
+        "snowfall": (f"{_AIR}.snowfall:KIND", "snow that falls: flakes and dim air"),
     },
     contract="forestgen.scene.weather.kind:WeatherKind",
 )

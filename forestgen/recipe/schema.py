@@ -26,7 +26,8 @@ from forestgen.recipe import fields
 from forestgen.recipe.cameras import Camera, check_cameras, check_motion, default_view
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
-from forestgen.recipe.ground import Ground
+from forestgen.recipe.ground import Ground, WetSoil
+from forestgen.recipe.land import MicroRelief, Paths, Waters, check_on_site
 from forestgen.recipe.phenology import LeafSeason, TimeOfYear
 from forestgen.recipe.registries import DEFAULT_CHANNELS, LABEL_CHANNELS, TERRAINS
 from forestgen.recipe.sampler import Sampling
@@ -48,25 +49,6 @@ class Terrain(fields.PartSection, fields.GivenSection):
     selector = "kind"
 
     kind: fields.Text = Field("flat", description="Shape of the ground.")
-
-
-class WetSoil(fields.Section):
-    """How the water that a community has in its soil shows in the ground's colour."""
-
-    shown: fields.Flag = Field(True, description="Whether wet ground is darker.")
-    depth_m: fields.Positive | None = Field(
-        None,
-        le=100,
-        description="Depth of the soil that holds the water, metres: what makes a saturation of mm. Default: 1 in "
-        "forest soil, 0.05 in a dryland's, whose rains wet little more than its crust.",
-    )
-    porosity: fields.Fraction = Field(0.4, gt=0, description="Share of the soil that water can fill.")
-    pond_mm: fields.Positive = Field(
-        25.0,
-        le=10_000,
-        description="Water on the ground that begins to drown it, mm; twice as much makes it wholly wet. Less is what "
-        "runs past in showers, in a month's mean.",
-    )
 
 
 class Surroundings(fields.Section):
@@ -96,6 +78,11 @@ class Site(fields.Section):
     ground: Annotated[Ground, *fields.shorthand("kind")] = Field(
         default_factory=lambda: Ground.model_validate({}), description="What covers it, or just its kind."
     )
+    micro_relief: Annotated[MicroRelief | None, *fields.shorthand("rms_m", of=float)] = Field(
+        None, description="Mounds and hollows, or just their standard deviation, metres. Default: none."
+    )
+    paths: Paths = Field((), description="Paths and forest roads; nothing stands on them.")
+    water: Waters = Field((), description="Ponds and streams.")
     altitude_m: fields.Number = Field(
         0.0,
         ge=-430,
@@ -144,6 +131,7 @@ class Site(fields.Section):
         found: dict[str, Any] = handler(self)
         apart = Surroundings.model_validate({}).model_dump()
         few = {"wet_soil": None, "buildings": (), "date": None, "surroundings": apart}
+        few |= {"micro_relief": None, "paths": (), "water": ()}
         return {key: value for key, value in found.items() if key not in few or value not in (few[key], [])}
 
     @field_validator("date")
@@ -156,6 +144,11 @@ class Site(fields.Section):
         if not known:
             raise fields.violation("a day as 2026-10-15", problem="not a date", got=value)
         return value
+
+    @model_validator(mode="after")
+    def _land_lies_on_it(self) -> Self:
+        check_on_site(self.water, self.paths, self.size_m)
+        return self
 
     @model_validator(mode="after")
     def _buildings_stand_on_it(self) -> Self:

@@ -360,7 +360,7 @@ class Species(Section):
         None, description="When it has leaves, and of what colour; null: always, of the season's spectrum."
     )
     wood: Wood | None = Field(
-        None, description="Dead branches, barks by height, covers, roots and sweep of its trees; null: none."
+        None, description="Dead branches, barks by height, covers, roots, sweep and forks of its trees; null: none."
     )
 
     @model_serializer(mode="wrap")

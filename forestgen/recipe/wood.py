@@ -1,5 +1,5 @@
-"""A species' section `wood`: dead branches, barks by height, covers of the bark, roots and sweep. Only trees of given
-sizes have dead branches and sweep."""
+"""A species' section `wood`: dead branches, barks by height, covers of the bark, roots, sweep and forks. Only trees of
+given sizes have dead branches, sweep and forks."""
 
 from __future__ import annotations
 
@@ -94,14 +94,23 @@ class Sweep(Section):
     )
 
 
+class Forks(Section):
+    """Stems that fork into two."""
+
+    share: Fraction = Field(description="Share of the trees.")
+    between: tuple[Fraction, Fraction] = Field((0.15, 0.7), description="Where, over the stem's height.")
+    angle_deg: NonNegative = Field(28.0, le=90, description="Mean angle between the stems at the fork, degrees.")
+
+
 class Wood(Section):
-    """Dead branches, other barks by height, covers of the bark, roots and sweep of a tree."""
+    """Dead branches, other barks by height, covers of the bark, roots, sweep and forks of a tree."""
 
     dead_branches: DeadBranches | None = Field(None, description="Dead branches below the crown; null: none.")
     bark_zones: tuple[BarkZone, ...] = Field((), max_length=4, description="Other barks of the stem, by height.")
     covers: tuple[Cover, ...] = Field((), max_length=4, description="What grows on the bark; the first goes before.")
     roots: Roots | None = Field(None, description="Roots above the ground; null: none.")
     sweep: Sweep | None = Field(None, description="How crooked the stem is; null: as its generator grows it.")
+    forks: Forks | None = Field(None, description="Trees whose stem forks; null: none.")
 
     @property
     def has_weather_side(self) -> bool:

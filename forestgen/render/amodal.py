@@ -27,13 +27,16 @@ from forestgen.render.build import load, to_mesh
 from forestgen.render.frame import Amodal
 from forestgen.render.identity.tracer import SceneTracer, pixel_rays, sample_offsets
 from forestgen.render.variant import dr, mi, on_device, using
+from forestgen.scene.motion import is_rolling, row_times_s, still_at
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera
 
+Floats = NDArray[np.float64]
 BEYOND = 16  # image sizes: as far as a box may reach
 _POINTS_AT_ONCE = 1 << 19  # scratch memory stays near 30 MB
 _RAYS_AT_ONCE = 1 << 21  # of a launch: about 100 bytes each
 _PIXELS_AT_ONCE = 1 << 23  # of windows that wait to be cut to their hits: 2 bytes each
+_BANDS = 10  # of rows, under a rolling shutter
 _TRIANGLES_KEPT = 4_000_000  # in scenes that wait for the next camera: about 0.6 GB
 
 
@@ -47,16 +50,51 @@ class Outlines:
 
 def outlines(hull: Hull, transform: NDArray[np.float64], camera: Camera) -> Outlines:
     """Project the hull of one exemplar for each of its instances, by their (N, 3, 4) transforms to the world."""
-    box = np.full((len(transform), 4), np.nan)
+    box, reached = np.full((2, len(transform), 4), np.nan)
     anywhere = np.zeros(len(transform), dtype=np.bool_)
+    boxes_of = _boxes_by_bands if is_rolling(camera) else _boxes
     step = max(1, _POINTS_AT_ONCE // max(1, len(hull.vertices_m)))
     for first in range(0, len(transform) if len(hull.vertices_m) else 0, step):
         rows = slice(first, first + step)
-        seen = _in_camera(hull.vertices_m, transform[rows], camera)
-        box[rows], anywhere[rows] = projection_of(camera).hull_boxes(camera, seen, hull.edges)
+        box[rows], reached[rows], anywhere[rows] = boxes_of(hull, transform[rows], camera)
     # A leaf before the lens would reach to infinity, and leave nothing else of `truncation`.
     limit = BEYOND * np.tile(np.asarray(camera.size_px, dtype=np.float64), 2)
-    return Outlines(_windows(box, anywhere, camera.size_px), np.clip(box, -limit, limit))
+    return Outlines(_windows(reached, anywhere, camera.size_px), np.clip(box, -limit, limit))
+
+
+def _boxes(hull: Hull, transform: Floats, camera: Camera) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """(N, 4) boxes; what they may touch; and (N,) which of them may be seen anywhere."""
+    seen = _in_camera(hull.vertices_m, transform, camera)
+    box, anywhere = projection_of(camera).hull_boxes(camera, seen, hull.edges)
+    return box, box, anywhere
+
+
+def _boxes_by_bands(hull: Hull, transform: Floats, camera: Camera) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """The same under a rolling shutter: what each band of rows holds of the box at its own time.
+
+    A box may touch where it is at any time, and as far beyond as it moves from band to band.
+    """
+    edges = np.linspace(0.0, camera.size_px[1], _BANDS + 1)
+    box, reached = np.full((2, len(transform), 4), np.nan)
+    anywhere, before = np.zeros(len(transform), dtype=np.bool_), None
+    edges[0], edges[-1] = -np.inf, np.inf
+    for top, bottom, time in zip(edges, edges[1:], _band_times(camera), strict=False):
+        at, _, all_over = _boxes(hull, transform, still_at(camera, time))
+        anywhere |= all_over
+        step = np.zeros_like(at) if before is None else np.nan_to_num(np.abs(at - before))
+        if before is not None:
+            anywhere |= np.isnan(at).any(axis=1) != np.isnan(before).any(axis=1)
+        before = at
+        low, high = np.fmin(reached[:, :2], (at - step)[:, :2]), np.fmax(reached[:, 2:], (at + step)[:, 2:])
+        reached = np.concatenate([low, high], axis=1)
+        cut = np.column_stack([at[:, 0], np.maximum(at[:, 1], top), at[:, 2], np.minimum(at[:, 3], bottom)])
+        cut[~(cut[:, 3] >= cut[:, 1])] = np.nan
+        box = np.concatenate([np.fmin(box[:, :2], cut[:, :2]), np.fmax(box[:, 2:], cut[:, 2:])], axis=1)
+    return box, reached, anywhere
+
+
+def _band_times(camera: Camera) -> Floats:
+    return row_times_s(camera, (np.arange(_BANDS) + 0.5) * camera.size_px[1] / _BANDS)
 
 
 def _in_camera(points_m: NDArray[np.float64], transform: NDArray[np.float64], camera: Camera) -> NDArray[np.float64]:

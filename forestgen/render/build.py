@@ -105,8 +105,8 @@ def scene_dict(spec: SceneSpec, origin_m: NDArray[np.float64], bsdfs: SpectralBs
     terrain.add_attribute("vertex_far_share", 1, spec.terrain.far_share)
     if spec.terrain.wet is not None:
         terrain.add_attribute("vertex_wet_share", 1, spec.terrain.wet.share)
-    if spec.terrain.bare is not None:
-        terrain.add_attribute("vertex_bare_share", 1, spec.terrain.bare.share)
+    for index, patch in enumerate(spec.terrain.overlays):
+        terrain.add_attribute(f"vertex_patch_share_{index}", 1, patch.share)
     scene["terrain"] = terrain
     return scene
 

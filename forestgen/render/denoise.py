@@ -81,6 +81,11 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
     return values
 
 
+def open_values(hits: Hits) -> list[Any]:
+    """1 for rays that meet nothing."""
+    return [dr.select(hits.valid, 0.0, mi.Float(1.0))]
+
+
 def with_clouds(guides: Guides, spec: SceneSpec, camera: Camera, sky: Floats) -> Guides:
     """The guides with those of clouds with detail in the `sky` (H, W), the share of a pixel that sees nothing else."""
     clouds, to_sun = spec.clouds, spec.sky.to_light
@@ -90,7 +95,8 @@ def with_clouds(guides: Guides, spec: SceneSpec, camera: Camera, sky: Floats) ->
     rows, columns = np.nonzero(sky > 0)
     for number in range(_CLOUD_RAYS):
         along, down = (number + 0.5) / _CLOUD_RAYS, (number * 0.6180339887498949 + 0.5) % 1.0
-        places = np.broadcast_to(np.array([along, down, 0.5, 0.5])[:, None], (4, len(rows)))
+        when = (number * 0.7548776662466927 + 0.5) % 1.0
+        places = np.broadcast_to(np.array([along, down, 0.5, 0.5, when])[:, None], (5, len(rows)))
         origin, direction, _ = lens_rays(camera, rows, columns, places)
         distance = distance_to_depth(clouds, origin, direction, _SEEN_DEPTH)
         met = np.isfinite(distance)

@@ -109,6 +109,14 @@ class Branches:
 
 
 @dataclass(frozen=True)
+class SunAtLens:
+    """The sun, or by night the moon, as it shines on a camera's lens."""
+
+    direction: tuple[float, float, float]  # unit, camera's axes
+    irradiance: tuple[float, ...]  # by channel, of a surface that faces it; what stands in the way is taken off
+
+
+@dataclass(frozen=True)
 class Radiance:
     """What the sensor measured, by channel: linear Rec. 709 in cd/m², or bands in W/m²/sr/nm."""
 
@@ -122,6 +130,7 @@ class Radiance:
     open_irradiance: tuple[float, ...] = ()  # of level ground in the open, clouds left out, by channel: lux, or W/m²/nm
     relative_error: float = float("nan")  # standard error over value, mean of the pixels: render/rendering.py
     relative_error_p95: float = float("nan")  # its 95th percentile
+    sun: SunAtLens | None = None  # for the ghosts of a lens; None: it has none, or sees no sun
     stopped_by: str = "samples"  # why no more: "target_error", "most_samples" or "time_budget_s" where one was set
 
 

@@ -377,7 +377,8 @@ def hazed(radiance: Radiance, seen: Seen, light: Airlight, camera: Camera, veil:
     added *= seen.inside[..., None]
     return replace(
         radiance,
-        mean=(kept * radiance.mean + added).astype(np.float32),
+        # Where fewer of the paths than of these rays saw the sky, more would be taken off than there is.
+        mean=np.maximum(kept * radiance.mean + added, np.minimum(radiance.mean, 0.0)).astype(np.float32),
         variance=(kept**2 * radiance.variance).astype(np.float32),
     )
 

@@ -31,6 +31,7 @@ SUN_RADIUS_DEG = 0.2665  # at the earth's mean distance
 _SUN_SOLID_ANGLE_SR = float(np.pi * np.sin(np.radians(SUN_RADIUS_DEG)) ** 2)  # projected on a plane that faces it
 Floats = NDArray[np.float64]
 _SUN_DISTANCE_M = 1e6
+_MOON_PX = 200  # of the picture of the disc, across
 _NEWEST_DEG = 175.0  # of a phase: a thinner crescent has no width
 
 
@@ -129,13 +130,35 @@ def sun_disc(sky: Sky, channels: Channels) -> dict[str, Any]:
     radius = _SUN_DISTANCE_M * np.tan(np.radians(SUN_RADIUS_DEG))
     centre = (_SUN_DISTANCE_M * to_sun).tolist()
     up = [1.0, 0.0, 0.0] if abs(to_sun[0]) < 0.9 else [0.0, 1.0, 0.0]
-    radiance = [float(value) for value in sun_radiance(sky, channels)]
-    return {
-        "type": "disk",
-        "to_world": mi.ScalarTransform4f().look_at(centre, [0, 0, 0], up).scale([radius, radius, 1.0]),
-        "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.0, 0.0, 0.0]}},
-        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}},
-    }
+    radiance, black = sun_radiance(sky, channels), {"type": "rgb", "value": [0.0, 0.0, 0.0]}
+    to_world = mi.ScalarTransform4f().look_at(centre, [0, 0, 0], up).scale([radius, radius, 1.0])
+    disc = {"to_world": to_world, "bsdf": {"type": "diffuse", "reflectance": black}}
+    phase = moon_phase(sky)
+    if phase is None:
+        shines = {"type": "rgb", "value": [float(value) for value in radiance]}
+        return {"type": "disk", **disc, "emitter": {"type": "area", "radiance": shines}}
+    # A square that shines where the moon does: the renderer's disc takes no picture.
+    law = _moon_picture(phase, np.array(to_world.matrix, dtype=np.float64)[:3, :3] / [radius, radius, 1.0])
+    shines, there = (_texture(one) for one in (law[..., None] * radiance, np.where(law < 0, 0.0, 1.0)[..., None]))
+    bsdf = {"type": "mask", "opacity": there, "nested": disc["bsdf"]}
+    return {"type": "rectangle", **disc, "bsdf": bsdf, "emitter": {"type": "area", "radiance": shines}}
+
+
+def _texture(image: Floats) -> dict[str, Any]:
+    bitmap = mi.Bitmap(np.ascontiguousarray(np.maximum(image, 0.0), dtype=np.float32))
+    return {"type": "bitmap", "bitmap": bitmap, "raw": True, "filter_type": "nearest", "wrap_mode": "clamp"}
+
+
+def _moon_picture(phase: MoonPhase, axes: Floats) -> Floats:
+    """Square of the disc's radiance over its mean, x along the first of the axes (3, 3); negative beside the disc."""
+    x, y = np.meshgrid(*[(np.arange(_MOON_PX) + 0.5) / (0.5 * _MOON_PX) - 1.0] * 2)
+    inside = x**2 + y**2 < 1.0
+    up = np.sqrt(np.maximum(1.0 - x**2 - y**2, 0.0))
+    aside = phase.to_sun @ axes[:, :2]
+    aside = aside / max(float(np.linalg.norm(aside)), 1e-12)
+    facing = np.maximum(np.sin(phase.angle_rad) * (aside[0] * x + aside[1] * y) + np.cos(phase.angle_rad) * up, 0.0)
+    law = np.where(inside, facing / np.maximum(facing + up, 1e-9), 0.0)
+    return np.where(inside, law * (np.pi / 4 / max(float(law.mean()), 1e-12)), -1.0)
 
 
 def envmap(image: NDArray[np.float32]) -> dict[str, Any]:

@@ -36,6 +36,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,19 +46,21 @@ from forestgen.atmosphere.extinction import KOSCHMIEDER
 from forestgen.core.array_serialization import pack, read_packed
 from forestgen.core.cache import DiskCache, cache_root, code_hash
 from forestgen.core.parts import Part
-from forestgen.core.progress import Progress, Timings
+from forestgen.core.progress import Progress, Silent, Timings
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.recipe.assets import scenes_dir
 from forestgen.recipe.schema import Recipe
 from forestgen.render.capture import LEAST_SAMPLES, is_assembled
 from forestgen.render.cloud_shadow import cloud_transport_of
-from forestgen.render.denoise import denoise, denoise_bands, guide_values, guides_of, with_clouds
+from forestgen.render.denoise import denoise, denoise_bands, guide_values, guides_of, open_values, with_clouds
 from forestgen.render.falling import with_streaks
 from forestgen.render.frame import Frame, Identity, Radiance, RenderJob, StoppingCriterion, Surface, Timer, View
 from forestgen.render.haze import extinction_towards, seen_of, seen_values, through_haze
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.identity.surface import pixel_sums
+from forestgen.render.identity.surface import SAMPLES, pixel_sums
+from forestgen.render.metering import light_around, with_shutter
 from forestgen.render.skies.model import daylight_of
+from forestgen.render.sun_at_lens import sun_at_lens
 from forestgen.render.variant import MOST_SLICE_SAMPLES, SLICES
 from forestgen.render.views import build_view
 from forestgen.render.wavelengths import Quadrature, quadrature_of
@@ -116,26 +119,50 @@ def render_frame(
         cloud_transport=cloud_transport_of(settings.clouds, tracer.spec, (camera,)),
         position_m=surface.position_m,
     )
+    meter = partial(_metered, tracer=tracer, timings=timings)
+    shot = with_shutter(shot, meter)
+    camera = shot.camera
     kept = None if key is None else unfinished(key, seed, camera.name)
     radiance = render_radiance(shot, progress=progress, timer=timings, kept=kept, tracer=tracer)
-    extinction = extinction_towards(camera, tracer.spec.sky, settings.mode)
-    wanted = [] if extinction is None else [seen_values(tracer, camera, extinction)]
-    if settings.denoise:
-        wanted.insert(0, guide_values(tracer, camera))
-    sums = []
+    radiance = replace(radiance, sun=sun_at_lens(shot, tracer))
+    sky = (identity.part == Part.NOTHING).mean(axis=2) if settings.denoise else None
+    frame = Frame(camera, _finished(shot, radiance, tracer, timings, sky), identity, surface)
+    return with_streaks(frame, tracer.spec.falling, seed, lambda: light_around(shot, meter))
+
+
+def _metered(still: RenderJob, tracer: SceneTracer, timings: Timings) -> Radiance:
+    """What a meter sees."""
+    radiance = render_radiance(still, progress=Silent(), timer=timings, tracer=tracer)
+    return _finished(still, radiance, tracer, timings)
+
+
+def _finished(
+    shot: RenderJob,
+    radiance: Radiance,
+    tracer: SceneTracer,
+    timings: Timings,
+    sky: NDArray[np.float64] | None = None,
+) -> Radiance:
+    """The light through the haze; and denoised, if `sky` is given, (H, W) the share of a pixel that sees nothing."""
+    camera, wanted, sums = shot.camera, [], []
+    extinction = extinction_towards(camera, tracer.spec.sky, shot.mode)
+    if sky is not None:
+        wanted += [guide_values(tracer, camera)] + ([] if camera.motion is None else [open_values])
+    if extinction is not None:
+        wanted.append(seen_values(tracer, camera, extinction))
     if wanted:
         with timings("identity: guides"):  # and the haze's distances, along the same rays
             sums = pixel_sums(tracer, camera, wanted)
     if extinction is not None:
         with timings("haze: airlight"):
-            radiance = through_haze(radiance, tracer.spec, camera, seen_of(sums[-1]), extinction, settings.mode)
-    if settings.denoise:
+            radiance = through_haze(radiance, tracer.spec, camera, seen_of(sums[-1]), extinction, shot.mode)
+    if sky is not None:
         with timings("denoise"):
-            sky = (identity.part == Part.NOTHING).mean(axis=2)
+            sky = sky if camera.motion is None else sums[1][0] / SAMPLES
             guides = with_clouds(guides_of(sums[0]), tracer.spec, camera, sky)
             clean = (denoise_bands if radiance.bands else denoise)(radiance.mean, guides.colour, guides.normal)
         radiance = replace(radiance, denoised=clean)
-    return with_streaks(Frame(camera, radiance, identity, surface), tracer.spec.falling, seed)
+    return radiance
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from forestgen.core.parts import Part
 from forestgen.render.variant import mi
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Material, Terrain
-from forestgen.scene.surfaces import bare_factor, film_factor
+from forestgen.scene.surfaces import film_factor, ground_texture
 
 Floats = NDArray[np.float64]
 SPHERE_DEG = 8.0  # from which an integrating sphere is lit
@@ -312,18 +312,17 @@ def _bitmap(image: NDArray[Any]) -> dict[str, Any]:
 
 
 def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
-    """Diffuse ground: the terrain's texture on the site, darker where it is wet, one colour in the distance; without
-    what lies on it where that is geometry.
+    """Diffuse ground: the terrain's texture on the site, other grounds in places, darker where it is wet, one colour in
+    the distance.
     """
-    colour = np.maximum(channels.texture(terrain.texture, terrain.mean_colour, terrain.spectrum), 0.0)
-    near = _bare_and_painted(terrain, colour, channels)
+    near = _in_patches(terrain, channels)
     if terrain.wet is not None:
         film = film_factor(terrain, channels).astype(np.float32)
         near = {
             "type": "blendbsdf",
             "weight": {"type": "mesh_attribute", "name": "vertex_wet_share"},
             "dry": near,
-            "wet": _bare_and_painted(terrain, colour * film, channels),
+            "wet": _in_patches(terrain, channels, film),
         }
     far_share = {"type": "mesh_attribute", "name": "vertex_far_share"}
     far_colour = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
@@ -331,15 +330,18 @@ def ground_bsdf(terrain: Terrain, channels: Channels = RGB) -> dict[str, Any]:
     return {"type": "twosided", "bsdf": {"type": "blendbsdf", "weight": far_share, "near": near, "far": far}}
 
 
-def _bare_and_painted(terrain: Terrain, colour: NDArray[np.float32], channels: Channels) -> dict[str, Any]:
-    if terrain.bare is None:
-        return _painted_ground(colour)
-    return {
-        "type": "blendbsdf",
-        "weight": {"type": "mesh_attribute", "name": "vertex_bare_share"},
-        "painted": _painted_ground(colour),
-        "unpainted": _painted_ground(colour * bare_factor(terrain, channels).astype(np.float32)),
-    }
+def _in_patches(terrain: Terrain, channels: Channels, film: NDArray[np.float32] | float = 1.0) -> dict[str, Any]:
+    """A ground with its patches of other grounds."""
+    ground = _painted_ground(np.asarray(ground_texture(terrain, channels) * film, dtype=np.float32))
+    for index, patch in enumerate(terrain.overlays):
+        colour = ground_texture(patch, channels) * film
+        ground = {
+            "type": "blendbsdf",
+            "weight": {"type": "mesh_attribute", "name": f"vertex_patch_share_{index}"},
+            "around": ground,
+            "patch": _painted_ground(np.asarray(colour, dtype=np.float32)),
+        }
+    return ground
 
 
 def _painted_ground(colour: NDArray[np.float32]) -> dict[str, Any]:

@@ -29,15 +29,20 @@ from forestgen.render.cloud_shadow import base_of, shadow_plane_of
 from forestgen.render.frame import RenderJob, Timer, View
 from forestgen.render.identity import SceneTracer
 from forestgen.render.light import has_sun, sky_map, sun_irradiance
+from forestgen.render.paths.scattering import has_water
 from forestgen.render.paths.tracer import PathTracer
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.colour import Channels
+from forestgen.scene.motion import poses_at, row_times_s, shutter_s
 from forestgen.scene.projection import rays
 from forestgen.scene.spec import Camera
 
 _CALL_RAYS = 1 << 18
-# Of two R2 sequences (Roberts 2018), powers of 0.7549 and of 0.8192: they fill a pixel, and the lens, evenly.
-_STEPS = np.array([[0.7548776662466927], [0.5698402909980532], [0.8191725133961645], [0.6710436067037893]])
+# Of two R2 sequences (Roberts 2018), powers of 0.7549 and of 0.8192, and of the golden ratio's: they fill a pixel, the
+# lens, and the exposure evenly.
+_STEPS = np.array(
+    [[0.7548776662466927], [0.5698402909980532], [0.8191725133961645], [0.6710436067037893], [0.6180339887498949]]
+)
 _LEVEL = 1e-6  # sine of the lowest elevation
 Floats = NDArray[np.float64]
 
@@ -48,6 +53,15 @@ def build_view(job: RenderJob, progress: Progress, timer: Timer, tracer: SceneTr
         problem, expected = "light through the clouds' volume knows no other weather", "clouds far above the plants"
         hint = "raise the clouds, or leave out the weather"
         raise RecipeError(problem, where="weather", expected=expected, got="clouds near the plants", hint=hint)
+    if job.is_exact and has_water(job.spec):
+        problem, expected = "light through the clouds' volume knows no water", "clouds far above the plants"
+        hint = "raise the clouds, or leave out site.water"
+        raise RecipeError(problem, where="site.water", expected=expected, got="clouds near the plants", hint=hint)
+    if job.is_exact and job.camera.motion is not None:
+        problem, expected = "light through the clouds' volume knows no camera that moves", "clouds far above the plants"
+        hint = "raise the clouds, or leave out the camera's motion"
+        where = f"cameras.{job.camera.name}.motion"
+        raise RecipeError(problem, where=where, expected=expected, got="clouds near the plants", hint=hint)
     if job.is_exact:
         from forestgen.render.exact_view import ExactView
 
@@ -131,14 +145,14 @@ def sky_pixels(
         direction[:, 2] = np.maximum(np.abs(direction[:, 2]), _LEVEL)
         return gather(clouds.field, light, origin, direction, seed=own).radiance(albedo, sun, aloft), seen[:, None]
 
-    image = np.zeros((*wanted.shape, 3))
+    image, dimensions = np.zeros((*wanted.shape, 3)), 4 if camera.motion is None else 5
     rows, columns = np.nonzero(wanted)
     for first in range(0, len(rows), _CALL_RAYS):
         row, column = rows[first : first + _CALL_RAYS], columns[first : first + _CALL_RAYS]
-        shift = child_rng(seed, "rays", first).random((4, len(row)))
+        shift = child_rng(seed, "rays", first).random((dimensions, len(row)))
         total, count = np.zeros((len(row), 3)), np.zeros((len(row), 1))
         for number in range(samples):
-            places = (shift + number * _STEPS) % 1.0
+            places = (shift + number * _STEPS[:dimensions]) % 1.0
             radiance, seen = found(row, column, places, child_seed(seed, "paths", first, number))
             total += radiance * seen
             count += seen
@@ -146,7 +160,9 @@ def sky_pixels(
         missed = count[:, 0] == 0  # on the edge of a fisheye's circle, which holds the pixel's centre
         if missed.any():
             row, column = row[missed], column[missed]
-            image[row, column], _ = found(row, column, np.full((4, len(row)), 0.5), child_seed(seed, "centres", first))
+            image[row, column], _ = found(
+                row, column, np.full((dimensions, len(row)), 0.5), child_seed(seed, "centres", first)
+            )
     return image
 
 
@@ -155,7 +171,8 @@ def lens_rays(
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """(N, 3) origins and directions, world, of one ray through each pixel; (N,) whether it sees anything.
 
-    `places` (4, N) in [0, 1) are where a ray goes through its pixel, right and down, and two numbers for the lens.
+    `places` (5, N) in [0, 1) are where a ray goes through its pixel, right and down, two numbers for the lens, and the
+    time in the exposure, which of a camera that stands still may be left out.
     """
     own = rays(camera, column + places[0], row + places[1])
     origin, direction = own.origin_m, own.direction
@@ -165,4 +182,9 @@ def lens_rays(
         direction = direction * (camera.lens.focus_m / direction[:, 2:]) - origin
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     axes = np.asarray(camera.world_from_camera, dtype=np.float64)
+    if camera.motion is not None:
+        time = row_times_s(camera)[row] + (places[4] - 0.5) * shutter_s(camera)
+        way, axes = poses_at(camera, time)
+        start, direction = (np.einsum("nij,nj->ni", axes, one) for one in (origin, direction))
+        return start + way + np.asarray(camera.position_m), direction, own.valid
     return origin @ axes.T + np.asarray(camera.position_m), direction @ axes.T, own.valid

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.community.population import Population
+from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
@@ -27,13 +28,14 @@ from forestgen.scene.near_foliage import leaves_of, with_near_plants
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, sun_notes, wetness_of
-from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
+from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.surfaces import FreshLitter, fresh_litter, infrared_notes, materials_of, surface_of
 from forestgen.scene.surroundings import Layer, SurroundedStand, layers_around, surrounded
 from forestgen.scene.terrain import HeightField, build_terrain
 from forestgen.scene.tree_exemplars import instance_scales, tree_sizes_of
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.views import check_trunks, drawn_cameras, next_frame
+from forestgen.scene.water_surface import with_land, with_water
 from forestgen.scene.weather.kind import in_weather, weather_notes
 from forestgen.scene.wind import Sway, spec_at, sway_in
 
@@ -80,7 +82,9 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
     """
     drawn, recipe, stand = plan.drawn, plan.drawn.recipe, plan.community
     with timer("scene"):
-        population = stand_on(simulated, plan.views.height)
+        simulated, kept_off = off_paths_and_water(plan, simulated)
+        height = plan.views.height
+        population = stand_on(simulated, height)
         layers = _layers(plan, population)
     with timer("plants"):
         chosen = choose_exemplars(plan, population, plan.views.all_cameras, layers)
@@ -101,15 +105,12 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         base_materials = _materials(plan, population)
         site = SurroundedStand.of(population, instances, exemplars, base_materials)
         labelled = recipe.site.surroundings.labelled
-        around = surrounded(site, layers, plan.views.height, drawn.image_seed, labelled)
-        around = _on_slopes(around, lying, population.height_m, plan.views.height)
+        around = surrounded(site, layers, height, drawn.image_seed, labelled)
+        around = _on_slopes(around, lying, population.height_m, height)
         population = replace(population, position_m=around.population.position_m[: len(population)])
         trunks = Trunks(exemplars, around.plants)
         views = drawn_cameras(drawn, trunks)
-        rng = child_rng(drawn.image_seed, "terrain", "colour")
-        wetness = wetness_of(stand, population)
-        fresh = _fresh_litter(plan, population)
-        terrain = build_terrain(plan.views.height, rng, recipe.site.ground.kind, wetness, around.reach_m, fresh)
+        terrain = _terrain(plan, population, around.reach_m)
         plant = np.pad(chosen.first_plant(population.plant_id), (0, len(around.exemplars) - len(exemplars)))
         varied, materials = vary_leaves(around.exemplars, around.materials, plant, drawn.image_seed)
         spec = SceneSpec(
@@ -123,8 +124,9 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         )
         ground = ground_cover(plan, population, spec.cameras)
         spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars), recipe.time_of_year))
-        spec = in_weather(spec, drawn, plan.views.height)
-        known = (*simulated.notes, *ground.notes, *weather_notes(drawn))
+        spec = with_water(spec, height, recipe.wind.speed_m_per_s, drawn.image_seed)
+        spec = in_weather(spec, drawn, height)
+        known = (*simulated.notes, *kept_off, *ground.notes, *weather_notes(drawn))
         notes = [*_notes(plan, known), *check_trunks(drawn, views, trunks)]
         notes += [*plan.views.check_outside_of_buildings(), *infrared_notes(base_materials, plan.views.all_cameras)]
         sway = _sway(drawn, instances, exemplars, around)
@@ -177,6 +179,14 @@ def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
     return layers_around(population, rows, plan.views.height, rng, plan.views.all_cameras)
 
 
+def _terrain(plan: Plan, population: Population, reach_m: float) -> Terrain:
+    """The ground. `reach_m`: how far from the site's edge the stand goes on."""
+    height, kind, seed = plan.views.height, plan.drawn.recipe.site.ground.kind, plan.drawn.image_seed
+    wetness, fresh = wetness_of(plan.community, population), _fresh_litter(plan, population)
+    terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), kind, wetness, reach_m, fresh)
+    return with_land(terrain, height, seed)
+
+
 def _fresh_litter(plan: Plan, population: Population) -> FreshLitter | None:
     """Of trees whose leaf area is known."""
     columns, known, time = population.columns, plan.drawn.species, plan.drawn.recipe.time_of_year
@@ -198,6 +208,23 @@ def _materials(plan: Plan, population: Population) -> dict[tuple[str, str], Mate
     for (kind, key), one in building_materials(plan.community.obstacles.entries).items():
         materials[kind, key] = surface_of(one, SUMMER, f"{kind}/{key}")
     return materials
+
+
+def off_paths_and_water(plan: Plan, population: Population) -> tuple[Population, tuple[str, ...]]:
+    """The plants that stand neither in water nor on paths, and a note on the others.
+
+    Raises `RecipeError`: plants with branches of their own among those, which lean on their neighbours.
+    """
+    barred = plan.views.height.barred(*population.position_m[:, :2].T)
+    if not barred.any():
+        return population, ()
+    if population.modules is not None:
+        keys, where = ("water" if plan.drawn.recipe.site.water else "paths"), plan.drawn.where
+        problem, got = "plants of this community grow there", f"{int(barred.sum())} plants"
+        hint = "bar them by a map of its soil, or choose another community.model"
+        raise RecipeError(problem, where=where("site", keys), expected="no plant there", got=got, hint=hint)
+    note = f"{int(barred.sum())} of {len(population)} plants would stand in water or on a path: they are left out"
+    return population.at(~barred), (note,)
 
 
 def stand_on(population: Population, height: HeightField) -> Population:

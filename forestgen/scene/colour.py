@@ -122,6 +122,13 @@ class Channels:
             return np.clip(self._basis() @ np.asarray(colour, dtype=np.float64), 0.0, 1.0)
         return np.clip(spectrum.at(self.wavelength_nm), 0.0, 1.0)
 
+    def of_absorption(self, spectrum: Spectrum) -> Floats:
+        """(3,) of an absorption in 1/m: at the wavelengths; or by the colour of what a metre lets through."""
+        if self.wavelength_nm is not None:
+            return spectrum.at(self.wavelength_nm)
+        through = colour_of_reflectance(Spectrum(spectrum.wavelength_nm, np.exp(-spectrum.value)))
+        return np.asarray(-np.log(np.clip(through, 1e-6, 1.0)))
+
     def of_texture(self, colour: Sequence[float], spectrum: Spectrum | None) -> Floats:
         """(3, 3) matrix that turns a texture's Rec. 709 colours into the channels, their mean into its spectrum.
 

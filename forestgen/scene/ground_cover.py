@@ -4,12 +4,10 @@ A layer's things (`site.ground.layers`; scene/ground_layers) are laid at random 
 tile is one mesh, instanced where the layer's cover asks for its density, turned by right angles and sheared to the
 ground. N things a square metre, each hiding an area a of it, hide 1 - exp(-N a) together: so a tile has Poisson's
 number of things for its cover. Large things, of which a tile would have less than `_FEWEST`, are instanced one by one.
-The cover itself is uneven by a field of random waves (`patch_m`), and by where a layer grows.
+The cover itself is uneven in patches (scene/ground_paint.py), and by where a layer grows.
 
 Tiles are drawn where a thing of the layer is as long as `ground_view.LEAST_PX` pixels of the camera that sees it best,
-in or near some camera's view, up to `MOST_TILES` and `FAR_M`. Elsewhere the ground is painted with the mean reflectance
-of the ground and of the layers on it, so that it looks alike where geometry gives way to paint. Where only some layers
-are drawn, its colour lies between both, by their optical depth.
+in or near some camera's view, up to `MOST_TILES` and `FAR_M`. Elsewhere the ground is painted (scene/ground_paint.py).
 
 Reference
 ---------
@@ -20,8 +18,7 @@ on Graphics 26(3), article 79.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import groupby
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -30,25 +27,23 @@ from numpy.typing import NDArray
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import SPLIT_MIX_STEP, child_rng, child_root, mixed
-from forestgen.core.spectrum import Spectrum
 from forestgen.geometry.mesh import Floats
-from forestgen.plants.bark.texture import with_mean
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.registries import GROUND_LAYERS
 from forestgen.scene.blocks import sheared
-from forestgen.scene.colour import colours_of_surface
-from forestgen.scene.ground_layers.layer import Layer, Places, Request
-from forestgen.scene.ground_tiles import COVERS, GROUND, MOST_THINGS, VARIANTS, number_per_m2, single, tile
+from forestgen.scene.ground_layers.layer import GROUND, Layer, Places, Request
+from forestgen.scene.ground_paint import painted, patches_of, relative_cover
+from forestgen.scene.ground_tiles import COVERS, MOST_THINGS, VARIANTS, number_per_m2, single, tile
 from forestgen.scene.ground_view import MOST_TILES, TILE_M, best_pixel_m, nearest, seen_tiles
 from forestgen.scene.plan import Plan
-from forestgen.scene.spec import BareGround, Camera, Instances, Material, SceneSpec, Terrain
-from forestgen.scene.surfaces import wet_spectrum
+from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
 from forestgen.scene.terrain import HeightField
 
 _FEWEST = 4.0  # things on a tile, in the mean
 _MOST_SINGLE = 40  # large things on a square metre: at a mean of 4 none has as many
 _NUMBERS = 6  # of a thing that lies by itself
 _WAVES = 24  # of a field of patches
+_EDGE_POINTS = 4  # along a tile, where it is asked for paths and water
 _REACH_M = 2.5  # standard deviation of where leaves fall
 _SPREAD = 0.35  # of the logistic curve that makes patches of waves
 
@@ -65,6 +60,8 @@ class LaidGround:
     transform: Floats  # (K, 3, 4)
     layers: tuple[Layer, ...]
     tiles: tuple[Ints, ...]  # (K, 2) columns and rows that have a layer as geometry, by layer
+    patches: Mapping[int, NDArray[np.float32]] = field(default_factory=dict)  # ground_paint.patches_of
+    seed: int = 0  # of the image
     notes: tuple[str, ...] = ()  # for people: what is not as the recipe says
 
     def on(self, spec: SceneSpec) -> SceneSpec:
@@ -83,8 +80,13 @@ class LaidGround:
             exemplars=(*spec.exemplars, *self.exemplars),
             materials={**spec.materials, **self.materials},
             instances=instances,
-            terrain=painted(spec.terrain, self.layers, self.tiles),
+            terrain=painted(spec.terrain, *self._painted(), self.patches, self.seed),
         )
+
+    def _painted(self) -> tuple[list[Layer], list[Ints]]:
+        """Layers whose mean colour is painted, and their tiles."""
+        pairs = [pair for pair in zip(self.layers, self.tiles, strict=True) if pair[0].is_painted]
+        return [layer for layer, _ in pairs], [tiles for _, tiles in pairs]
 
 
 def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) -> LaidGround:
@@ -95,6 +97,8 @@ def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) 
     sections, height = plan.drawn.recipe.site.ground.layers, plan.views.height
     finest_m = best_pixel_m(cameras, height) if sections else 0.0
     shares = leaf_shares(population, height.size_m) if sections else {}
+    patches = patches_of(sections, plan.drawn.image_seed)
+    relative = relative_cover(sections, patches)
     layers: list[Layer] = []
     notes: list[str] = []
     for index, keys in enumerate(sections):
@@ -105,9 +109,33 @@ def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) 
             found = kind.layers(keys, request, child_rng(plan.drawn.image_seed, "ground", index))
         except RecipeError as cause:
             raise cause.at(plan.drawn.where(*where)) from cause
-        layers += [replace(one, name=f"{index}/{one.name}") for one in found]
+        named = [replace(one, name=f"{index}/{one.name}", relative=relative[index]) for one in found]
+        layers += [_placed(one, keys.on, height) for one in named]
         notes += _notes(f"site.ground.layers.{index}: {keys.what}", found)
-    return replace(_laid(layers, cameras, height, plan.drawn.image_seed), notes=tuple(notes))
+    laid = _laid([one for one in layers if one.things], cameras, height, plan.drawn.image_seed)
+    return replace(
+        laid, layers=tuple(layers), tiles=_tiles_of_all(layers, laid.tiles), patches=patches, notes=tuple(notes)
+    )
+
+
+def _tiles_of_all(layers: Sequence[Layer], tiles: Sequence[Ints]) -> tuple[Ints, ...]:
+    """Of layers that are painted alone too: none."""
+    drawn = iter(tiles)
+    return tuple(next(drawn) if one.things else np.zeros((0, 2), np.intp) for one in layers)
+
+
+def _placed(layer: Layer, on: str, height: HeightField) -> Layer:
+    """A layer less dense on paths, and nowhere in water; or by roads alone, and painted nowhere."""
+    if on == "ground" and height.fine_m2 == 0.0:
+        return layer
+    where, share = layer.where, height.open_share if on == "ground" else height.roadside
+    inside = TILE_M * ((np.arange(_EDGE_POINTS) + 0.5) / _EDGE_POINTS - 0.5)
+
+    def density(x: Floats, y: Floats) -> Floats:
+        mean = np.mean([share(x + east, y + north) for east in inside for north in inside], axis=0)
+        return np.asarray(mean if where is None else mean * where(x, y))
+
+    return replace(layer, where=density, is_painted=on == "ground")
 
 
 def _notes(name: str, layers: Sequence[Layer]) -> list[str]:
@@ -115,7 +143,7 @@ def _notes(name: str, layers: Sequence[Layer]) -> list[str]:
     if not layers:
         return [f"{name}: nothing lies there, for no plant that sheds it stands on the site"]
     notes = []
-    for one in layers:
+    for one in (layer for layer in layers if layer.things):
         fully = float(number_per_m2(one, np.array(1.0 - np.exp(-1.0)))) * TILE_M**2  # on a tile that they cover once
         most = 1.0 - float(np.exp(-MOST_THINGS / fully))
         if most < one.cover:
@@ -143,6 +171,7 @@ def _laid(layers: Sequence[Layer], cameras: Sequence[Camera], height: HeightFiel
         transform=np.concatenate(places),
         layers=tuple(layers),
         tiles=tuple(at[near] for (at, _), near in zip(seen, kept, strict=True)),
+        seed=seed,
     )
 
 
@@ -222,6 +251,9 @@ def local_cover(layer: Layer, middle: Floats, seed: int) -> Floats:
     """(K,) share of the ground that a layer hides around places (K, 2)."""
     relative = np.ones(len(middle)) if layer.where is None else layer.where(*middle.T)
     cover = np.asarray(1.0 - (1.0 - layer.cover) ** relative)
+    if layer.relative is not None:
+        row, column = (np.floor(middle[:, k] / TILE_M).astype(np.intp) % len(layer.relative) for k in (1, 0))
+        return np.asarray(np.clip(cover * layer.relative[row, column], 0.0, COVERS[-1]))
     if layer.patch_m is None:
         return cover
     waves = _waves(middle, layer.patch_m, child_rng(seed, "patches", layer.name))
@@ -293,47 +325,3 @@ def _slopes(height: HeightField, middle: Floats) -> Floats:
     east = (height(x + half, y) - height(x - half, y)) / TILE_M
     north = (height(x, y + half) - height(x, y - half)) / TILE_M
     return np.stack([east, north, height(x, y)], axis=1)
-
-
-# -------------------------------------------------------------------------------------------------------------- paint
-
-
-def painted(terrain: Terrain, layers: Sequence[Layer], tiles: Sequence[Ints]) -> Terrain:
-    """The ground with the mean colour that it has under its layers, the first lowest, but bare where they are drawn.
-
-    `tiles`: (K, 2) columns and rows that have each layer as geometry.
-    """
-    spectrum = bare = terrain.spectrum
-    if spectrum is None or bare is None or not layers:
-        return terrain
-    share = bare_share(terrain.mesh.vertices_m[:, :2].astype(np.float64), layers, tiles)
-    for _, group in groupby(layers, key=lambda layer: layer.name.split("/")[0]):
-        mixed_up = list(group)  # things of one layer of the recipe lie among each other
-        number = np.array([-np.log1p(-one.cover) for one in mixed_up])
-        cover = 1.0 - float(np.exp(-number.sum()))
-        grid = np.unique(np.concatenate([spectrum.wavelength_nm, *(one.spectrum.wavelength_nm for one in mixed_up)]))
-        own = np.average([one.spectrum.at(grid) for one in mixed_up], axis=0, weights=number)
-        spectrum = Spectrum(grid, (1.0 - cover) * spectrum.at(grid) + cover * own)
-    colour = colours_of_surface(spectrum, None)[0]
-    wet = terrain.wet
-    if wet is not None:
-        film = wet_spectrum(spectrum)
-        wet = replace(wet, reflectance=colours_of_surface(film, None)[0], spectrum=film)
-    under = BareGround(share.astype(np.float32), terrain.mean_colour, bare) if share.any() else None
-    return replace(terrain, texture=with_mean(terrain.texture, colour), spectrum=spectrum, wet=wet, bare=under)
-
-
-def bare_share(places: Floats, layers: Sequence[Layer], tiles: Sequence[Ints]) -> Floats:
-    """(V,) share of the layers' optical depth that is drawn around (V, 2) places."""
-    depth = np.array([-np.log1p(-one.cover) for one in layers])
-    share = np.zeros(len(places))
-    for own, at in zip(depth / depth.sum(), tiles, strict=True):
-        if not len(at):
-            continue
-        low, high = at.min(axis=0), at.max(axis=0)
-        drawn = np.zeros(high - low + 3, dtype=bool)  # with an empty edge
-        drawn[tuple((at - low + 1).T)] = True
-        for way in ((-1, -1), (-1, 1), (1, -1), (1, 1)):  # a place at a tile's corner counts all four
-            tile_at = np.floor(places / TILE_M + 0.25 * np.array(way)).astype(np.intp) - low + 1
-            share += 0.25 * own * drawn[tuple(np.clip(tile_at, 0, np.array(drawn.shape) - 1).T)]
-    return share

@@ -10,10 +10,9 @@ from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Floats, concatenate, instance
 from forestgen.plants.exemplar import Exemplar, OrganMesh
-from forestgen.scene.ground_layers.layer import Layer, Thing
+from forestgen.scene.ground_layers.layer import GROUND, Layer, Thing
 from forestgen.scene.ground_view import TILE_M
 
-GROUND = "(ground)"  # species of the tiles: no species' name has brackets
 COVERS = (0.06, 0.2, 0.4, 0.6, 0.8, 0.92, 0.98)  # of the tiles that are made
 VARIANTS = 4
 MOST_THINGS = 6000  # on a tile

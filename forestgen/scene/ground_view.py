@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Floats
+from forestgen.scene.motion import with_their_ways
 from forestgen.scene.projection import project, projection_of
 from forestgen.scene.spec import Camera
 from forestgen.scene.terrain import HeightField
@@ -36,7 +37,7 @@ def seen_tiles(cameras: Sequence[Camera], height: HeightField, length_m: float) 
     """(K, 2) columns and rows of the tiles where a thing of a length is seen, and (K,) metres to the nearest camera, of
     parallel rays to the middle of what it sees.
     """
-    pairs = [tiles_before(camera, height, length_m) for camera in cameras]
+    pairs = [tiles_before(camera, height, length_m) for camera in with_their_ways(cameras)]
     every = np.concatenate([np.zeros((0, 2), np.intp), *(at for at, _ in pairs)])
     distance = np.concatenate([np.zeros(0), *(apart for _, apart in pairs)])
     order = np.lexsort((distance, every[:, 1], every[:, 0]))
@@ -78,7 +79,7 @@ def tiles_before(camera: Camera, height: HeightField, length_m: float) -> tuple[
 def in_view(cameras: Sequence[Camera], middle_m: Floats, radius_m: float) -> NDArray[np.bool_]:
     """(N,) whether balls of a radius about (N, 3) points may be in a camera's view, were nothing before them."""
     found = np.zeros(len(middle_m), dtype=bool)
-    for camera in cameras:
+    for camera in with_their_ways(cameras):
         away = middle_m - np.asarray(camera.position_m)
         image = project(camera, away @ camera.world_from_camera)
         pixel_m = projection_of(camera).finest_pixel_m(camera, np.maximum(np.linalg.norm(away, axis=1), 1e-3))

@@ -51,6 +51,7 @@ from forestgen.scene.exemplars import (
     unique_plants,
 )
 from forestgen.scene.lying import lying_plants
+from forestgen.scene.motion import with_their_ways
 from forestgen.scene.phenology import leaf_class_of_plant, leaf_states
 from forestgen.scene.plan import Plan, check_exemplars, check_own_triangles
 from forestgen.scene.projection import projection_of
@@ -143,7 +144,7 @@ def pixel_size_m(
     height_m, width_m : (N,) of the upright cylinders that hold the plants.
     """
     finest = np.full(len(position_m), np.inf)
-    for camera in cameras:
+    for camera in with_their_ways(cameras):
         x, y, z = camera.position_m
         away = np.hypot(position_m[:, 0] - x, position_m[:, 1] - y) - 0.5 * width_m
         above = np.maximum(z - (position_m[:, 2] + height_m), position_m[:, 2] - z)

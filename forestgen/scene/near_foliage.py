@@ -31,6 +31,7 @@ from forestgen.recipe.phenology import TimeOfYear
 from forestgen.scene.exemplar_plan import ExemplarPlan
 from forestgen.scene.growth import pixel_size_m
 from forestgen.scene.leaf_variation import single_leaves
+from forestgen.scene.motion import with_their_ways
 from forestgen.scene.plan import Plan
 from forestgen.scene.projection import project, projection_of
 from forestgen.scene.spec import Camera, Material, SceneSpec
@@ -185,7 +186,7 @@ def _pixels_m(cameras: Sequence[Camera], transform: Floats, placed: OrganPlaceme
     reach = 0.5 * float(np.ptp(corners, axis=0).max()) * np.linalg.norm(frame[:, :, 1] @ linear.T, axis=1)
     place = (frame[:, :, :3] @ middle + frame[:, :, 3]) @ linear.T + transform[:, 3]
     finest = np.full(len(place), np.inf)
-    for camera in cameras:
+    for camera in with_their_ways(cameras):
         own = (place - np.asarray(camera.position_m)) @ camera.world_from_camera
         away = np.maximum(np.linalg.norm(own, axis=1) - reach, _LEAST_M)
         pixel_m = projection_of(camera).finest_pixel_m(camera, away)

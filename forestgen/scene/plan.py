@@ -30,6 +30,7 @@ from forestgen.scene.ground_view import MOST_TILES
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.site import check_wet_soil, community_site
 from forestgen.scene.surroundings import most_far_triangles
+from forestgen.scene.terrain import FINE_M
 from forestgen.scene.triangles import exemplar_triangles, near_triangles
 from forestgen.scene.views import Views, place_key
 from forestgen.scene.weather.kind import check_weather
@@ -50,7 +51,7 @@ _BYTES_PER_PLANT_UNDER_CLOUDS = 27_000  # more, as above
 # Clouds that are so much higher than they must be are surely far: plants differ in height, and the ground in places.
 _SURELY_FAR_M = 200.0
 _GROUND_POINTS = 33  # along a side, at which the ground's height is looked up
-_GROUND_CELL_M, _MOST_GROUND_CELLS, _GROUND_BEYOND = 0.75, 1200, 160  # see scene/terrain.py
+_MOST_GROUND_CELLS, _GROUND_BEYOND = 1200, 160  # see scene/terrain.py
 _TRIANGLES_OF_A_PLANT = 300_000  # of a large one, at a guess
 _FILM_BYTES = 60_000_000  # numbers and pictures that community/history_files.py keeps
 
@@ -87,12 +88,14 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     grown = exemplar_triangles(plan.drawn, plan.plants, stand, plan.views.all_cameras)
     grown += near_triangles(plan.drawn, plan.plants, plan.views.all_cameras, stand.site.size_m, _highest_m(plan.views))
     across, along = (
-        min(math.ceil((side + 40) / _GROUND_CELL_M), _MOST_GROUND_CELLS) + _GROUND_BEYOND for side in recipe.site.size_m
+        min(math.ceil((side + 40) / plan.views.height.cell_m), _MOST_GROUND_CELLS) + _GROUND_BEYOND
+        for side in recipe.site.size_m
     )
+    fine = math.ceil(2.0 * plan.views.height.fine_m2 / FINE_M**2)
     return {
         "community": community,
         "libraries": _LOADED_RENDERER_BYTES,
-        "ground": 2 * across * along * per_triangle + _ground_cover_bytes(recipe, per_triangle, per_plant),
+        "ground": (2 * across * along + fine) * per_triangle + _ground_cover_bytes(recipe, per_triangle, per_plant),
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": math.ceil(grown * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle)),
         "plants": plants * per_plant,
@@ -347,6 +350,10 @@ def _check_clouds(views: Views) -> None:
     """
     drawn, source = views.drawn, cloud_source_of(views.drawn)
     source.check(drawn)
+    if drawn.recipe.site.water and drawn.recipe.render.clouds == "exact" and drawn.recipe.sky.clouds.has_clouds:
+        problem, where = "light through the clouds' volume knows no water", drawn.where("site", "water")
+        hint = "leave out site.water, or raise the clouds and leave render.clouds out"
+        raise RecipeError(problem, where=where, expected="render.clouds: farfield or auto", got="exact", hint=hint)
     base_m = source.known_base_m(drawn)
     if base_m is None or drawn.recipe.render.clouds != "farfield":
         return

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.cameras import Camera as CameraSection
 from forestgen.recipe.registries import PROJECTIONS
+from forestgen.scene.motion import is_rolling, poses_at, row_poses, row_times_s
 from forestgen.scene.spec import Camera
 
 Floats = NDArray[np.float64]
@@ -24,6 +25,7 @@ Bools = NDArray[np.bool_]
 
 _PIECES = 32  # of an edge, where nothing is known of how it bends
 _STEP_RAD = 1e-4  # of numerical derivatives
+_ROUNDS = 12  # to the row in which a rolling shutter sees a point
 
 
 @dataclass(frozen=True)
@@ -39,7 +41,7 @@ class Rays:
 class WorldRays:
     """Rays through the centres of all pixels, world."""
 
-    origin_m: Floats  # (3,), or (H, W, 3) of parallel rays
+    origin_m: Floats  # (3,), or (H, W, 3) of parallel rays and of rolling shutters
     direction: Floats  # (H, W, 3) unit
     valid: Bools  # (H, W) False where the image shows nothing
 
@@ -355,14 +357,35 @@ def check_projection(camera: Camera) -> None:
 
 
 def world_rays(camera: Camera, rows: slice | None = None) -> WorldRays:
-    """Rays through the pixels' centres, of some rows or of all, world."""
+    """Rays through the pixels' centres in the middle of their exposure, of some rows or of all, world."""
     width, height = camera.size_px
     own = rays(camera, *np.meshgrid(np.arange(width) + 0.5, np.arange(height)[rows or slice(None)] + 0.5))
-    axes = np.asarray(camera.world_from_camera, dtype=np.float64)
-    origin = np.asarray(camera.position_m, dtype=np.float64)
+    place, axes = row_poses(camera, rows)
+    across, origin = axes.swapaxes(-1, -2), np.asarray(camera.position_m, dtype=np.float64)
     if projection_of(camera).is_parallel:
-        origin = own.origin_m @ axes.T + origin
-    return WorldRays(origin, own.direction @ axes.T, own.valid)
+        origin = own.origin_m @ across + origin
+    direction = own.direction @ across
+    if is_rolling(camera):
+        origin = np.ascontiguousarray(np.broadcast_to(origin + place, direction.shape))
+    return WorldRays(origin, direction, own.valid)
+
+
+def in_own_axes(camera: Camera, away_m: Floats, near: Bools | None = None) -> Floats:
+    """(*S, 3) in the camera's axes of points by their way from `position_m`, world; for `project`.
+
+    A rolling shutter sees a point in the row whose pose shows it there, found by going from row to time to row; where
+    things fly through the image faster than it is read out there may be none, or several. `near` (*S,): False where
+    `away_m` is a direction, which only turns.
+    """
+    if not is_rolling(camera):
+        return np.asarray(away_m @ camera.world_from_camera)
+    own = away_m @ np.asarray(camera.world_from_camera)
+    for _ in range(_ROUNDS):
+        row_px = np.nan_to_num(project(camera, own).y_px, nan=0.5 * camera.size_px[1])
+        place, axes = poses_at(camera, row_times_s(camera, row_px))
+        from_there = away_m - (place if near is None else np.where(near[..., None], place, 0.0))
+        own = np.einsum("...k,...kj->...j", from_there, axes)
+    return np.asarray(own)
 
 
 def project(camera: Camera, points_m: Floats) -> Pixels:

@@ -15,10 +15,14 @@ from forestgen.community.capabilities import SoilWater, capability, models_with
 from forestgen.community.population import Population, Site
 from forestgen.community.simulation import CommunityPlan
 from forestgen.core.errors import AssetError, RecipeError
+from forestgen.recipe.ground import WetSoil
+from forestgen.recipe.land import MicroRelief, Paths, Waters
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import TERRAINS
-from forestgen.recipe.schema import Recipe, Terrain, WetSoil
+from forestgen.recipe.schema import Recipe, Terrain
+from forestgen.recipe.schema import Site as SiteSection
 from forestgen.recipe.sky import SkySection
+from forestgen.scene.shaped_ground import shaped
 from forestgen.scene.spec import Moon, Sky, towards
 from forestgen.scene.surfaces import Wetness
 from forestgen.scene.terrain import HeightField, smooth_step
@@ -100,14 +104,26 @@ def sun_notes(recipe: Recipe) -> list[str]:
 def height_field(drawn: DrawnRecipe) -> HeightField:
     """Height of the ground at any x and y; the same object whenever a recipe's image is asked for again.
 
-    Raises `RecipeError`: a map of heights that cannot be read, has holes, or has not the site's shape; with its line.
+    Raises `RecipeError`: a map of heights that cannot be read, has holes, or has not the site's shape; a stream that
+    would run uphill; with its line.
     """
     site = drawn.recipe.site
     try:
-        return _height_field(site.size_m, site.terrain, drawn.image_seed, drawn.folder)
+        base = _height_field(site.size_m, site.terrain, drawn.image_seed, drawn.folder)
     except AssetError as cause:
         where = drawn.where("site", "terrain", *TERRAINS.load(site.terrain.kind).file_keys)
         raise cause.at(where) from cause
+    if site.micro_relief is None and not site.paths and not site.water:
+        return base
+    try:
+        return _shaped(base, site.micro_relief, site.paths, site.water, drawn.image_seed)
+    except RecipeError as cause:
+        raise cause.at(drawn.where("site", "water", int(cause.where or 0))) from cause
+
+
+@lru_cache(maxsize=16)
+def _shaped(base: HeightField, relief: MicroRelief | None, paths: Paths, water: Waters, image_seed: int) -> HeightField:
+    return shaped(base, relief, paths, water, image_seed)
 
 
 @lru_cache(maxsize=16)
@@ -119,15 +135,19 @@ def _height_field(size_m: tuple[float, float], terrain: Terrain, image_seed: int
 def community_site(drawn: DrawnRecipe) -> Site:
     """The site as its community knows it. The height function is kept, so that sites of one image are equal."""
     site = drawn.recipe.site
-    terrain = site.terrain
     return Site(
         site.size_m,
-        height=None if TERRAINS.load(terrain.kind).is_level(terrain) else height_field(drawn),
+        height=None if _is_level(site) else height_field(drawn),
         altitude_m=site.altitude_m,
         latitude_deg=site.latitude_deg,
         wind_from_deg=site.wind_from_deg,
         buildings=site.buildings,
     )
+
+
+def _is_level(site: SiteSection) -> bool:
+    shaped_by = site.micro_relief, site.paths, site.water
+    return TERRAINS.load(site.terrain.kind).is_level(site.terrain) and not any(shaped_by)
 
 
 def check_wet_soil(plan: CommunityPlan) -> None:

@@ -42,6 +42,7 @@ class Material:
     transmittance_spectrum: Spectrum | None = None
     leaf_type: LeafType | None = None  # as which its leaves vary; None: all are alike
     seasons: tuple[SeasonShare, ...] = ()  # of leaves beside each other, whose mean the spectra are
+    absorption: Spectrum | None = None  # 1/m, of the water that this is the surface of; None: it is of no water
 
 
 @dataclass(frozen=True)
@@ -85,13 +86,41 @@ class WetGround:
     spectrum: Spectrum | None  # of which it is the colour; None: the colour is all
 
 
-@dataclass(frozen=True)
-class BareGround:
-    """The ground without what lies on it, which shows where that is geometry; scene/ground_cover.py."""
+@dataclass(frozen=True, eq=False)
+class GroundPart:
+    """One reflectance among others on the ground's texture."""
 
-    share: NDArray[np.float32]  # (V,) by vertex: 0 painted with what lies there, 1 bare between the things
-    reflectance: tuple[float, float, float]  # mean colour, linear Rec. 709
+    amount: NDArray[np.float32]  # (H, W) share of the texel times its brightness, of mean 1
+    reflectance: tuple[float, float, float]  # linear Rec. 709
+    spectrum: Spectrum
+
+
+@dataclass(frozen=True, eq=False)
+class GroundMixture:
+    """What a texture of the ground consists of: each part has its own reflectance in every channel."""
+
+    base: NDArray[np.float32]  # (H, W, 3) the ground's own texture, less what the parts hide
+    reflectance: tuple[float, float, float]  # mean of the ground's own texture
+    spectrum: Spectrum  # of that mean
+    parts: tuple[GroundPart, ...]
+
+    def image(self) -> NDArray[np.float32]:
+        """(H, W, 3) linear Rec. 709 of all parts."""
+        out = self.base.copy()
+        for one in self.parts:
+            out += one.amount[..., None] * np.array(one.reflectance, dtype=np.float32)
+        return np.minimum(out, np.float32(1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class GroundPatch:
+    """Another ground that shows in places, such as a path's, or what is between things that lie there."""
+
+    share: NDArray[np.float32]  # (V,) by vertex: 0 the ground around, 1 this one
+    texture: NDArray[np.float32]  # (H, W, 3) linear Rec. 709 reflectance over the terrain's uv
+    reflectance: tuple[float, float, float]  # mean of the texture
     spectrum: Spectrum  # of which it is the colour
+    mixture: GroundMixture | None = None  # of the texture; None: it is all of one spectrum
 
 
 @dataclass(frozen=True)
@@ -105,7 +134,14 @@ class Terrain:
     spectrum: Spectrum | None = None  # of the texture's mean colour; None: the colour is all
     far_spectrum: Spectrum | None = None
     wet: WetGround | None = None  # None: dry, or nobody knows
-    bare: BareGround | None = None  # None: painted everywhere
+    mixture: GroundMixture | None = None  # of the texture; None: it is all of one spectrum
+    bare: GroundPatch | None = None  # what shows between things that are geometry; None: it is painted everywhere
+    patches: tuple[GroundPatch, ...] = ()  # the later ones lie on the earlier
+
+    @property
+    def overlays(self) -> tuple[GroundPatch, ...]:
+        """All other grounds, the later ones on the earlier."""
+        return self.patches if self.bare is None else (self.bare, *self.patches)
 
     @cached_property
     def mean_colour(self) -> tuple[float, float, float]:
@@ -171,7 +207,7 @@ def towards(elevation_deg: float, azimuth_deg: float) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Falling:
-    """Drops, whose diameters above a least one have an exponential distribution."""
+    """Drops or flakes, whose diameters above a least one have an exponential distribution."""
 
     number_per_m3: float  # of those above the least diameter
     least_mm: float
@@ -179,6 +215,8 @@ class Falling:
     drift_m_per_s: tuple[float, float]  # east, north
     shutter_s: float  # of cameras without one of their own
     fall: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # m/s by mm
+    seen_mm: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None  # as wide as it looks, by mm; None: so
+    is_white: bool = False  # it scatters light to all sides; else it is clear
 
 
 @dataclass(frozen=True)
@@ -209,6 +247,15 @@ class Lens:
 
 
 @dataclass(frozen=True)
+class CameraMotion:
+    """How a camera moves while it takes an image: scene/motion.py."""
+
+    velocity_m_per_s: tuple[float, float, float]  # world
+    rotation_rad_per_s: tuple[float, float, float]  # about its own axes: right, down, forward
+    readout_s: float  # from the first row's exposure to the last one's, and a row more; 0: all rows together
+
+
+@dataclass(frozen=True)
 class Camera:
     """A camera. OpenCV axes: x right, y down, z forward; pixel centres at +0.5. scene/projection.py has its rays."""
 
@@ -225,6 +272,7 @@ class Camera:
     bands: tuple[Band, ...] = ()  # what its sensor answers to; none: colour, linear Rec. 709
     exposure: Exposure | None = None  # for a raw-like image beside the linear one
     numbers: Mapping[str, float] = field(default_factory=dict)  # what else its projection needs
+    motion: CameraMotion | None = None  # None: it stands still; where there is one, there is an exposure
 
     @property
     def focal_px(self) -> float:

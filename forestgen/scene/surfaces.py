@@ -38,7 +38,7 @@ from forestgen.recipe import species as recipe_species
 from forestgen.recipe.phenology import SUMMER, LeafState
 from forestgen.recipe.spectra import SEASONS, load_spectra, load_table, mixed, of_season, surface_columns
 from forestgen.scene.colour import Channels, colours_of_surface
-from forestgen.scene.spec import BareGround, Camera, Material, SeasonShare, Terrain, WetGround
+from forestgen.scene.spec import Camera, GroundPatch, Material, SeasonShare, Terrain, WetGround
 
 Floats = NDArray[np.float64]
 _INDEX = 1.33
@@ -123,25 +123,29 @@ def wet_ground(dry: Spectrum, saturation: Floats) -> WetGround | None:
     return WetGround(share.astype(np.float32), colours[1], wet)
 
 
+def ground_texture(ground: Terrain | GroundPatch, channels: Channels) -> NDArray[np.float32]:
+    """(H, W, 3) reflectance of the ground's texture in the channels."""
+    mixture = ground.mixture
+    if mixture is None:
+        colour = ground.mean_colour if isinstance(ground, Terrain) else ground.reflectance
+        return np.maximum(channels.texture(ground.texture, colour, ground.spectrum), 0.0)
+    out = channels.texture(mixture.base, mixture.reflectance, mixture.spectrum)
+    for one in mixture.parts:
+        out += one.amount[..., None] * channels.of_surface(one.reflectance, one.spectrum).astype(np.float32)
+    return np.clip(out, 0.0, 1.0)
+
+
 def film_factor(terrain: Terrain, channels: Channels) -> Floats:
     """(3,) reflectance of the terrain under a film of water over that of the dry one, in [0, 1]; 1: none is wet.
 
     Bare ground between things has the factor of the painted ground, too, though wet sand of 0.29 is 0.57 times as
     bright as dry sand and litter of 0.12 0.52 times.
     """
-    return np.clip(_factor(terrain, terrain.wet, channels), 0.0, 1.0)
-
-
-def bare_factor(terrain: Terrain, channels: Channels) -> Floats:
-    """(3,) reflectance of the terrain between what lies on it over that of both together; 1: it is painted."""
-    return _factor(terrain, terrain.bare, channels)
-
-
-def _factor(terrain: Terrain, other: WetGround | BareGround | None, channels: Channels) -> Floats:
-    if other is None:
+    if terrain.wet is None:
         return np.ones(3)
-    painted = channels.of_surface(terrain.mean_colour, terrain.spectrum)
-    return np.asarray(channels.of_surface(other.reflectance, other.spectrum) / np.maximum(painted, 1e-9))
+    dry = channels.of_surface(terrain.mean_colour, terrain.spectrum)
+    wet = channels.of_surface(terrain.wet.reflectance, terrain.wet.spectrum)
+    return np.clip(wet / np.maximum(dry, 1e-9), 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -247,6 +247,7 @@ def _layer(
             far.append(FarBlock(plants, from_middle, still, transform))
     (row, block), xy = np.concatenate(source, axis=1), np.concatenate(place)
     kept = np.full(len(row), True) if rng is None else _free_of_stems(population, members, row, block, xy)
+    kept &= ~height.barred(*xy.T)
     row, block, xy = row[kept], block[kept], xy[kept]
     far += beyond.squares(blocks)
     reach_m = WOODS_M if beyond.any else far_m

@@ -16,20 +16,22 @@ from numpy.typing import NDArray
 
 from forestgen.core.cache import BoundedCache
 from forestgen.core.spectrum import Spectrum
-from forestgen.geometry.mesh import Mesh
+from forestgen.geometry.mesh import Mesh, vertex_normals
 from forestgen.plants.bark.texture import with_mean
 from forestgen.recipe.registries import GROUND_COVERS
 from forestgen.recipe.schema import Terrain as TerrainSection
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import colours_of_surface
+from forestgen.scene.fine_cells import cut_grid
 from forestgen.scene.spec import Terrain
 from forestgen.scene.surfaces import FreshLitter, Wetness, wet_ground
 
 HORIZON_M = 200_000.0  # from 300 m up, a flat earth ends 0.1 degrees below the horizon
 MARGIN_M = 20.0
-_SITE_CELL_M = 0.75
+SITE_CELL_M = 0.75
 TEXTURE_TILE_M, TEXTURE_PX = 24.0, 1536  # side of the square of the ground's texture that repeats
+FINE_M = 0.1  # cells of the mesh along paths and shores, about
 _AT_ONCE = 8192  # points whose height is asked for: their numbers stay in the processor's cache
 
 KeysT = TypeVar("KeysT", bound=TerrainSection)
@@ -53,6 +55,42 @@ class HeightField:
 
     def _height(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.zeros(x_m.shape)
+
+    @property
+    def cell_m(self) -> float:
+        """Length of the mesh's cells on the site."""
+        return SITE_CELL_M
+
+    @property
+    def fine_m2(self) -> float:
+        """About the area of the mesh's fine cells."""
+        return 0.0
+
+    def level(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height of water at points (N,); -inf where there is none. It stands where it is above the ground."""
+        return np.full(len(x_m), -np.inf)
+
+    def surface(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height of the ground or of the water above it at points (N,)."""
+        return self(x_m, y_m)
+
+    def barred(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """(N,) where no plant can stand: in water, on paths."""
+        return np.zeros(len(x_m), dtype=np.bool_)
+
+    def open_share(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) share of the ground that its layers may lie on."""
+        return np.ones(len(x_m))
+
+    def roadside(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) share of the ground that is a road's middle strip or lies beside a road."""
+        return np.zeros(len(x_m))
+
+    def fine(
+        self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], cell_m: NDArray[np.float64]
+    ) -> NDArray[np.bool_]:
+        """(N,) whether the mesh's cells about points, so long, are to be cut into pieces of `FINE_M`."""
+        return np.zeros(len(x_m), dtype=np.bool_)
 
     def distance_m(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Distance from the site's rectangle, 0 inside."""
@@ -133,9 +171,9 @@ def smooth_step(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return t * t * (3 - 2 * t)
 
 
-def _graded_axis(length_m: float) -> NDArray[np.float64]:
+def _graded_axis(length_m: float, cell_m: float) -> NDArray[np.float64]:
     """Coordinates: even cells over the site and a margin, then each cell 8% longer than the last, to the horizon."""
-    cells = int(min(np.ceil((length_m + 2 * MARGIN_M) / _SITE_CELL_M), 1200))
+    cells = int(min(np.ceil((length_m + 2 * MARGIN_M) / cell_m), 1200))
     inner = np.linspace(-MARGIN_M, length_m + MARGIN_M, cells + 1)
     step, reach, outer = inner[1] - inner[0], MARGIN_M, []
     while reach < HORIZON_M:
@@ -148,7 +186,9 @@ def _graded_axis(length_m: float) -> NDArray[np.float64]:
 
 def terrain_mesh(height: HeightField) -> Mesh:
     """Height field as triangles, smooth normals, uv in tiles of `TEXTURE_TILE_M`."""
-    xs, ys = _graded_axis(height.size_m[0]), _graded_axis(height.size_m[1])
+    xs, ys = (_graded_axis(side, height.cell_m) for side in height.size_m)
+    if height.fine_m2 > 0.0:
+        return _mesh_with_fine_cells(height, xs, ys)
     x, y = np.meshgrid(xs, ys)
     z = height(x, y)
     slope_y, slope_x = np.gradient(z, ys, xs)
@@ -163,6 +203,21 @@ def terrain_mesh(height: HeightField) -> Mesh:
         faces=np.concatenate([lower, upper]).astype(np.uint32),
         normals=normal.astype(np.float32),
         uv=(np.stack([x, y], axis=-1).reshape(-1, 2) / TEXTURE_TILE_M).astype(np.float32),
+    )
+
+
+def _mesh_with_fine_cells(height: HeightField, xs: NDArray[np.float64], ys: NDArray[np.float64]) -> Mesh:
+    middle = np.meshgrid(*(0.5 * (one[1:] + one[:-1]) for one in (xs, ys)))
+    long = np.maximum(*np.meshgrid(np.diff(xs), np.diff(ys)))
+    fine = height.fine(middle[0].ravel(), middle[1].ravel(), long.ravel()).reshape(long.shape)
+    pieces = 2 * max(1, round(0.5 * height.cell_m / FINE_M))
+    places, faces = cut_grid(xs, ys, fine, pieces)
+    vertices = np.column_stack([places, height(*places.T)])
+    return Mesh(
+        vertices_m=vertices.astype(np.float32),
+        faces=faces,
+        normals=vertex_normals(vertices, faces).astype(np.float32),
+        uv=(places / TEXTURE_TILE_M).astype(np.float32),
     )
 
 

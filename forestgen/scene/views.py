@@ -20,7 +20,7 @@ from forestgen.recipe.spectra import bands_of, load_bands
 from forestgen.scene.projection import check_projection
 from forestgen.scene.rigs.rig import Poses, path_poses
 from forestgen.scene.site import height_field
-from forestgen.scene.spec import Camera, Lens
+from forestgen.scene.spec import Camera, CameraMotion, Lens
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.weather.kind import raised_m
@@ -93,15 +93,18 @@ class Views:
         return {camera.name: self._lowest(camera) for _, camera, _ in self._below_ground()}
 
     def _lowest(self, camera: Camera) -> str:
-        in_snow = camera.position_m[2] - self.ground_below(camera) >= LEAST_ABOVE_GROUND_M
-        return "the snow" if in_snow else "the ground"
+        x, y, z = camera.position_m
+        if z - self.ground_below(camera) < LEAST_ABOVE_GROUND_M:
+            return "the ground"
+        in_water = z < self.height.level(np.array([x]), np.array([y]))[0] + LEAST_ABOVE_GROUND_M
+        return "the water" if in_water else "the snow"
 
     def _below_ground(self) -> list[tuple[int, Camera, float]]:
         """Number of the entry, camera and height above the ground, or its snow, of cameras that are not above it."""
         found = []
         for index, cameras in enumerate(self.cameras):
             at_m = np.array([camera.position_m for camera in cameras], dtype=np.float64)
-            above = at_m[:, 2] - self.height(at_m[:, 0], at_m[:, 1]) - raised_m(self.drawn, at_m[:, :2])
+            above = at_m[:, 2] - self.height.surface(*at_m[:, :2].T) - raised_m(self.drawn, at_m[:, :2])
             found += [(index, cameras[k], float(above[k])) for k in np.flatnonzero(above < LEAST_ABOVE_GROUND_M)]
         return found
 
@@ -227,10 +230,19 @@ def expand(
                 bands=() if section.bands is None else bands.get(section.bands, ()),
                 exposure=section.exposure,
                 numbers=section.own_numbers,
+                motion=_motion(section),
             )
         )
     check_projection(cameras[0])
     return cameras
+
+
+def _motion(section: CameraSection) -> CameraMotion | None:
+    keys = section.motion
+    if keys is None or not keys.moves:
+        return None
+    pitch, yaw, roll = (math.radians(one) for one in keys.rotation_deg_per_s)
+    return CameraMotion(keys.velocity_m_per_s, (pitch, yaw, roll), keys.readout_s)
 
 
 def _sequence(section: CameraSection, index: int) -> str | None:

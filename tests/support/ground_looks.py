@@ -16,7 +16,8 @@ from forestgen.recipe.load import load_recipe_data
 from forestgen.render.frame import RenderJob, StoppingCriterion
 from forestgen.render.rendering import render_radiance
 from forestgen.scene.build import build_scene
-from forestgen.scene.ground_cover import LaidGround, ground_cover, painted
+from forestgen.scene.ground_cover import LaidGround, ground_cover
+from forestgen.scene.ground_paint import painted
 from forestgen.scene.plan import check_plan
 from forestgen.scene.spec import SceneSpec
 

@@ -74,7 +74,7 @@ def measure(name: str, samples: int = 64) -> Reflectance:
     if name in GREEN_FLOOR:
         wavelength_nm, reflectance = np.array(_FLOOR, dtype=np.float64).T
         even = np.ones_like(terrain.texture) * np.array(terrain.mean_colour, dtype=np.float32)
-        terrain = replace(terrain, texture=even, spectrum=Spectrum(wavelength_nm, reflectance))
+        terrain = replace(terrain, mixture=None, texture=even, spectrum=Spectrum(wavelength_nm, reflectance))
     spec = replace(spec, terrain=replace(terrain, far_share=np.zeros_like(terrain.far_share)))
     camera = spec.cameras[0]
     camera = replace(camera, bands=tuple(band for band in camera.bands if band.name in BANDS))

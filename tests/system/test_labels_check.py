@@ -61,7 +61,7 @@ def test_a_rendered_data_set_passes(data_set):
     assert report.frames == 2
     idle = {one.name for one in (*_frame_checks(), *_dataset_checks())} - set(report.looked_at)
     # Of fisheyes, of exposures and of branch modules: see test_module_labels.
-    assert idle <= {"circle", "raw", "modules"}, "a check that looked at nothing"
+    assert idle <= {"circle", "raw", "photo", "modules"}, "a check that looked at nothing"
 
 
 def test_every_picture_has_8_bits_or_16_of_depth(data_set):

@@ -24,7 +24,8 @@ from forestgen.render.cloud_shadow import ShadowPlane
 from forestgen.render.identity import SceneTracer
 from forestgen.render.light import along, sky_map
 from forestgen.render.paths.scattering import Local, face_tangents, paint_of
-from forestgen.render.paths.tracer import PathTracer, Sun, sequence_of
+from forestgen.render.paths.sun import Sun
+from forestgen.render.paths.tracer import PathTracer, sequence_of
 from forestgen.render.paths.tracer import Sky as SkyOnDevice
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of
 from forestgen.render.surfaces import surface_bsdf

@@ -20,7 +20,7 @@ from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.render.build import load, origin_of, to_mesh
 from forestgen.render.identity import camera_rays
-from forestgen.render.identity.surface import bilinear
+from forestgen.render.identity.surface import bilinear_places, weighted_sum
 from forestgen.render.surfaces import _bitmap, ground_bsdf
 from forestgen.render.variant import LLVM, drjit, mitsuba
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, WetGround
@@ -192,8 +192,8 @@ def test_texels_are_where_mitsuba_has_them():
         theirs = np.array(mi.load_dict(wanted).eval(interaction)).T
         before = np.zeros((4, 3), dtype=np.float32)  # another texture's texels
         texel = mi.Float(np.concatenate([before, image.reshape(-1, 3)]).ravel())
-        ours = bilinear(texel, mi.UInt32(4), mi.UInt32(7), mi.UInt32(5), mi.Float(u), mi.Float(v), mi.Bool(True))
-        ours = np.array(ours).T
+        places = bilinear_places(mi.UInt32(4), mi.UInt32(7), mi.UInt32(5), mi.Float(u), mi.Float(v))
+        ours = np.array(weighted_sum(mi.Color3f, texel, places, mi.Bool(True))).T
     assert ours.std() > 0.1
     np.testing.assert_allclose(ours, theirs, atol=2e-5)
 

@@ -50,7 +50,8 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "labels/gap_fraction.py": {"gap_fraction"},  # a field of canopy.json
     "api/points.py": {"points"},  # a parameter
     "community/fitting/report.py": {"points"},  # a key of community model strauss
-    "dataset/check/frame_data.py": {"coverage"},  # a part of frame.exr
+    "dataset/camera.py": {"motion"},  # a key of camera.json
+    "dataset/check/frame_data.py": {"coverage", "motion"},  # a part of frame.exr; a key of camera.json
     "dataset/check/geometry.py": {"motion"},  # a part of frame.exr, and a check
     "dataset/check/light.py": {"albedo", "cloud", "sun"},  # parts of frame.exr
     "dataset/check/masks.py": {"amodal", "coverage", "module"},  # the same, and checks
@@ -67,6 +68,7 @@ OTHER_MEANINGS = {  # file -> names that are no part's in it, or a default
     "render/views.py": {"clear"},  # a stream of random numbers
     "scene/spec.py": {"clear"},  # the default
     "scene/terrain.py": {"litter"},  # the default
+    "render/metering.py": {"panorama"},  # a camera that sees the light from all sides
     "render/irradiance.py": {"perspective"},  # a plugin of the renderer
     "render/capture.py": {"perspective"},  # the same
     "instruments/light_meter.py": {"points", "sun"},  # a stage of the progress bar, and keys of a table

@@ -119,8 +119,14 @@ def read_exr(root: Path, name: str) -> tuple[dict[str, dict[str, NDArray[Any]]],
 
 def read_picture(root: Path, name: str) -> NDArray[Any]:
     """(H, W) or (H, W, 3) pixels of a PNG; a palette's indices, not its colours."""
-    with _png(root, name) as image:
+    with _picture(root, name, "PNG") as image:
         return np.asarray(image)
+
+
+def read_jpeg(root: Path, name: str) -> NDArray[Any]:
+    """(H, W, 3) pixels of a JPEG."""
+    with _picture(root, name, "JPEG") as image:
+        return np.asarray(image.convert("RGB"))
 
 
 def read_bit_depth(root: Path, name: str) -> int:
@@ -131,7 +137,7 @@ def read_bit_depth(root: Path, name: str) -> int:
 
 def read_palette(root: Path, name: str) -> tuple[list[int], dict[str, str]]:
     """Colours of a palette PNG, red, green, blue, red, ..., and its texts; of another PNG no colours."""
-    with _png(root, name) as image:
+    with _picture(root, name, "PNG") as image:
         image.load()
         texts = {str(key): value for key, value in image.info.items() if isinstance(value, str)}
         return list(image.getpalette() or []), texts
@@ -156,14 +162,14 @@ def _reading(root: Path, name: str) -> AbstractContextManager[SafePath]:
 
 
 @contextmanager
-def _png(root: Path, name: str) -> Iterator[Image]:
+def _picture(root: Path, name: str, kind: str) -> Iterator[Image]:
     import warnings
 
     from PIL import Image
 
     with _reading(root, name) as path, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of a picture's size
-        with path.open() as stream, Image.open(stream, formats=("PNG",)) as image:
+        with path.open() as stream, Image.open(stream, formats=(kind,)) as image:
             yield image
 
 

@@ -31,7 +31,9 @@ from forestgen.dataset.check.files import (
 )
 from forestgen.dataset.safe_path import SafePath, load_json
 from forestgen.recipe.registries import DEFAULT_PROJECTION
-from forestgen.scene.projection import FileGeometry, Projection, load_projection, projection_of_model
+from forestgen.scene.motion import row_poses
+from forestgen.scene.projection import FileGeometry, Projection, in_own_axes, load_projection, projection_of_model
+from forestgen.scene.spec import Camera, CameraMotion
 
 EXR, INSTANCE, SEMANTIC, PLANTS, CAMERA = "frame.exr", "instance.png", "semantic.png", "plants.parquet", "camera.json"
 RECIPE = "recipe.yaml"
@@ -225,6 +227,7 @@ class CameraFile:
     camera_from_world: NDArray[np.float64]  # (4, 4)
     position_m: NDArray[np.float64]  # (3,) world
     values: Mapping[str, Any]  # all of it
+    motion: CameraMotion | None = None
 
     @property
     def projection(self) -> Projection:
@@ -240,11 +243,29 @@ class CameraFile:
 
     def pixel_rays(self, size_px: tuple[int, int]) -> NDArray[np.float64]:
         """(H, W, 3) world directions through the pixels' centres, of depth 1."""
-        return np.asarray(self.geometry.rays(size_px) @ self.rotation)  # rows times R = R^T times columns: to the world
+        return np.asarray(self.geometry.rays(size_px) @ self.axes.swapaxes(-1, -2))
 
     def starts(self, size_px: tuple[int, int]) -> NDArray[np.float64]:
         """(H, W, 3) world, from the camera's place to where the pixels' rays begin."""
-        return np.asarray(self.geometry.starts(size_px) @ self.rotation)
+        return np.asarray(self.geometry.starts(size_px) @ self.axes.swapaxes(-1, -2) + self.row_shift_m)
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """(3, 3), or (H, 3, 3) by the rows of a rolling shutter: columns are the camera's axes in the world."""
+        return row_poses(self._posed)[1]
+
+    @property
+    def row_shift_m(self) -> NDArray[np.float64]:
+        """(3,), or (H, 1, 3): places of the camera by row, less its own."""
+        return row_poses(self._posed)[0]
+
+    def in_own_axes(self, away_m: NDArray[np.float64], near: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """As `scene.projection.in_own_axes`."""
+        return in_own_axes(self._posed, away_m, near)
+
+    @property
+    def _posed(self) -> Camera:
+        return replace(self.geometry.camera, world_from_camera=self.rotation.T, motion=self.motion)
 
     def pixels_a_metre(self, depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """How large things appear at a depth."""
@@ -262,12 +283,20 @@ def camera_of(values: Any, file: str) -> CameraFile:
         projection = projection_of_model(str(model))
         if len(size) != 2 or min(size) < 1 or projection is None:
             raise ValueError("size_px is not a pair, or there is no projection of this model")
-        geometry = projection.read(values, (size[0], size[1]))
+        geometry, motion = projection.read(values, (size[0], size[1])), _motion(values.get("motion"))
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         expected = "size_px, camera_from_world (4 x 4), position_m, and what the model needs, finite numbers"
         got = f"no {error}" if isinstance(error, KeyError) else str(error)
         raise UnreadableError(Finding(file, "the camera cannot be understood", expected, got)) from error
-    return CameraFile(geometry, pose, position, values)
+    return CameraFile(geometry, pose, position, values, motion)
+
+
+def _motion(values: Any) -> CameraMotion | None:
+    if values is None:
+        return None
+    x, y, z = _matrix(values["velocity_m_per_s"], (3,)).tolist()
+    pitch, yaw, roll = np.radians(_matrix(values["rotation_deg_per_s"], (3,))).tolist()
+    return CameraMotion((x, y, z), (pitch, yaw, roll), float(_matrix(values["readout_s"], ())))
 
 
 def _matrix(values: Sequence[Any], shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -104,7 +104,7 @@ def position(frame: FrameData) -> Iterator[Wrong]:
         yield Wrong(wrong, "the distance is not |position - beginning of the ray|", straight, distance)
     if frame.has_part("position.camera", *"XYZ"):
         own = frame.vectors("position.camera")
-        expected = away @ camera.rotation.T
+        expected = (away - camera.row_shift_m) @ camera.axes
         wrong = solid & ~(_length(own - expected) <= _RELATIVE * _length(away))
         yield Wrong(wrong, "position.camera is not depth along the ray", expected, own)
 
@@ -123,7 +123,7 @@ def normals(frame: FrameData) -> Iterator[Wrong]:
         wrong = solid & ~((normal * geometric).sum(axis=-1) >= -_UNIT)
         yield Wrong(wrong, f"{name} is on the surface's other side", geometric, normal)
         if frame.has_part(f"{name}.camera", *"XYZ") and frame.has(CAMERA):
-            turned, stored = normal @ frame.camera.rotation.T, frame.vectors(f"{name}.camera")
+            turned, stored = normal @ frame.camera.axes, frame.vectors(f"{name}.camera")
             wrong = solid & ~(_length(turned - stored) <= _UNIT)
             yield Wrong(wrong, f"{name}.camera is not {name} turned", turned, stored)
     if frame.has(CAMERA):
@@ -219,7 +219,7 @@ def _by_cameras(
     solid = np.isfinite(z)
     shift = frame.camera.position_m - next_position_m + frame.camera.starts(frame.size_px)
     away = np.where(solid[..., None], rays * np.where(solid, z, 0.0)[..., None] + shift, rays)
-    seen = away @ following.camera.rotation.T
+    seen = following.camera.in_own_axes(away, solid)
     pixel, depth = following.camera.geometry.project(seen)
     if following.camera.projection.is_parallel:
         depth = np.where(solid, depth, -np.inf)  # parallel rays meet no direction

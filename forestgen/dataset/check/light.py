@@ -1,4 +1,4 @@
-"""Light in frame.exr: radiance with its header, albedo, sun, clouds, occlusion boundaries; and the raw image."""
+"""Light in frame.exr: radiance with its header, albedo, sun, clouds, occlusion boundaries; raw image and photograph."""
 
 from __future__ import annotations
 
@@ -9,10 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.spectrum import LUMINANCE
-from forestgen.dataset.check.files import Finding, as_text, finding, read_json, read_palette, read_picture
+from forestgen.dataset.check.files import (
+    Finding,
+    as_text,
+    finding,
+    read_bytes,
+    read_jpeg,
+    read_json,
+    read_palette,
+    read_picture,
+)
 from forestgen.dataset.check.frame_data import EXR, FrameData, Wrong, frame_check
+from forestgen.dataset.ghosts import ghosts_of
 from forestgen.dataset.optics import falloff, through_lens
+from forestgen.dataset.photo import NAME as PHOTO
+from forestgen.dataset.photo import photo_of
+from forestgen.dataset.raw import Raw
 from forestgen.dataset.safe_path import load_json
+from forestgen.recipe.exposure import Jpeg
 from forestgen.recipe.registries import PROJECTIONS
 from forestgen.scene.projection import load_projection
 
@@ -22,6 +36,7 @@ _ROUNDED = 1e-3  # of the channels: luminance has four digits
 _MARKS = ("sun", "boundary")  # 0 or 1
 _REC709 = (0.64, 0.33, 0.3, 0.6, 0.15, 0.06, 0.3127, 0.329)
 _LUMINANCE, _RADIANCE_PER_NM = "cd/m2", "W m-2 sr-1 nm-1"
+_BLOCK_PX, _BLOCK_OFF = 8, 4.0  # of a photograph: mean difference of so wide squares
 _SD_OF_A_PIXEL, _SD_OF_A_MEAN = 12.0, 7.0  # what chance does not bring about
 
 
@@ -131,6 +146,9 @@ def raw(frame: FrameData) -> Iterator[Finding | Wrong]:
         yield finding("the raw image is of a part that frame.exr lacks", got=facts["of"])
         return
     light = frame.exr[facts["of"]]
+    if facts.get("ghosts") is not None:
+        shown = ghosts_of(facts["ghosts"], frame.size_px)
+        light = {name: light[name] + shown[..., k] for k, name in enumerate(facts["ghosts"]["channels"])}
     for key, name in facts["files"].items():
         numbers = read_picture(frame.root, frame.file(name))
         if numbers.ndim != 2 or numbers.shape != frame.instance.shape:
@@ -191,3 +209,36 @@ def _behind_lens(facts: Mapping[str, Any], light: Mapping[str, NDArray[Any]]) ->
         np.stack([light[name].astype(np.float64).clip(0.0) for name in names], axis=-1), colours, glare
     )
     return dict(zip(names, np.moveaxis(shown, -1, 0), strict=True))
+
+
+@frame_check(
+    "photo", _RAW,
+    when=lambda frame: frame.has(PHOTO) or frame.file(PHOTO) in frame.listed,
+)  # fmt: skip
+def photo(frame: FrameData) -> Iterator[Finding]:
+    """photo.jpg is the picture that the raw image and raw.json make; another encoder may round elsewhere."""
+    facts = read_json(frame.root, frame.file(_RAW))
+    about, planes = facts.get("photo"), {}
+    if about is None:
+        yield finding("raw.json knows no photo.jpg", "its white balance and quality", "none", file=frame.file(PHOTO))
+        return
+    for name in facts["files"].values():
+        planes[name] = read_picture(frame.root, frame.file(name)).astype(np.uint16)
+    jpeg = Jpeg(quality=about["quality"], white_balance=about["white_balance"])
+    made = photo_of(Raw(planes, facts, is_colour=True), jpeg)
+    if abs(made.facts["temperature_k"] - about["temperature_k"]) > 1.0:
+        yield finding("temperature_k is not the raw image's", made.facts["temperature_k"], about["temperature_k"])
+    content = read_bytes(frame.root, frame.file(PHOTO))
+    if content == made.content:
+        return
+    got, expected = read_jpeg(frame.root, frame.file(PHOTO)), made.decoded
+    if got.shape != expected.shape:
+        yield finding("photo.jpg has another size", expected.shape, got.shape, file=frame.file(PHOTO))
+        return
+    from scipy.ndimage import uniform_filter
+
+    off = np.abs(got.astype(np.float64) - expected).mean(axis=2)
+    wrong = int((uniform_filter(off, _BLOCK_PX) > _BLOCK_OFF).sum())
+    if wrong:
+        problem, got_px = "photo.jpg is not the raw image's picture", f"{wrong} pixels of other squares"
+        yield finding(problem, f"mean differences up to {_BLOCK_OFF:g}", got_px, file=frame.file(PHOTO))

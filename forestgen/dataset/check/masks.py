@@ -255,7 +255,7 @@ def keypoint_states(
 def places(frame: FrameData) -> Iterator[Finding]:
     """The stem base is where the camera projects the plant's place; none where it cannot see it."""
     camera = frame.camera
-    own = (_columns(frame, "x_m", "y_m", "z_m") - camera.position_m) @ camera.rotation.T
+    own = camera.in_own_axes(_columns(frame, "x_m", "y_m", "z_m") - camera.position_m)
     expected, depth = camera.geometry.project(own)
     got = _columns(frame, "stem_base_x_px", "stem_base_y_px")
     off = np.abs(got - expected)

@@ -42,7 +42,7 @@ _FRAME_CHECKS = (
     merged.files, geometry.camera, masks.ids, masks.instance_png, masks.parts, masks.semantic, merged.names,
     masks.coverage, masks.visible, masks.areas, masks.stems, masks.measures, masks.keypoints, masks.places,
     masks.amodal, geometry.depth, geometry.sky, geometry.circle, geometry.position, geometry.normals, geometry.centre,
-    masks.branches, light.radiance, light.header, light.raw, light.surfaces, geometry.motion,
+    masks.branches, light.radiance, light.header, light.raw, light.photo, light.surfaces, geometry.motion,
 )  # fmt: skip
 _DATASET_CHECKS = (merged.listing, merged.legend)
 

@@ -29,6 +29,7 @@ from forestgen.core.compiled import compiled
 from forestgen.labels.channels.channel import LabelChannel, Layers, layer
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.render.frame import Surface
+from forestgen.scene.motion import is_rolling
 from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
 
@@ -60,7 +61,7 @@ def occlusion_boundaries(surface: Surface, camera: Camera) -> NDArray[np.bool_]:
         least = _PIXEL_TOLERANCE * pixel_m
         _mark_parallel(surface.depth_m, surface.normal, steps, _DEPTH_TOLERANCE, least, found)
         return found
-    if projection.is_pinhole:
+    if projection.is_pinhole and not is_rolling(camera):
         (x, y), rotation = camera.pixel_slopes, np.asarray(camera.world_from_camera, dtype=np.float64)
         direction = x[:, None] * rotation[:, 0] + y[:, None, None] * rotation[:, 1] + rotation[:, 2]  # of depth 1
         _mark(surface.depth_m, surface.normal, direction, np.ones_like(found), False, _TOLERANCE, found)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers, layers
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.render.frame import Frame, Surface
-from forestgen.scene.projection import pixel_centres, project, projection_of, world_rays
+from forestgen.scene.projection import in_own_axes, pixel_centres, project, projection_of, world_rays
 from forestgen.scene.spec import Camera, Instances
 
 _NEAREST = 1e-6  # of the distance: a point nearer to the next camera's plane than this has no place in its image
@@ -78,7 +78,7 @@ def motion_px(
         start = np.broadcast_to(rays.origin_m, point.shape)[moved]
         row = instances.rows_of(surface.plant_id[moved])
         point[moved] += _carried(way[moved] + start, row, instances, next_instances)
-    landing, known = _landing(next_camera, point @ next_camera.world_from_camera, seen)
+    landing, known = _landing(next_camera, in_own_axes(next_camera, point, seen), seen)
     motion = landing - centre
     if projection_of(next_camera).wraps_x:
         motion[..., 0] -= next_camera.size_px[0] * np.round(motion[..., 0] / next_camera.size_px[0])

@@ -25,6 +25,7 @@ from forestgen.labels.channels.channel import ChannelView, LabelChannel, Layers,
 from forestgen.labels.labelled import LabelledFrame
 from forestgen.plants.exemplar import Exemplar
 from forestgen.render.frame import Branches, Frame, Surface
+from forestgen.scene.motion import row_poses
 from forestgen.scene.projection import centre_rays, projection_of, world_rays
 from forestgen.scene.spec import Camera
 
@@ -44,7 +45,7 @@ class SurfaceChannel(LabelChannel):
 
     def parts(self, labelled: LabelledFrame) -> dict[str, Layers]:
         surface, camera = labelled.frame.surface, labelled.frame.camera
-        rotation = camera.world_from_camera
+        _, rotation = row_poses(camera)
         return {
             "normal": layers("XYZ", surface.normal),
             "normal.camera": layers("XYZ", _turned(surface.normal, rotation)),

@@ -19,8 +19,8 @@ _HOLES = 2
 _PLACE = (0.35, 0.95)  # of bites along the leaf
 
 
-def worn(patch: Patch, rng: np.random.Generator) -> Patch:
-    """A leaf along y with pieces missing.
+def worn(patch: Patch, rng: np.random.Generator, larger: float = 1.0) -> Patch:
+    """A leaf along y with pieces missing, which may be larger than those of a living one.
 
     Each triangle is cut into 4, of a leaf of fewer than 40 triangles into 16; those of the pieces are left out.
     """
@@ -35,7 +35,7 @@ def worn(patch: Patch, rng: np.random.Generator) -> Patch:
         y = low + rng.uniform(*_PLACE) * (high - low)
         side = rng.choice([-1.0, 1.0])
         x = side * (rng.uniform(0.2, 0.6) * half_m if is_hole else _margin(flat, y, side))
-        radius = rng.uniform(*(_HOLE if is_hole else _BITE)) * half_m
+        radius = rng.uniform(*(_HOLE if is_hole else _BITE)) * larger * half_m
         away = np.hypot(middle[:, 0] - x, middle[:, 1] - y)
         gone |= (away < radius) & (np.abs(middle[:, 0]) > 0.08 * half_m)  # the midrib stays
     return fine._replace(faces=fine.faces[~gone])

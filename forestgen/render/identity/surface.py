@@ -16,6 +16,7 @@ from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, sample_off
 from forestgen.render.skies.model import casts_shadows
 from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import dr, mi
+from forestgen.scene.motion import is_rolling
 from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
 
@@ -26,7 +27,7 @@ _RAYS_AT_ONCE, _SUMMED_AT_ONCE = 2_000_000, 1_000_000
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
 # a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
 LIFT = 1e-5
-_SNOW_GROUPS = (7, 4)  # bits of a face's number that are alike for neighbours: of a shoot, and of a leaf
+_SNOW_GROUPS = (10, 7)  # bits of a face's number that are alike for neighbours: of a load on a branch, of a shoot
 # Vertical parts of normals: of the steepest wood that holds snow where all is under it; and of leaves, which together
 # hold it however each one stands.
 _STEEPEST, _LEVEL_LEAF = 0.15, 0.35
@@ -88,9 +89,12 @@ def _fill(target: Identity | Surface, rows: slice, found: dict[str, Any]) -> Non
 
 
 def pixel_sums(tracer: SceneTracer, camera: Camera, wanted: Sequence[Values]) -> list[NDArray[np.float32]]:
-    """(C, H, W) for each of `wanted`: its C values by ray, summed over a pixel's `SAMPLES` rays, all in one launch."""
+    """(C, H, W) for each of `wanted`: its C values by ray, summed over a pixel's `SAMPLES` rays, all in one launch.
+
+    Rays of a camera that moves are spread over the exposure, as its light is.
+    """
     blocks = []
-    for _, hits in tracer.by_rows(camera, sample_offsets(SAMPLES), _SUMMED_AT_ONCE):
+    for _, hits in tracer.by_rows(camera, sample_offsets(SAMPLES), _SUMMED_AT_ONCE, exposed=True):
         values = [list(one(hits)) for one in wanted]
         dr.eval(values)  # together, and before the sums: each sum alone would trace all the rays again
         sums = [[dr.block_sum(one, SAMPLES) for one in group] for group in values]
@@ -132,7 +136,7 @@ def _light_and_shape(tracer: SceneTracer, camera: Camera, hits: Hits) -> dict[st
 
 def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> NDArray[np.float32]:
     """(rows, W, 3) world, in double precision from the distances along pixel centres' rays; NaN for the sky."""
-    if not projection_of(camera).is_pinhole:
+    if not projection_of(camera).is_pinhole or is_rolling(camera):
         rays = world_rays(camera, rows)
         far = np.where(np.isfinite(distance_m), distance_m, np.nan)[..., None]
         return (rays.origin_m + rays.direction * far).astype(np.float32)
@@ -182,8 +186,9 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     u, v = vertex_uv(tracer, hits, corners, textured)
     offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
     colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
-    of_ground = tracer.table.far_albedo, tracer.table.film_factor, tracer.table.bare_factor
-    shown = ground_colour(tracer, hits, corners, colour, of_ground)
+    of_ground = tracer.table.far_albedo, tracer.table.film_factor
+    patches = patch_colours(tracer.table.patch_texture, tracer.table.texel, u, v, textured)
+    shown = ground_colour(tracer, hits, corners, colour, of_ground, patches)
     if tracer.spec.snow is not None:
         shown = dr.select(under_snow(tracer, hits).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
     return dr.select(hits.valid, shown, 0.0)
@@ -217,28 +222,54 @@ def under_snow(tracer: SceneTracer, hits: Hits) -> UnderSnow:
     share = dr.opaque(mi.Float, tracer.spec.snow.share)
     on_leaf = luck < share * dr.minimum(dr.abs(up) / _LEVEL_LEAF, 1.0)
     on_wood = dr.abs(up) > 1.0 - share * (1.0 - _STEEPEST)
-    covered = hits.valid & (hits.instance > 0) & dr.select(leaflike, on_leaf, on_wood)
+    covered = hits.valid & (hits.instance > 0) & dr.select(leaflike, on_leaf, on_wood) & (part != int(Part.WATER))
     return UnderSnow(covered, covered & (up > 0))
 
 
-def ground_colour(
-    tracer: SceneTracer, hits: Hits, corners: Places, colour: Any, of_ground: tuple[Any, Any, Any]
-) -> Any:
-    """`colour` of hits; the ground's is dimmed where it is wet, that of the distance where it lies far, and its own
-    between things that lie on it.
+def patch_colours(texture: Any | None, texel: Any, u: Any, v: Any, active: Any) -> list[Any]:
+    """Colours of the terrain's patches, by their rows of the table `texel`; meaningless off the terrain."""
+    if texture is None:
+        return []
+    found = []
+    for patch in range(dr.width(texture) // 3):
+        first, width, height = (dr.gather(mi.UInt32, texture, mi.UInt32(3 * patch + k)) for k in range(3))
+        found.append(bilinear(texel, first, width, height, u, v, active))
+    return found
 
-    `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factors of a film of water and of
-    bare ground.
+
+def ground_colour(
+    tracer: SceneTracer,
+    hits: Hits,
+    corners: Places,
+    colour: Any,
+    of_ground: tuple[Any, Any],
+    patches: Sequence[Any] = (),
+) -> Any:
+    """`colour` of hits; the ground's is that of others in places, dimmed where it is wet, and that of the distance
+    where it lies far.
+
+    `of_ground` are, in the channels of `colour`, the distant ground's colour, and the factor of a film of water;
+    `patches` the colours of other grounds in places, the later ones on the earlier.
     """
     ground = hits.valid & (hits.instance == 0)
-    far_colour, film_factor, bare_factor = of_ground
+    far_colour, film_factor = of_ground
     far = dr.clip(weighted_sum(mi.Float, tracer.table.far_share, corners, ground), 0.0, 1.0)
-    near = colour
-    for share, factor in ((tracer.table.wet_share, film_factor), (tracer.table.bare_share, bare_factor)):
-        if share is not None:
-            here = dr.clip(weighted_sum(mi.Float, share, corners, ground), 0.0, 1.0)
-            near = near * (1.0 - here * (1.0 - factor))
+    near = _dimmed(tracer.table.wet_share, corners, ground, colour, film_factor)
+    vertices = dr.opaque(mi.UInt32, dr.width(tracer.table.far_share))
+    for index, patch in enumerate(patches):
+        rows = [(weight, corner + index * vertices) for weight, corner in corners]
+        here = dr.clip(weighted_sum(mi.Float, tracer.table.patch_share, rows, ground), 0.0, 1.0)
+        damp = _dimmed(tracer.table.wet_share, corners, ground, patch, film_factor)
+        near = near * (1.0 - here) + damp * here
     return dr.select(ground, near * (1.0 - far) + far_colour * far, colour)
+
+
+def _dimmed(share: Any | None, corners: Places, ground: Any, colour: Any, factor: Any) -> Any:
+    """`colour` times a factor in places, by the share of vertices; None: nowhere."""
+    if share is None:
+        return colour
+    here = dr.clip(weighted_sum(mi.Float, share, corners, ground), 0.0, 1.0)
+    return colour * (1.0 - here * (1.0 - factor))
 
 
 def vertex_uv(tracer: SceneTracer, hits: Hits, corners: Places, textured: Any) -> tuple[Any, Any]:

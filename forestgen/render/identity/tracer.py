@@ -21,13 +21,15 @@ from forestgen.render.build import load, origin_of, plants_dict, to_mesh
 from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import LLVM, dr, mi, on_device, require, tracing_variant, using
 from forestgen.scene.colour import RGB
+from forestgen.scene.motion import is_rolling, row_poses, shutter_s
 from forestgen.scene.projection import DeviceRays, Projection, Rays, projection_of
 from forestgen.scene.spec import Camera, Material, SceneSpec
-from forestgen.scene.surfaces import bare_factor, film_factor
+from forestgen.scene.surfaces import film_factor
 
 # Steps of the R2 sequence (Roberts 2018) in units of 2^-32: powers of the inverse of the real root of x^3 = x + 1.
 LENS_STEPS = (3242174889, 2447445414)
 HASH_ROUNDS = 8  # of the cipher TEA; after 4, numbers of neighbouring pixels are not yet uniform
+_TIMES = 29  # of the exposure, between a sample's time and the next one's; it has no divisor in common with 64
 NONE = 2**32 - 1  # instead of a first row: the mesh has none
 
 
@@ -56,8 +58,8 @@ class HitTables:
     far_albedo: tuple[float, float, float]
     wet_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is wet
     film_factor: tuple[float, float, float]  # of the wet ground's albedo
-    bare_share: NDArray[np.float32] | None  # (VG,) by vertex of the terrain; None: none is bare
-    bare_factor: tuple[float, float, float]  # of the bare ground's albedo
+    patch_share: NDArray[np.float32] | None  # (K, VG) of the terrain's patches by vertex; None: there are none
+    patch_texture: NDArray[np.uint32] | None  # (K, 3) as `texture`
 
     @property
     def nbytes(self) -> int:
@@ -96,13 +98,15 @@ def hit_tables(spec: SceneSpec) -> HitTables:
     images = [terrain.texture, *(_image(*organ) for organ in organs)]  # colour textures
     images = [None if mesh.uv is None else image for mesh, image in zip(meshes, images, strict=True)]
     shown = {id(image): image for image in images if image is not None}  # species share none, organs may
+    patches = [one.texture for one in terrain.overlays]
+    shown |= {id(one): one for one in patches}
     first_texel = dict(zip(shown, _first_rows(list(shown.values()), 1).tolist(), strict=True))
     organ_of_exemplar = 1 + np.cumsum([0, *(len(exemplar.organs) for exemplar in spec.exemplars)])
     normals, uvs = ([getattr(mesh, name) for mesh in meshes] for name in ("normals", "uv"))
     uvs = [None if image is None else uv for uv, image in zip(uvs, images, strict=True)]
     # Normals go with the inverse transpose; for a rotation times a uniform scale that is the matrix itself up to scale.
     inverse_transpose = np.linalg.inv(spec.instances.transform[:, :, :3]).transpose(0, 2, 1)
-    wet, bare = (tuple(of(terrain, RGB).tolist()) for of in (film_factor, bare_factor))
+    film_red, film_green, film_blue = film_factor(terrain, RGB).tolist()
     return HitTables(
         plant_id=np.concatenate([[0], spec.instances.plant_id]).astype(np.uint32),
         exemplar=np.concatenate([[0], np.where(spec.instances.plant_id, spec.instances.exemplar + 1, 0)]).astype(
@@ -127,10 +131,16 @@ def hit_tables(spec: SceneSpec) -> HitTables:
         far_share=np.asarray(terrain.far_share, dtype=np.float32),
         far_albedo=terrain.far_reflectance,
         wet_share=None if terrain.wet is None else terrain.wet.share,
-        film_factor=wet,
-        bare_share=None if terrain.bare is None else terrain.bare.share,
-        bare_factor=bare,
+        film_factor=(film_red, film_green, film_blue),
+        patch_share=np.stack([one.share for one in terrain.overlays]) if terrain.overlays else None,
+        patch_texture=patch_rows(patches, [first_texel[id(one)] for one in patches]),
     )
+
+
+def patch_rows(images: Sequence[NDArray[np.float32]], first: Sequence[int]) -> NDArray[np.uint32] | None:
+    """(K, 3) first texel, width and height of the textures of patches; None: there are none."""
+    rows = [(row, image.shape[1], image.shape[0]) for row, image in zip(first, images, strict=True)]
+    return np.array(rows, dtype=np.uint32) if rows else None
 
 
 def _image(part: Part, mesh: Mesh, material: Material) -> NDArray[np.float32] | None:
@@ -174,12 +184,15 @@ def sample_offsets(samples: int) -> NDArray[np.float64]:
     return np.stack([np.tile(steps, side), np.repeat(steps, side)], axis=1)
 
 
-def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> DeviceRays:
+def camera_rays(
+    camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int, *, exposed: bool = False
+) -> DeviceRays:
     """Rays through sub-pixel positions of `rows` rows: an offset (2,), or `sample_offsets` (S, 2).
 
     Rays run row by row, pixel by pixel, and then over the S positions: neighbours on the device stay neighbours in the
     scene, which makes tracing 2.5 times as fast as position by position. A lens' rays of (2,) go through its middle,
-    those of (S, 2) through all of it.
+    those of (S, 2) through all of it. `exposed`: those of (S, 2) take times spread over the exposure, the same ones in
+    all pixels; else all are taken in its middle.
     """
     offsets, width = np.atleast_2d(offset), camera.size_px[0]
     index = dr.arange(mi.UInt32, rows * width * len(offsets))
@@ -188,26 +201,57 @@ def camera_rays(camera: Camera, offset: NDArray[np.float64], first_row: int, row
     row = pixel // width
     dx, dy = (dr.gather(mi.Float, on_device(mi.Float, offsets[:, axis]), number) for axis in range(2))
     through = number if np.ndim(offset) == 2 else None
-    return pixel_rays(camera, pixel - row * width, row + dr.opaque(mi.UInt32, first_row), dx, dy, through)
+    time = (mi.Float(number * _TIMES % len(offsets)) + 0.5) / len(offsets) if exposed else None
+    return pixel_rays(camera, pixel - row * width, row + dr.opaque(mi.UInt32, first_row), dx, dy, through, time)
 
 
-def pixel_rays(camera: Camera, column: Any, row: Any, dx: Any, dy: Any, number: Any | None) -> DeviceRays:
+def pixel_rays(
+    camera: Camera, column: Any, row: Any, dx: Any, dy: Any, number: Any | None, time: Any | None = None
+) -> DeviceRays:
     """Rays through positions (dx, dy) in [0, 1] of pixels; scene/projection.py has their definition.
 
     All passes take their rays from here, so that theirs are equal to the last bit. What changes from camera to camera
     goes in as opaque values: one compiled kernel serves all cameras of a kind. The `number` of the sample in its pixel
-    chooses the point of the lens; None: its middle.
+    chooses the point of the lens; None: its middle. `time` in [0, 1] is that in the exposure of the ray's row, of a
+    camera that moves; None: the middle.
     """
     width, height = camera.size_px
-    axes = mi.Matrix3f([[dr.opaque(mi.Float, float(value)) for value in line] for line in camera.world_from_camera])
+    shift_m, axes = _row_pose(camera, row)
     x, y = mi.Float(column) + dx - width / 2, mi.Float(row) + dy - height / 2
     lens = None if camera.lens is None or number is None else _lens_points(column, row, number)
     projection = projection_of(camera)
     own = projection.device_rays(camera, x, y, lens, mi, dr)
     if own is None:
         own = _uploaded(projection.rays(camera, *(np.array(one, dtype=np.float64) for one in (x, y))), projection)
-    shift_m = None if own.shift_m is None else axes @ own.shift_m
-    return DeviceRays(axes @ own.direction, own.depth_share, shift_m, own.valid)
+    direction, start_m = own.direction, own.shift_m
+    if time is not None and camera.motion is not None:
+        since_s = (time - 0.5) * dr.opaque(mi.Float, shutter_s(camera))
+        direction, start_m = (None if one is None else _turned(camera, one, since_s) for one in (direction, start_m))
+        way_m = mi.Vector3f(*[dr.opaque(mi.Float, one) for one in camera.motion.velocity_m_per_s]) * since_s
+        shift_m = way_m if shift_m is None else shift_m + way_m
+    if start_m is not None:
+        shift_m = axes @ start_m if shift_m is None else shift_m + axes @ start_m
+    return DeviceRays(axes @ direction, own.depth_share, shift_m, own.valid)
+
+
+def _row_pose(camera: Camera, row: Any) -> tuple[Any | None, Any]:
+    """Where the camera is in the middle of the exposure of rows, less its own place, and its axes; None: there."""
+    if not is_rolling(camera):
+        lines = [[dr.opaque(mi.Float, float(value)) for value in line] for line in camera.world_from_camera]
+        return None, mi.Matrix3f(lines)
+    place, axes = row_poses(camera)
+    table = on_device(mi.Float, np.concatenate([place[:, 0], axes.reshape(-1, 9)], axis=1).ravel())
+    x, y, z, *m = (dr.gather(mi.Float, table, mi.UInt32(row) * 12 + k) for k in range(12))
+    return mi.Vector3f(x, y, z), mi.Matrix3f([m[:3], m[3:6], m[6:]])
+
+
+def _turned(camera: Camera, vector: Any, since_s: Any) -> Any:
+    """Vectors of the camera's axes as these stand a while later: Rodrigues' formula."""
+    assert camera.motion is not None
+    speed = float(np.linalg.norm(camera.motion.rotation_rad_per_s))
+    axis = mi.Vector3f(*[dr.opaque(mi.Float, one / (speed or 1.0)) for one in camera.motion.rotation_rad_per_s])
+    sine, cosine = dr.sincos(since_s * dr.opaque(mi.Float, speed))
+    return vector * cosine + dr.cross(axis, vector) * sine + axis * (dr.dot(axis, vector) * (1.0 - cosine))
 
 
 def _uploaded(rays: Rays, projection: Projection) -> DeviceRays:
@@ -308,21 +352,25 @@ class SceneTracer:
         table[registry[placed]] = [int(name[9:]) + 1 for name in names if name.startswith("instance-")]
         return mi.UInt32(table)
 
-    def trace(self, camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int) -> Hits:
-        """Hits of the rays through sub-pixel positions of `rows` rows from `first_row`; order as in `camera_rays`."""
-        rays = camera_rays(camera, offset, first_row, rows)
+    def trace(
+        self, camera: Camera, offset: NDArray[np.float64], first_row: int, rows: int, *, exposed: bool = False
+    ) -> Hits:
+        """Hits of the rays through sub-pixel positions of `rows` rows from `first_row`, as in `camera_rays`."""
+        rays = camera_rays(camera, offset, first_row, rows, exposed=exposed)
         active = mi.Bool(True) if rays.valid is None else rays.valid
         ray = mi.Ray3f(self.start_of(camera, rays), rays.direction)
         return self.looked_up(rays, self.scene.ray_intersect_preliminary(ray, coherent=True, active=active), active)
 
-    def by_rows(self, camera: Camera, offset: NDArray[np.float64], most_rays: int) -> Iterator[tuple[slice, Hits]]:
+    def by_rows(
+        self, camera: Camera, offset: NDArray[np.float64], most_rays: int, *, exposed: bool = False
+    ) -> Iterator[tuple[slice, Hits]]:
         """Rows of the whole image, as many at a time as have so many rays, and their hits; in the tracer's variant."""
         (width, height), samples = camera.size_px, len(np.atleast_2d(offset))
         step = max(1, most_rays // (width * samples))
         with using(self.variant):
             for first in range(0, height, step):
                 last = min(first + step, height)
-                yield slice(first, last), self.trace(camera, offset, first, last - first)
+                yield slice(first, last), self.trace(camera, offset, first, last - first, exposed=exposed)
             dr.flush_malloc_cache()
 
     def looked_up(self, rays: DeviceRays, hit: Any, active: Any) -> Hits:

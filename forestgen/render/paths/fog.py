@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.render.paths.scattering import Local
+from forestgen.render.paths.water import Shore
 from forestgen.render.variant import dr, mi
 from forestgen.scene.spec import FogLayer
 
@@ -81,7 +82,7 @@ class Fog:
 class Place:
     """Where paths scatter: in fog, or else at a surface, which it is used as."""
 
-    def __init__(self, surface: Local, in_fog: Any, direction: Any, asymmetry: Any) -> None:
+    def __init__(self, surface: Local | Shore, in_fog: Any, direction: Any, asymmetry: Any) -> None:
         """By paths' directions before (Vector3f) and the fog's asymmetry (Float)."""
         self._surface, self.in_fog, self._direction, self._asymmetry = surface, in_fog, direction, asymmetry
         self.geometric = dr.select(in_fog, mi.Vector3f(0.0), surface.geometric)

@@ -13,19 +13,21 @@ from forestgen.render.identity.surface import (
     bilinear_places,
     corners_of,
     ground_colour,
+    patch_colours,
     shading_normal,
     under_snow,
     vertex_uv,
     weighted_sum,
 )
-from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, organs_of, uploaded
+from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, organs_of, patch_rows, uploaded
 from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import dr, mi
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import SceneSpec
-from forestgen.scene.surfaces import bare_factor, film_factor
+from forestgen.scene.surfaces import film_factor, ground_texture
 
 Array = NDArray[np.float32]
+WATER_INDEX = 1.333
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class ReliefTables:
 
     texture: NDArray[np.uint32]  # (1 + O, 3) first texel, width, height; width 0: no texture
     normal: Array  # (T, 3) of texels, in the frame of tangent, cotangent and normal
+    patch_texture: NDArray[np.uint32] | None  # (K, 3) likewise, of the terrain's patches; None: there are none
     first_tangent: NDArray[np.uint32]  # (1 + O,) row of the organ's first face in `tangent`, or NONE: no relief
     tangent: Array  # (F', 3) along which u grows, of faces in their exemplar's frame
 
@@ -49,7 +52,7 @@ class Paint:
     texel: Array  # (T, 3) reflected evenly, in place of `matt`
     far: tuple[float, float, float]  # of the ground in the distance
     film_factor: tuple[float, float, float]  # of the wet ground's colour
-    bare_factor: tuple[float, float, float]  # of the bare ground's colour
+    absorption: Array | None  # (1 + O, 3) 1/m, of the water that an organ is the surface of; None: there is none
 
 
 def relief_tables(spec: SceneSpec) -> ReliefTables:
@@ -74,10 +77,14 @@ def relief_tables(spec: SceneSpec) -> ReliefTables:
         first_tangent.append(faces)
         tangents.append(face_tangents(mesh))
         faces += len(mesh.faces)
+    patches = [one.texture for one in spec.terrain.overlays]
+    rows = patch_rows(patches, (texels + np.cumsum([0, *(one.size // 3 for one in patches)])).tolist()[:-1])
+    normals += [np.tile(np.array([0, 0, 1], np.float32), (one.size // 3, 1)) for one in patches]
     tangents.append(np.zeros((1, 3), np.float32))  # the device gathers from no empty table
     return ReliefTables(
         np.asarray(texture, np.uint32),
         np.concatenate(normals),
+        rows,
         np.asarray(first_tangent, np.uint32),
         np.concatenate(tangents),
     )
@@ -94,26 +101,40 @@ def face_tangents(mesh: Mesh) -> Array:
     return np.asarray(along / np.where(length > 0, length, 1.0), dtype=np.float32)
 
 
+def has_water(spec: SceneSpec) -> bool:
+    """Whether there are surfaces of water."""
+    return any(one.absorption is not None for one in spec.materials.values())
+
+
 def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
     """All surfaces of a scene in three channels."""
     terrain = spec.terrain
-    ground = channels.texture(terrain.texture, terrain.mean_colour, terrain.spectrum)
-    texels = [np.maximum(ground, 0.0).reshape(-1, 3)]
+    ground = ground_texture(terrain, channels)
+    texels = [ground.reshape(-1, 3)]
     matt, through, gloss, chance = [ground.mean(axis=(0, 1))], [np.zeros(3)], [np.zeros(3)], [np.zeros(2)]
     known: set[int] = set()
+    absorbed = [np.zeros(3)]
     for part, mesh, material in organs_of(spec):
         surface = surface_of(part, material, channels, has_uv=mesh.uv is not None)
         if surface.textured and id(material) not in known:
             known.add(id(material))
             texels.append(np.asarray(relief_colour(material, channels), dtype=np.float32).reshape(-1, 3))
         sides, lobe = surface.sides, surface.lobe
+        absorbed.append(np.zeros(3) if material.absorption is None else channels.of_absorption(material.absorption))
+        if material.absorption is not None:
+            matt.append(np.zeros(3))
+            through.append(np.zeros(3))
+            gloss.append(np.array([1.0, material.roughness**2, WATER_INDEX]))
+            chance.append(np.zeros(2))
+            continue
         matt.append(sides.matt)
         through.append(sides.through)
         passing, glossy = sides.shares
         gloss.append(np.zeros(3) if lobe is None else np.array([sides.gloss / lobe.albedo, lobe.alpha, lobe.index]))
         chance.append(np.array([passing if sides.through.any() else 0.0, 0.0 if lobe is None else glossy]))
+    texels += [ground_texture(patch, channels).reshape(-1, 3) for patch in terrain.overlays]
     far_red, far_green, far_blue = channels.of_surface(terrain.far_reflectance, terrain.far_spectrum).tolist()
-    wet, bare = (tuple(of(terrain, channels).tolist()) for of in (film_factor, bare_factor))
+    film_red, film_green, film_blue = film_factor(terrain, channels).tolist()
     return Paint(
         np.asarray(matt, np.float32),
         np.asarray(through, np.float32),
@@ -121,8 +142,8 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
         np.asarray(chance, np.float32),
         np.concatenate(texels, dtype=np.float32),
         (far_red, far_green, far_blue),
-        wet,
-        bare,
+        (film_red, film_green, film_blue),
+        np.asarray(absorbed, np.float32) if has_water(spec) else None,
     )
 
 
@@ -154,12 +175,7 @@ class Local:
         return self.gloss.x * mirror * _lit(up, self.gloss.y * self.gloss.y) * self._glossy_density(half)
 
     def _glossy_density(self, half: Any) -> Any:
-        """Float: density over the directions to which facets that are seen and lean to `half` reflect a path."""
-        square = self.gloss.y * self.gloss.y
-        view, facing = dr.dot(self.normal, self.towards), dr.dot(self.normal, half)
-        spread = dr.square(1.0 - facing * facing * (1.0 - square))
-        value = square * _lit(view, square) / (4 * np.pi * spread * dr.maximum(view, 1e-6))
-        return dr.select((self.gloss.x > 0) & (view > 0) & (facing > 0), value, 0.0)
+        return dr.select(self.gloss.x > 0, facet_density(self.normal, self.towards, half, self.gloss.y), 0.0)
 
     def density(self, direction: Any) -> Any:
         """Float: density, over the sphere, of the directions in which `sample` has paths go on."""
@@ -178,7 +194,7 @@ class Local:
         matt = mi.Frame3f(dr.select(passes, -self.normal, self.facet)).to_world(even)
         axes = mi.Frame3f(self.normal)
         view = axes.to_local(self.towards)
-        half = _visible_facet(view, self.gloss.y, first, second)
+        half = visible_facet(view, self.gloss.y, first, second)
         mirrored = dr.fma(half, 2 * dr.dot(half, view), -view)
         share = self.gloss.x * fresnel(dr.dot(half, view), self.gloss.z) * _lit(mirrored.z, dr.square(self.gloss.y))
         direction = dr.select(glossy, axes.to_world(mirrored), matt)
@@ -188,6 +204,15 @@ class Local:
         bright = dr.select((mirrored.z > 0) & (view.z > 0), share * dr.rcp(dr.maximum(back * self.chance.y, 1e-6)), 0.0)
         weight = dr.select(glossy, mi.Color3f(bright), weight)
         return direction, dr.select(passes, self.through * dr.rcp(dr.maximum(self.chance.x, 1e-6)), weight)
+
+
+def facet_density(normal: Any, towards: Any, half: Any, width: Any) -> Any:
+    """Float: density over the directions to which facets that are seen and lean to `half` reflect a path."""
+    square = width * width
+    view, facing = dr.dot(normal, towards), dr.dot(normal, half)
+    spread = dr.square(1.0 - facing * facing * (1.0 - square))
+    value = square * _lit(view, square) / (4 * np.pi * spread * dr.maximum(view, 1e-6))
+    return dr.select((view > 0) & (facing > 0), value, 0.0)
 
 
 def _lit(cosine: Any, square: Any) -> Any:
@@ -204,7 +229,7 @@ def fresnel(cosine: Any, index: Any) -> Any:
     return 0.5 * (across * across + along * along)
 
 
-def _visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
+def visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
     """Vector3f: normals of facets that are seen from `view` (Heitz 2018)."""
     stretched = dr.normalize(mi.Vector3f(width * view.x, width * view.y, dr.maximum(view.z, 1e-6)))
     length = stretched.x * stretched.x + stretched.y * stretched.y
@@ -222,11 +247,18 @@ def _visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
     return dr.normalize(mi.Vector3f(width * facet.x, width * facet.y, dr.maximum(facet.z, 1e-6)))
 
 
+_SNOW_SMOOTH = 1.0  # how far the normals of snow on leaves and wood turn up: its surface is smoother than what bears it
+
+
 class Surfaces:
     """The tables of a scene on the device; its paint changes with the channels."""
 
     def __init__(self, tracer: SceneTracer) -> None:
         self._tracer, self._relief = tracer, uploaded(relief_tables(tracer.spec))
+
+    def absorption(self, water: Any) -> Any:
+        """Color3f, 1/m, of the water below surfaces of organs (UInt32); 0 of others."""
+        return dr.gather(mi.Color3f, self._paint.absorption, water)
 
     def show(self, channels: Channels) -> None:
         """Have the paint of a pass' channels."""
@@ -253,8 +285,9 @@ class Surfaces:
         places = bilinear_places(offset, width, height, u, v)
         colour = weighted_sum(mi.Color3f, self._paint.texel, places, textured)
         relief = weighted_sum(mi.Vector3f, self._relief.normal, places, textured)
-        of_ground = self._paint.far, self._paint.film_factor, self._paint.bare_factor
-        colour = ground_colour(tracer, hits, corners, colour, of_ground)
+        of_ground = self._paint.far, self._paint.film_factor
+        patches = patch_colours(self._relief.patch_texture, self._paint.texel, u, v, textured)
+        colour = ground_colour(tracer, hits, corners, colour, of_ground, patches)
         matt = dr.select(textured, colour, matt)
         through = dr.gather(mi.Color3f, self._paint.through, hits.organ, valid)
         gloss = dr.gather(mi.Vector3f, self._paint.gloss, hits.organ, valid)
@@ -264,6 +297,9 @@ class Surfaces:
             matt, through = dr.select(snow.seen, self._snow, matt), dr.select(snow.covered, 0.0, through)
             gloss.x = dr.select(snow.seen, 0.0, gloss.x)
             chance.x, chance.y = dr.select(snow.covered, 0.0, chance.x), dr.select(snow.seen, 0.0, chance.y)
+            smooth = dr.normalize(normal + _SNOW_SMOOTH * mi.Vector3f(0.0, 0.0, 1.0))
+            normal = dr.select(snow.seen & (dr.dot(smooth, towards) > 0), smooth, normal)
+            textured &= ~snow.seen
         facet = self._facet(hits, normal, towards, relief, textured)
         return Local(towards, geometric, normal, facet, matt, through, gloss, chance)
 

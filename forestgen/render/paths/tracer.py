@@ -32,9 +32,11 @@ from forestgen.render.cloud_shadow import ShadowPlane
 from forestgen.render.identity import SceneTracer
 from forestgen.render.identity.surface import LIFT
 from forestgen.render.identity.tracer import pixel_rays
-from forestgen.render.light import SUN_RADIUS_DEG, MoonPhase, has_sun, moon_phase, sun_irradiance, sun_radiance
+from forestgen.render.light import has_sun, moon_phase, sun_irradiance, sun_radiance
 from forestgen.render.paths.fog import FAR_M, Fog, Place
-from forestgen.render.paths.scattering import Local, Surfaces
+from forestgen.render.paths.scattering import Local, Surfaces, has_water
+from forestgen.render.paths.sun import Sun
+from forestgen.render.paths.water import Shore, is_water, out_of_water, refracted_down
 from forestgen.render.variant import ROULETTE_DEPTH, dr, mi, renderer_errors, using
 from forestgen.scene.colour import Channels
 from forestgen.scene.projection import DeviceRays
@@ -46,6 +48,7 @@ Floats = NDArray[np.float64]
 _PATHS_AT_ONCE = 1_500_000
 _MOST_LIKELY = 0.95  # a path to go on, once chance may end it
 _FOG_CHOICE = 1 << 16  # the first of the pairs that fog takes
+_TIME_CHOICE = _FOG_CHOICE - 1  # the pair of which a ray's time in the exposure is one
 _BELOW_GROUND_M = 100.0  # below all terrain, where fog ends
 _MOST_IN_FOG = 4096  # scatterings of a path, those at surfaces too
 _CHOICES = 4  # pairs of numbers for a scattering: sun, which lobe and whether to go on, onwards, sky
@@ -163,83 +166,6 @@ def sky_shares(radiance: NDArray[np.float32]) -> tuple[Floats, Floats]:
     return share, share / (np.diff(edges)[:, None] * (2 * np.pi / columns))
 
 
-class Sun:
-    """The sun's disc, or by night the moon's."""
-
-    def __init__(
-        self,
-        to_sun: Floats,
-        irradiance: Floats,
-        radiance: Floats,
-        shadow: ShadowPlane | None,
-        origin_m: Floats,
-        phase: MoonPhase | None = None,
-    ) -> None:
-        """By (3,) irradiance on a surface that faces the sun, and mean radiance of its disc.
-
-        `shadow` is what clouds let through; None: all. `origin_m` (3,), world, is that of the paths' coordinates.
-        `phase` None: the whole disc shines.
-        """
-        self.centre = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in to_sun])
-        self.irradiance, self.radiance = (
-            mi.Color3f(*[dr.opaque(mi.Float, float(value)) for value in three]) for three in (irradiance, radiance)
-        )
-        self._axes = mi.Frame3f(self.centre)
-        self._radius = dr.opaque(mi.Float, float(np.tan(np.radians(SUN_RADIUS_DEG))))
-        self._phase = phase
-        if phase is not None:
-            aside = phase.to_sun - (phase.to_sun @ to_sun) * to_sun
-            aside = aside / max(float(np.linalg.norm(aside)), 1e-12)
-            self._lit_side = mi.Vector3f(*[dr.opaque(mi.Float, float(value)) for value in aside])
-        self._shadow = shadow
-        if shadow is not None:
-            self._texel = mi.Float(np.ascontiguousarray(shadow.transmittance, dtype=np.float32).ravel())
-            size = (shadow.high_m - shadow.low_m) / shadow.transmittance.shape[::-1]
-            self._low = [dr.opaque(mi.Float, float(value)) for value in shadow.low_m - origin_m[:2]]
-            self._per_m = [dr.opaque(mi.Float, float(1.0 / value)) for value in size]
-            self._cells = [dr.opaque(mi.Float, float(count)) for count in shadow.transmittance.shape[::-1]]
-            self._height = dr.opaque(mi.Float, float(shadow.height_m - origin_m[2]))
-
-    def sample(self, first: Any, second: Any) -> Any:
-        """Vector3f, a direction to a point of the disc, all alike."""
-        radius = self._radius * dr.sqrt(first)
-        sine, cosine = dr.sincos(2 * np.pi * second)
-        return dr.normalize(self._axes.to_world(mi.Vector3f(radius * cosine, radius * sine, 1.0)))
-
-    def seen(self, direction: Any) -> Any:
-        """Color3f, the radiance of the disc towards directions; 0 beside it."""
-        aside = dr.norm(dr.cross(direction, self.centre))
-        inside = (aside < self._radius) & (dr.dot(direction, self.centre) > 0)
-        if self._phase is None:
-            return dr.select(inside, self.radiance, 0.0)
-        sine, cosine = dr.sincos(dr.opaque(mi.Float, self._phase.angle_rad))
-        up = dr.safe_sqrt(1.0 - dr.square(aside / self._radius))
-        facing = dr.maximum(sine * dr.dot(direction, self._lit_side) / self._radius + cosine * up, 0.0)
-        law = facing / dr.maximum(facing + up, 1e-6) / self._phase.mean  # Lommel and Seeliger's
-        return dr.select(inside, self.radiance * law, 0.0)
-
-    def share(self, point: Any, direction: Any, active: Any) -> Any:
-        """Float, what clouds let through of the light that comes to points from directions."""
-        if self._shadow is None:
-            return mi.Float(1.0)
-        reach = (self._height - point.z) / dr.maximum(direction.z, 1e-6)
-        place = [point[k] + reach * direction[k] - self._low[k] for k in range(2)]
-        x, y = (place[k] * self._per_m[k] for k in range(2))
-        under = active & (reach > 0) & (x >= 0) & (x <= self._cells[0]) & (y >= 0) & (y <= self._cells[1])
-        corners = []
-        for value, cells in ((x - 0.5, self._cells[0]), (y - 0.5, self._cells[1])):
-            low = dr.floor(value)
-            nearest = [dr.clip(low + step, 0.0, cells - 1.0) for step in (0.0, 1.0)]
-            corners.append((nearest, value - low))
-        (columns, right), (rows, up) = corners
-        found = mi.Float(0.0)
-        for row, across in zip(rows, (1.0 - up, up), strict=True):
-            for column, along in zip(columns, (1.0 - right, right), strict=True):
-                texel = mi.UInt32(row) * mi.UInt32(self._cells[0]) + mi.UInt32(column)
-                found += across * along * dr.gather(mi.Float, self._texel, texel, under)
-        return dr.select(under, found, 1.0)
-
-
 @dataclass(frozen=True)
 class Image:
     """What came back to the camera."""
@@ -262,6 +188,8 @@ class Paths:
     flight_m: Any | None = None  # Float, to where the path scatters in fog; None: there is no fog
     asymmetry: Any | None = None  # Float, of the fog there
     surfaces: Any | None = None  # UInt32, scatterings at surfaces so far; None: there is no fog
+    water: Any | None = None  # UInt32, organ of the surface of the water that it is in, 0 in air; None: there is none
+    matt: Any | None = None  # Bool, whether it met anything but water; None: there is none
 
     def kept(self, rows: Any) -> Paths:
         return Paths(*(None if one is None else dr.gather(type(one), one, rows) for one in vars(self).values()))
@@ -288,6 +216,7 @@ class PathTracer:
         self._sun: Sun | None = None
         with using(tracer.variant):
             self._surfaces = Surfaces(tracer)
+            self._has_water = has_water(tracer.spec)
             self._fog = Fog(tracer.spec.fog, tracer.origin_m) if tracer.spec.fog else None
             lowest_m = float(tracer.spec.terrain.mesh.vertices_m[:, 2].min()) - float(tracer.origin_m[2])
             self._deepest = dr.opaque(mi.Float, lowest_m - _BELOW_GROUND_M)
@@ -342,6 +271,8 @@ class PathTracer:
         begun = Paths(index, start, rays.direction, mi.Color3f(1.0) + dr.zeros(mi.Color3f, size), hit, *flight)
         if self._fog is not None:
             begun = replace(begun, surfaces=dr.zeros(mi.UInt32, size))
+        if self._has_water:
+            begun = replace(begun, water=dr.zeros(mi.UInt32, size), matt=dr.zeros(mi.Bool, size))
         by_sky, by_sun = (dr.zeros(mi.Color3f, size) for _ in range(2))
         dr.eval(*vars(begun).values(), found, past, beyond, by_sky, by_sun)
         paths = begun.kept(dr.compress(found if self._max_depth > 1 else found & met))
@@ -363,8 +294,9 @@ class PathTracer:
         width = dr.opaque(mi.UInt32, self._camera.size_px[0])
         row = pixel // width
         right, down = sequence.pair(mi.UInt32(0))
+        time = None if self._camera.motion is None else sequence.pair(mi.UInt32(_TIME_CHOICE))[0]
         # Replicates go on along the lens' points from places of their own.
-        rays = pixel_rays(self._camera, pixel - row * width, row, right, down, number + (key >> 8))
+        rays = pixel_rays(self._camera, pixel - row * width, row, right, down, number + (key >> 8), time)
         active = mi.Bool(True) if rays.valid is None else rays.valid
         ray = mi.Ray3f(self._tracer.start_of(self._camera, rays), rays.direction)
         return rays, self._tracer.scene.ray_intersect_preliminary(ray, coherent=True, active=active), active
@@ -384,14 +316,7 @@ class PathTracer:
     def _round(self, paths: Paths, sequence: Sequence, depth: int) -> tuple[Any, Paths, Any, Any]:
         """Whether each path goes on, the paths one scattering later, and what they brought of sky and sun."""
         sky, sun = self._sky, self._sun
-        hits = self._tracer.looked_up(DeviceRays(paths.direction, mi.Float(1.0)), paths.hit, mi.Bool(True))
-        local = self._surfaces.at(hits)
-        surface: Local | Place = local
-        distance_m, in_fog = hits.distance_m, mi.Bool(False)
-        if paths.flight_m is not None:
-            in_fog = paths.flight_m < FAR_M
-            surface = Place(local, in_fog, paths.direction, paths.asymmetry)
-            distance_m = dr.select(in_fog, paths.flight_m, distance_m)
+        paths, surface, shore, in_fog, distance_m = self._met(paths)
         point = paths.start + paths.direction * distance_m
         # A hit is as uncertain as the largest number that its place was made of.
         lift = LIFT * dr.maximum(dr.maximum(dr.max(dr.abs(point)), distance_m), 1.0)
@@ -404,11 +329,7 @@ class PathTracer:
         by_sun = mi.Color3f(0.0)
         if sun is not None:
             to_sun = sun.sample(*sequence.pair(choice))
-            light = paths.carried * surface.value(to_sun) * sun.share(point, to_sun, mi.Bool(True)) * sun.irradiance
-            light *= self._through(point, to_sun)
-            wanted = dr.max(light) > 0
-            lit = wanted & ~self._tracer.scene.ray_test(leaving(to_sun), coherent=False, active=wanted)
-            by_sun = dr.select(lit, light, 0.0)
+            by_sun = self._by_sun(paths, surface, point, to_sun, leaving)
         lobe, luck = sequence.pair(choice + 1)
         direction, weight = surface.sample(lobe, *sequence.pair(choice + 2))
         carried = paths.carried * weight
@@ -420,6 +341,9 @@ class PathTracer:
         ray = leaving(direction)
         hit = self._tracer.scene.ray_intersect_preliminary(ray, coherent=False, active=goes_on)
         flight, met = self._flight(sequence, depth, ray.o, direction, hit)
+        if shore is not None:  # there is no fog in water
+            met &= shore.after(in_fog)["water"] == 0
+            flight = [None if one is None else dr.select(met, one, FAR_M) for one in flight]
         away = goes_on & ~hit.is_valid() & ~met
         found = carried * sky.towards(direction, away)
         by_sky = mi.Color3f(0.0)
@@ -435,12 +359,54 @@ class PathTracer:
             found *= own * dr.rcp(dr.maximum(own + sky.density(direction), 1e-30))
         by_sky += dr.select(away, found, 0.0)
         later = Paths(paths.index, ray.o, direction, carried, hit, *flight)
+        if shore is not None:
+            later = replace(later, **shore.after(in_fog))
         may_scatter = hit.is_valid()
         if paths.surfaces is not None:
             count = paths.surfaces + dr.select(in_fog, mi.UInt32(0), 1)
             later = replace(later, surfaces=count)
             may_scatter &= count + 1 < dr.opaque(mi.UInt32, self._max_depth)
         return goes_on & (may_scatter | met), later, by_sky, by_sun
+
+    def _met(self, paths: Paths) -> tuple[Paths, Local | Place | Shore, Shore | None, Any, Any]:
+        """The paths as they arrive, where they scatter, the same as a shore, whether in fog, and how far they came."""
+        hits = self._tracer.looked_up(DeviceRays(paths.direction, mi.Float(1.0)), paths.hit, mi.Bool(True))
+        local, shore = self._surfaces.at(hits), None
+        distance_m, in_fog = hits.distance_m, mi.Bool(False)
+        if paths.water is not None:
+            on_water = is_water(self._tracer, hits.organ, hits.valid)
+            shore = Shore(local, on_water, hits.organ, paths.water, paths.matt)
+            way_m = dr.select(hits.valid, distance_m, 0.0)
+            kept = dr.exp(-self._surfaces.absorption(paths.water) * way_m)
+            paths = replace(paths, carried=paths.carried * kept)
+        surface: Local | Place | Shore = shore or local
+        if paths.flight_m is not None:
+            in_fog = paths.flight_m < FAR_M
+            surface = Place(shore or local, in_fog, paths.direction, paths.asymmetry)
+            distance_m = dr.select(in_fog, paths.flight_m, distance_m)
+        return paths, surface, shore, in_fog, distance_m
+
+    def _by_sun(
+        self, paths: Paths, surface: Local | Place | Shore, point: Any, to_sun: Any, leaving: Callable[[Any], Any]
+    ) -> Any:
+        """Color3f: the sun's own light that paths bring from where they are."""
+        assert self._sun is not None
+        scene, inward, wet = self._tracer.scene, to_sun, mi.Bool(False)
+        if paths.water is not None:
+            wet = paths.water != 0
+            inward = dr.select(wet, refracted_down(to_sun), to_sun)
+        light = paths.carried * surface.value(inward) * self._sun.share(point, to_sun, mi.Bool(True))
+        light *= self._sun.irradiance
+        light *= self._through(point, to_sun)
+        wanted, ray = dr.max(light) > 0, leaving(inward)
+        if paths.water is not None:
+            out, place, share = out_of_water(self._tracer, self._surfaces, ray, to_sun, paths.water, wanted & wet)
+            light *= dr.select(wet, share, 1.0)
+            wanted &= ~wet | out
+            above = mi.Point3f(place.x, place.y, place.z + LIFT * dr.maximum(dr.max(dr.abs(place)), 1.0))
+            ray = mi.Ray3f(dr.select(wet, above, ray.o), to_sun)
+        lit = wanted & ~scene.ray_test(ray, coherent=False, active=wanted)
+        return dr.select(lit, light, 0.0)
 
     def _through(self, point: Any, direction: Any) -> Any:
         """Share of the light of the sky, or the sun, that fog lets through to points."""

@@ -20,6 +20,8 @@ from forestgen.recipe.sources import Keys
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Material
 
+GROUND = "(ground)"  # species of the tiles: no species' name has brackets
+FALLEN = "leaves/"  # at the beginning of the names of materials of fallen leaves
 KeysT = TypeVar("KeysT", bound=GroundLayer)
 Places = Callable[[Floats, Floats], Floats]
 
@@ -67,7 +69,9 @@ class Layer:
     trapped: float  # share of the light that leaves a thing and meets another one, p
     spread: Spread = Spread()
     patch_m: float | None = None
+    relative: Floats | None = None  # cover over its mean on the square metres of the ground's texture; None: even
     where: Places | None = None  # relative density by x, y of the site, of mean 1; None: the same everywhere
+    is_painted: bool = True  # whether the ground has its mean colour where it is not geometry
 
     @property
     def spectrum(self) -> Spectrum:
@@ -115,6 +119,11 @@ class GroundLayerKind(Generic[KeysT]):
         raise NotImplementedError
 
 
+def is_litter(species: str, material: str) -> bool:
+    """Whether a material of a species is one of fallen leaves."""
+    return species == GROUND and material.startswith(FALLEN)
+
+
 def sheet(part: Part, material: str, *patches: Patch) -> OrganMesh:
     """Patches of an organ's frame as a mesh of a part and material."""
     return OrganMesh(part, material, to_mesh(*patches))
@@ -149,6 +158,24 @@ def scaled(material: Material, factor: float) -> Material:
 def shades(material: Material, factors: Sequence[float], name: str) -> dict[str, Material]:
     """The material darker and brighter: by name-0, name-1, ..."""
     return {f"{name}-{index}": scaled(material, factor) for index, factor in enumerate(factors)}
+
+
+def mean_surface(materials: Sequence[Material], share: Floats | None = None) -> Material:
+    """A surface with the mean spectra of several, all of which have one; `share`: (M,) of each, even if not given."""
+
+    def mean(spectra: Sequence[Spectrum | None]) -> Spectrum | None:
+        known = [one for one in spectra if one is not None]
+        if len(known) < len(spectra):
+            return None
+        grid = np.unique(np.concatenate([one.wavelength_nm for one in known]))
+        return Spectrum(grid, np.average([one.at(grid) for one in known], axis=0, weights=share))
+
+    reflected = mean([one.reflectance_spectrum for one in materials])
+    assert reflected is not None  # of all layers
+    passed = mean([one.transmittance_spectrum for one in materials])
+    first = materials[0]
+    colours = colours_of_surface(reflected, passed)
+    return Material(*colours, first.roughness, None, first.gloss, reflected, passed)
 
 
 def opaque(spectrum: Spectrum, roughness: float = 0.8) -> Material:

@@ -37,6 +37,14 @@ class Uneven(GroundCover):
         return np.repeat(np.clip(tone, 0.2, 2.0).astype(np.float32)[..., None], 3, axis=2)
 
 
+class Moist(Uneven):
+    """Soil halfway between dry and wet."""
+
+    def reflectance(self) -> Spectrum:
+        dry, wet = super().reflectance(), SOIL_WET.reflectance()
+        return Spectrum(dry.wavelength_nm, 0.5 * (dry.value + wet.at(dry.wavelength_nm)))
+
+
 class Snow(Uneven):
     """Snow, on the site and on a share of the land around."""
 
@@ -48,7 +56,11 @@ class Snow(Uneven):
 
 SOIL_DRY = Uneven("soil_dry", 0.10, 0.16, darkens_when_wet=True)
 SOIL_WET = Uneven("soil_wet", 0.16, 0.20)
+SOIL_MOIST = Moist("soil_dry", 0.16, 0.20)
+GRAVEL = Uneven("gravel", 0.08, 0.30, darkens_when_wet=True)
 GRASS = Uneven("grass", 0.14, 0.30)
 ROCK = Uneven("rock", 0.20, 0.12, darkens_when_wet=True)
+NEEDLES = Uneven("litter_needles", 0.12, 0.22, darkens_when_wet=True)
+DEAD_GRASS = Uneven("litter_grass", 0.14, 0.25, darkens_when_wet=True)
 SAND = Uneven("sand", 0.04, 0.08, darkens_when_wet=True)
 SNOW = Snow("snow", 0.004, 0.002)

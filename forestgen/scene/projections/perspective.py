@@ -44,6 +44,7 @@ class PerspectiveCamera(CameraSection):
     """A pinhole, or a thin lens."""
 
     covers_ground: ClassVar[bool] = True
+    has_lens: ClassVar[bool] = True
 
     hfov_deg: Number | None = Field(
         None,

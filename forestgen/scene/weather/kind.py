@@ -60,6 +60,12 @@ class WeatherKind(Generic[KeysT]):
         return []
 
 
+def wind_m_per_s(drawn: DrawnRecipe) -> tuple[float, float]:
+    """Mean wind, eastward and northward."""
+    wind, speed = np.radians(drawn.recipe.site.wind_from_deg), drawn.recipe.wind.speed_m_per_s
+    return float(-speed * np.sin(wind)), float(-speed * np.cos(wind))
+
+
 def check_weather(drawn: DrawnRecipe) -> None:
     """Raise `RecipeError` for weather that a recipe cannot have, before anything is simulated."""
     names = [keys.what for keys in drawn.recipe.weather]

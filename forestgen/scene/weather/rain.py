@@ -7,8 +7,9 @@
   and covers what it passes by its share of the time. A nearer surface hides it (render/falling.py).
 - All drops are a medium of twice their cross-section, pi N0 / slope³, through which light is followed as in fog; it
   turns by few degrees (Henyey and Greenstein's g = 0.95).
-- Wet surfaces: bare wood and ground darken as under a film of water (scene/surfaces.py); leaves have a film's mirror, a
-  gloss of 0.04 of smooth water.
+- Wet surfaces: wood, ground and fallen leaves darken as under a film of water (scene/surfaces.py). Living leaves
+  have a film's mirror, a gloss of 0.04 of smooth water; fallen ones, which soak it up, get as smooth and keep theirs.
+- Streaks are faint: a drop of 2 mm covers a pixel of its streak for 3% of an exposure of 0.01 s.
 - Labels are those without rain. The sky is the recipe's: `sky: {kind: overcast}` suits rain.
 
 Example
@@ -39,9 +40,10 @@ from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import SKIES
 from forestgen.recipe.weather import Weather
 from forestgen.scene.colour import colours_of_surface
+from forestgen.scene.ground_layers.layer import is_litter
 from forestgen.scene.spec import Falling, FogLayer, Material, SceneSpec, Terrain, WetGround
 from forestgen.scene.surfaces import under_film, wet_spectrum
-from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed
+from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed, wind_m_per_s
 
 _N0_PER_M3_MM = 8000.0
 _ASYMMETRY = 0.95
@@ -54,7 +56,7 @@ class RainKeys(Weather):
 
     rate_mm_per_h: Positive = Field(8.0, le=200, description="How much falls: 2 light, 8 moderate, 30 heavy.")
     shutter_s: Positive = Field(
-        0.01, le=1, description="How long a camera without an exposure's shutter_s sees the drops, seconds."
+        0.01, le=1, description="How long a camera without an exposure sees the drops, seconds."
     )
     wet: Fraction = Field(1.0, description="How wet plants and ground are: 0 dry, 1 under a film of water.")
 
@@ -84,15 +86,13 @@ class Rain(WeatherKind[RainKeys]):
 
     def on(self, keys: RainKeys, spec: SceneSpec, request: WeatherRequest) -> SceneSpec:
         layer = FogLayer(extinction_per_m(keys.rate_mm_per_h), request.ground_m + _DEEP_M, 1.0, _ASYMMETRY)
-        wind, recipe = np.radians(request.drawn.recipe.site.wind_from_deg), request.drawn.recipe
-        drift = -recipe.wind.speed_m_per_s * np.array([np.sin(wind), np.cos(wind)])
         least_mm = 0.5
         slope = slope_per_mm(keys.rate_mm_per_h)
         falling = Falling(
             number_per_m3=_N0_PER_M3_MM / slope * float(np.exp(-slope * least_mm)),
             least_mm=least_mm,
             mean_excess_mm=1.0 / slope,
-            drift_m_per_s=(float(drift[0]), float(drift[1])),
+            drift_m_per_s=wind_m_per_s(request.drawn),
             shutter_s=keys.shutter_s,
             fall=fall_m_per_s,
         )
@@ -107,16 +107,18 @@ class Rain(WeatherKind[RainKeys]):
 
 def wetted(spec: SceneSpec, share: float) -> SceneSpec:
     """The scene with a film of water on a share of its surfaces."""
-    materials = {key: _wet(one, share) for key, one in spec.materials.items()}
+    materials = {key: _wet(one, share, is_litter=is_litter(*key)) for key, one in spec.materials.items()}
     return replace(spec, materials=materials, terrain=_wet_terrain(spec.terrain, share))
 
 
-def _wet(material: Material, share: float) -> Material:
-    if max(material.transmittance) > 0:  # leaves: their skin is smooth, and so is the film
-        gloss = max(material.gloss, share * _FILM_GLOSS)
-        roughness = material.roughness + share * (min(material.roughness, _FILM_ROUGHNESS) - material.roughness)
-        return replace(material, gloss=gloss, roughness=roughness)
-    dry, spectrum = material.reflectance_spectrum, None
+def _wet(material: Material, share: float, *, is_litter: bool) -> Material:
+    if material.absorption is not None:  # water
+        return material
+    is_leaf = max(material.transmittance) > 0
+    roughness = material.roughness + share * (min(material.roughness, _FILM_ROUGHNESS) - material.roughness)
+    if is_leaf and not is_litter:  # its skin is smooth, and so is the film
+        return replace(material, gloss=max(material.gloss, share * _FILM_GLOSS), roughness=roughness)
+    texture, dry, spectrum = material.texture, material.reflectance_spectrum, None
     if dry is None:
         plain = np.array(material.reflectance)
         red, green, blue = ((1.0 - share) * plain + share * under_film(plain)).tolist()
@@ -125,11 +127,11 @@ def _wet(material: Material, share: float) -> Material:
         film = wet_spectrum(dry)
         spectrum = Spectrum(film.wavelength_nm, (1.0 - share) * dry.at(film.wavelength_nm) + share * film.value)
         colour, _ = colours_of_surface(spectrum, None)
-    texture = material.texture
     if texture is not None:
         factor = np.array(colour) / np.maximum(material.reflectance, 1e-6)
         texture = replace(texture, colour=(texture.colour * factor).astype(np.float32))
-    return replace(material, reflectance=colour, reflectance_spectrum=spectrum, texture=texture)
+    made = replace(material, reflectance=colour, reflectance_spectrum=spectrum, texture=texture)
+    return replace(made, roughness=roughness) if is_litter else made
 
 
 def _wet_terrain(terrain: Terrain, share: float) -> Terrain:

@@ -1,8 +1,9 @@
 """Snow on the ground and on plants.
 
-- On the ground it lies `depth_m` deep, a quarter more or less in drifts of some metres: the ground rises by it, and
-  what is lower is hidden. It has the reflectance of `ground/snow`: fresh dry snow, computed by Kokhanovsky and Zege
-  (2004) from the absorption of ice (Warren and Brandt 2008). 40% of the land around lies under it.
+- On the ground it lies `depth_m` deep, a quarter more or less in drifts and hollows of some metres: the ground rises by
+  it, and what is lower is hidden. Ponds and streams stay open. It has the reflectance of `ground/snow`: fresh dry snow,
+  computed by Kokhanovsky and Zege (2004) from the absorption of ice (Warren and Brandt 2008). 40% of the land around
+  lies under it.
 - On plants it lies on sides that face up: on level wood, stones and roofs, and on a share of the leaves and needles,
   shoot by shoot. The more of it lies, the steeper is the wood that holds it. It takes all light that a leaf would let
   through. A conifer is white from above and dark from below. It adds no thickness, so masks are those of the plants
@@ -40,7 +41,7 @@ from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, che
 
 Floats = NDArray[np.float64]
 _DRIFT = 0.25  # of the depth: standard deviation
-_WAVES, _WAVE_M = 16, (3.0, 15.0)  # of drifts
+_WAVES, _WAVE_M = 32, (1.6, 15.0)  # of drifts
 
 
 class SnowKeys(Weather):
@@ -70,23 +71,29 @@ class Snow(WeatherKind[SnowKeys]):
             spec = replace(spec, snow=SnowCover(keys.on_plants, colour, spectrum))
         if keys.depth_m == 0:
             return spec
+        x, y, z = spec.terrain.mesh.vertices_m.astype(np.float64).T
+        wet = request.ground.level(x, y) > z
         terrain = replace(
             spec.terrain,
-            mesh=drifted(spec.terrain.mesh, keys.depth_m, _rng(request.drawn)),
+            mesh=drifted(spec.terrain.mesh, keys.depth_m, _rng(request.drawn), wet),
+            patches=tuple(replace(one, share=one.share * wet) for one in spec.terrain.patches),
             texture=with_mean(SNOW.pattern(child_rng(request.drawn.image_seed, "snow_cover", "colour")), colour),
             spectrum=spectrum,
             far_reflectance=far_colour,
             far_spectrum=far,
             wet=None,
             bare=None,
+            mixture=None,
         )
         return replace(spec, terrain=terrain, sky=replace(spec.sky, ground_albedo=float(np.mean(far_colour))))
 
 
-def drifted(mesh: Mesh, depth_m: float, rng: np.random.Generator) -> Mesh:
-    """A terrain's mesh raised by snow."""
+def drifted(mesh: Mesh, depth_m: float, rng: np.random.Generator, wet: NDArray[np.bool_] | None = None) -> Mesh:
+    """A terrain's mesh raised by snow, but for vertices (V,) under water."""
     assert mesh.normals is not None
     deep, slope = drifts(mesh.vertices_m[:, :2].astype(np.float64), depth_m, rng)
+    if wet is not None:
+        deep, slope = np.where(wet, 0.0, deep), np.where(wet[:, None], 0.0, slope)
     normals = mesh.normals.astype(np.float64)
     normals = normals / np.maximum(normals[:, 2:], 1e-6) - np.pad(slope, ((0, 0), (0, 1)))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from forestgen.dataset.check import light as light_checks
+from forestgen.dataset.check.frame_data import FrameData
 from forestgen.dataset.optics import falloff, through_lens
-from forestgen.dataset.photo import daylight_rgb, grey_temperature, linear_colours, photo_of
-from forestgen.dataset.raw import raw_image
+from forestgen.dataset.photo import NAME, daylight_rgb, grey_temperature, linear_colours, photo_of, with_photo
+from forestgen.dataset.raw import raw_image, write_raw
 from forestgen.recipe.exposure import Exposure, Jpeg
 from forestgen.render.frame import Radiance
 from support.scenes import camera_at
@@ -107,3 +109,19 @@ def test_clipped_highlights_are_white_whatever_the_balance():
     assert photo.facts["temperature_k"] == pytest.approx(4500.0, rel=0.03)
     np.testing.assert_array_equal(photo.picture[:5, :5], 255)
     np.testing.assert_allclose(photo.picture[5:].mean(axis=(0, 1)), 118.0, atol=4.0)
+
+
+def test_a_photograph_is_checked_against_its_raw_image(tmp_path):
+    folder, frame = tmp_path / "000000-a", FrameData(tmp_path, "000000-a")
+    folder.mkdir()
+    exposure = Exposure(jpeg=Jpeg(quality=80))
+    raw = raw_of(np.linspace(500.0, 2000.0, 96)[:, None] * np.ones((64, 1, 3)), jpeg=exposure.jpeg)
+    write_raw(folder, with_photo(folder, raw, exposure))
+    assert list(light_checks.photo.findings(frame)) == []
+    with Image.open(folder / NAME) as image:
+        changed = np.array(image)
+    Image.fromarray(changed).save(folder / NAME, "JPEG", quality=95)  # another encoder
+    assert list(light_checks.photo.findings(frame)) == []
+    changed[10:20, 30:40] = 255
+    Image.fromarray(changed).save(folder / NAME, "JPEG", quality=95)
+    assert [one.problem for one in light_checks.photo.findings(frame)] == ["photo.jpg is not the raw image's picture"]

@@ -16,7 +16,7 @@ from forestgen.dataset.raw import d65, levels, mosaiced, raw_image, vignetting, 
 from forestgen.dataset.writer import frame_bytes, write_frame
 from forestgen.recipe.exposure import Exposure
 from forestgen.recipe.spectra import load_bands
-from forestgen.render.frame import Radiance
+from forestgen.render.frame import Radiance, SunAtLens
 from forestgen.scene.colour import colour_science
 
 
@@ -247,11 +247,11 @@ def test_files_are_of_sixteen_bits(tmp_path):
     assert json.loads((tmp_path / "raw.json").read_text()) == json.loads(json.dumps(made.facts))
 
 
-def photographed(folder, exposure, about=None, **kept):
+def photographed(folder, exposure, about=None, sun=None, **kept):
     """A frame's folder with a raw image, as the check reads it."""
     shot = make_shot(range(1, 9), **kept)
     camera = replace(shot.frame.camera, exposure=exposure)
-    radiance = shot.frame.radiance
+    radiance = replace(shot.frame.radiance, sun=sun)
     if about is not None:
         values = {"mean": radiance.mean, "variance": radiance.variance, "denoised": radiance.denoised}
         wide = {key: np.repeat(value, 2, axis=-1)[..., : len(about["bands"])] for key, value in values.items()}
@@ -279,6 +279,16 @@ def test_bands_pass_the_check(tmp_path, about):
     assert len(list((frame.root / frame.name).glob("raw-*.png"))) == len(about["bands"])
     assert list(light.raw.findings(frame)) == []
     assert list(light.header.findings(frame)) == []
+
+
+def test_an_image_with_ghosts_of_the_sun_passes_the_check(tmp_path):
+    sun = SunAtLens((0.1, -0.2, 0.9), (9e5, 8e5, 7e5))
+    frame = photographed(tmp_path, changed(EXPOSED, ghosts="coated"), sun=sun)
+    assert list(light.raw.findings(frame)) == []
+    facts = json.loads((frame.root / frame.name / "raw.json").read_text())
+    facts["ghosts"] = None
+    (frame.root / frame.name / "raw.json").write_text(json.dumps(facts))
+    assert list(light.raw.findings(frame)) != []
 
 
 def test_the_estimate_of_disk_space_holds(tmp_path):

@@ -191,3 +191,9 @@ def test_half_of_what_a_cloud_takes_is_taken_at_its_distance() -> None:
     assert hit.any()
     half = 1 - np.exp(-optical_depth(cloud, origin, direction[hit], found[hit]))
     np.testing.assert_allclose(half, whole[hit] / 2, atol=2e-3)
+
+
+def test_a_dark_pixel_before_clouds_has_no_negative_light(light: Airlight) -> None:
+    """Its paths saw less of the sky than the rays that measure the haze."""
+    hazy = hazed(image(np.ones((8, 12, 3))), all_seen(0.5, 0.9), light, LEVEL, np.ones((8, 12, 3)))
+    assert (hazy.mean >= 0.0).all()

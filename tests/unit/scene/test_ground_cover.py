@@ -20,13 +20,13 @@ from forestgen.recipe.load import load_recipe_data
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene import ground_cover, ground_view
 from forestgen.scene.build import BuiltScene
-from forestgen.scene.ground_cover import bare_share, leaf_shares, local_cover, painted, tile_numbers
+from forestgen.scene.ground_cover import leaf_shares, local_cover, tile_numbers
 from forestgen.scene.ground_layers.fallen_leaves import LAYER as FALLEN
-from forestgen.scene.ground_layers.layer import Layer, Request, Spread, Thing
+from forestgen.scene.ground_layers.layer import GROUND, Layer, Request, Spread, Thing
 from forestgen.scene.ground_layers.moss import LAYER as MOSS
-from forestgen.scene.ground_layers.stones import LAYER as STONES
 from forestgen.scene.ground_layers.twigs import LAYER as TWIGS
-from forestgen.scene.ground_tiles import COVERS, GROUND, VARIANTS, tile
+from forestgen.scene.ground_paint import bare_share, painted
+from forestgen.scene.ground_tiles import COVERS, VARIANTS, tile
 from forestgen.scene.ground_view import TILE_M, nearest, tiles_before
 from forestgen.scene.plan import check_plan
 from forestgen.scene.projection import projection_of
@@ -175,9 +175,9 @@ def test_far_tiles_give_way_when_there_are_too_many(monkeypatch: pytest.MonkeyPa
 
 
 def test_paint_has_the_mean_colour_of_what_lies_there() -> None:
-    bare, covered = scene().spec.terrain.spectrum, scene({"what": "stones", "cover": 0.4}).spec.terrain.spectrum
-    keys = STONES.Parameters.model_validate({"what": "stones"})
-    [stones] = STONES.layers(keys, Request(None, {}, {}, 0.01, ()), np.random.default_rng(1))  # type: ignore[arg-type]
+    stony = scene({"what": "stones", "cover": 0.4})
+    bare, covered = scene().spec.terrain.spectrum, stony.spec.terrain.spectrum
+    [stones] = ground_cover.ground_cover(stony.plan, stony.population, stony.spec.cameras).layers
     assert bare is not None
     assert covered is not None
     wanted = 0.6 * float(bare.at(650.0)) + 0.4 * float(stones.spectrum.at(650.0))

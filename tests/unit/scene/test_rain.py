@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from forestgen.render import falling as render_falling
 from forestgen.render.falling import coverage
+from forestgen.scene.ground_layers.layer import FALLEN, GROUND
 from forestgen.scene.projection import image_circle
 from forestgen.scene.spec import Falling, Material
 from forestgen.scene.surfaces import under_film
+from forestgen.scene.weather import snowfall
 from forestgen.scene.weather.rain import extinction_per_m, fall_m_per_s, slope_per_mm, wetted
 from support.scenes import camera_at, plain_ground, scattered_scene
 
@@ -58,15 +61,19 @@ def test_no_drop_falls_outside_of_a_fisheyes_circle() -> None:
 
 def test_what_has_no_spectrum_gets_wet_and_smooth_by_share() -> None:
     bark, leaf = Material((0.3, 0.2, 0.1)), Material((0.1, 0.2, 0.1), (0.1, 0.2, 0.1), roughness=0.65)
+    keys = ("beech", "bark"), ("beech", "leaf"), (GROUND, f"{FALLEN}beech-0")
     spec = scattered_scene(1, exemplars=1, leaves=4, terrain=plain_ground(-5.0, 5.0, albedo=0.3))
-    spec = replace(spec, materials={"bark": bark, "leaf": leaf})
-    half, all_wet = wetted(spec, 0.5), wetted(spec, 1.0)
-    assert all_wet.materials["bark"].reflectance == pytest.approx(under_film(np.array(bark.reflectance)).tolist())
-    mean = (np.array(bark.reflectance) + all_wet.materials["bark"].reflectance) / 2.0
-    assert half.materials["bark"].reflectance == pytest.approx(mean.tolist())
-    assert half.materials["leaf"].roughness == pytest.approx((0.65 + all_wet.materials["leaf"].roughness) / 2.0)
-    assert half.terrain.wet is not None
-    assert half.terrain.wet.reflectance[0] < 0.3
+    spec = replace(spec, materials=dict(zip(keys, (bark, leaf, leaf), strict=True)))
+    half, all_wet = (list(wetted(spec, share).materials.values()) for share in (0.5, 1.0))
+    for dry, wet, some in zip((bark, leaf), all_wet[::2], half[::2], strict=True):
+        film = under_film(np.array(dry.reflectance))
+        assert wet.reflectance == pytest.approx(film.tolist())
+        assert some.reflectance == pytest.approx((0.5 * (np.array(dry.reflectance) + film)).tolist())
+    assert all_wet[1].reflectance == leaf.reflectance
+    assert half[1].roughness == pytest.approx((0.65 + all_wet[1].roughness) / 2.0)
+    wet = wetted(spec, 0.5).terrain.wet
+    assert wet is not None
+    assert wet.reflectance[0] < 0.3
 
 
 def test_a_near_surface_hides_them() -> None:
@@ -76,3 +83,32 @@ def test_a_near_surface_hides_them() -> None:
     covered = coverage(falling(0.01), camera, wall, np.random.default_rng(5))
     assert covered[:, :60].max() == 0.0
     assert covered[:, 60:].max() > 0.0
+
+
+def test_flakes_carry_the_snow_that_falls_and_dim_the_air() -> None:
+    """The water of Gunn and Marshall's flakes at Locatelli and Hobbs' speeds is the rate of usual snowfalls."""
+    melted = np.linspace(0.01, 20.0, 8000)
+    for rate in (0.5, 1.0):
+        number = snowfall.number_per_m3_mm(rate) * np.exp(-snowfall.slope_per_mm(rate) * melted)
+        fallen = np.trapezoid(number * np.pi / 6.0 * melted**3 * snowfall.fall_m_per_s(melted), melted) * 3600.0 * 1e-6
+        assert fallen == pytest.approx(rate, rel=0.2)
+        taken = np.trapezoid(number * 2.0 * np.pi / 4.0 * snowfall.seen_mm(melted) ** 2, melted) * 1e-6
+        assert snowfall.extinction_per_m(rate) == pytest.approx(taken, rel=0.01)
+
+
+def test_many_things_are_drawn_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = replace(camera_at((0.0, 0.0, 2.0), (0.0, 50.0, 2.0), (64, 32), 60.0), projection="panorama")
+    many, far = replace(falling(0.01), number_per_m3=20.0), np.full((32, 64), np.inf, np.float32)
+    whole = coverage(many, camera, far, np.random.default_rng(5))
+    monkeypatch.setattr(render_falling, "_MOST_THINGS", 10_000)
+    parts = coverage(many, camera, far, np.random.default_rng(5))
+    assert parts.mean() == pytest.approx(whole.mean(), rel=0.03)
+    assert (parts != whole).any()
+
+
+def test_wide_flakes_are_discs_that_cover_what_they_measure() -> None:
+    camera = camera_at((0.0, 0.0, 2.0), (0.0, 50.0, 2.0), (240, 160), 60.0)
+    wide = replace(falling(0.0001), number_per_m3=0.5, seen_mm=lambda mm: 20.0 + 0.0 * mm)
+    covered = coverage(wide, camera, np.full((160, 240), np.inf, np.float32), np.random.default_rng(5))
+    assert covered.mean() == pytest.approx(0.5 * 11.0 * np.pi / 4.0 * 20.0**2 * 1e-6, rel=0.15)
+    assert covered.max() > 0.8

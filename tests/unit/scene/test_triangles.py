@@ -14,7 +14,7 @@ from forestgen.pipeline import assemble_image
 from forestgen.plants.build import build_exemplar, tree_size
 from forestgen.recipe.load import load_recipe, load_recipe_data
 from forestgen.recipe.tree_sizes import own_normals
-from forestgen.scene.ground_tiles import GROUND
+from forestgen.scene.ground_layers.layer import GROUND
 from forestgen.scene.plan import Plan, check_plan, make_plan
 from forestgen.scene.triangles import exemplar_triangles, triangles_of
 from support.tiers import few, slow_but

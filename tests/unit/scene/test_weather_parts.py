@@ -51,7 +51,7 @@ def test_a_kind_twice_is_refused() -> None:
 
 
 def test_a_camera_in_the_snow_is_told() -> None:
-    camera = {"position_m": [10, 10, 1.2], "look_at_m": [20, 30, 2]}
+    camera = {"position_m": [10, 10, 0.8], "look_at_m": [20, 30, 2]}
     with raises_error(RecipeError):
         Views.of(drawn_in(SNOW, cameras=[camera])).check_above_ground()
     noted = Views.of(drawn_in(SNOW, cameras=[{**camera, "obstructed": "note", "name": "mole"}]))

@@ -1,0 +1,110 @@
+"""Surfaces of water and other grounds of a shaped ground as the renderer takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from forestgen.core.parts import Part
+from forestgen.core.randomness import child_rng
+from forestgen.geometry.mesh import Floats, Mesh, part_of, vertex_normals
+from forestgen.plants.bark.texture import with_mean
+from forestgen.plants.exemplar import Exemplar, OrganMesh
+from forestgen.recipe.registries import GROUND_COVERS, GROUND_OF
+from forestgen.scene.colour import colours_of_surface
+from forestgen.scene.ground_layers.layer import GROUND
+from forestgen.scene.shaped_ground import ShapedGround
+from forestgen.scene.spec import GroundPatch, Instances, Material, SceneSpec, Terrain
+from forestgen.scene.terrain import HeightField, smooth_step
+from forestgen.scene.water import WAVES_M, water_material
+
+_MUD_M, _MUDDY_M = 0.3, 0.5  # from the shore, where the bed's ground begins, and within how much it covers all
+
+
+def with_land(terrain: Terrain, ground: HeightField, seed: int) -> Terrain:
+    """The terrain with the grounds of paths and beds."""
+    if not isinstance(ground, ShapedGround):
+        return terrain
+    x, y = terrain.mesh.vertices_m[:, :2].astype(np.float64).T
+    shares: dict[str, Floats] = {}
+    for track in ground.tracks:
+        name = track.keys.surface
+        shares[name] = np.maximum(shares.get(name, 0.0), track.share(x, y))
+    strip = np.max([np.zeros(len(x)), *(track.strip(x, y) for track in ground.tracks)], axis=0)
+    if strip.any():
+        shares[GROUND_OF["strip"]] = np.maximum(shares.get(GROUND_OF["strip"], 0.0), strip)
+    for body in ground.bodies:
+        near, share = body.near(x, y), np.zeros(len(x))
+        share[near.rows] = smooth_step((_MUD_M - near.shore_m) / _MUDDY_M)
+        shares[body.keys.ground] = np.maximum(shares.get(body.keys.ground, 0.0), share)
+    return replace(terrain, patches=tuple(_patch(name, share, seed) for name, share in shares.items()))
+
+
+def _patch(name: str, share: Floats, seed: int) -> GroundPatch:
+    cover = GROUND_COVERS.load(name)
+    spectrum = cover.reflectance()
+    colour, _ = colours_of_surface(spectrum, None)
+    texture = with_mean(cover.pattern(child_rng(seed, "terrain", "patch", name)), colour)
+    return GroundPatch(share.astype(np.float32), texture, colour, spectrum)
+
+
+def with_water(spec: SceneSpec, ground: HeightField, wind_m_per_s: float, seed: int) -> SceneSpec:
+    """The scene with the surfaces of its ponds and streams, which have no plant_id."""
+    if not isinstance(ground, ShapedGround) or not ground.bodies:
+        return spec
+    organs: list[OrganMesh] = []
+    materials: dict[tuple[str, str], Material] = {}
+    for index, mesh in _surfaces(ground, spec.terrain.mesh).items():
+        name = f"water-{index}"
+        organs.append(OrganMesh(Part.WATER, name, mesh))
+        rng = child_rng(seed, "water", index)
+        materials[GROUND, name] = water_material(ground.bodies[index].keys, wind_m_per_s, rng)
+    if not organs:
+        return spec
+    low, high = (np.array([pick(one.mesh.vertices_m, axis=0) for one in organs]) for pick in (np.min, np.max))
+    wide = float(np.max(high.max(axis=0) - low.min(axis=0)))
+    surface = Exemplar(GROUND, tuple(organs), 0.5 * wide, float(high[:, 2].max()), wide, 0.0, 0.0)
+    old = spec.instances
+    return replace(
+        spec,
+        exemplars=(*spec.exemplars, surface),
+        materials={**spec.materials, **materials},
+        instances=Instances(
+            exemplar=np.append(old.exemplar, np.uint32(len(spec.exemplars))),
+            transform=np.concatenate([old.transform, np.eye(3, 4)[None]]),
+            plant_id=np.append(old.plant_id, np.uint32(0)),
+            outside=old.outside + 1,
+        ),
+    )
+
+
+def _surfaces(ground: ShapedGround, terrain: Mesh) -> Mapping[int, Mesh]:
+    """By body: the triangles of the terrain's mesh that have a corner under water, at the height of the level."""
+    x, y, z = terrain.vertices_m.astype(np.float64).T
+    count = len(ground.bodies)
+    levels = np.full((count, len(x)), np.nan)
+    shore = np.full((count, len(x)), np.inf)
+    for index, body in enumerate(ground.bodies):
+        near = body.near(x, y)
+        levels[index, near.rows], shore[index, near.rows] = near.level_m, near.shore_m
+    level = ground.level(x, y)
+    owner = np.where(level > z, np.argmin(shore, axis=0), -1)
+    of_face = owner[terrain.faces].max(axis=1)
+    found = {}
+    for index in range(count):
+        faces = terrain.faces[(of_face == index) & np.isfinite(levels[index])[terrain.faces].all(axis=1)]
+        if len(faces):
+            found[index] = _level_mesh(terrain, faces, levels[index])
+    return found
+
+
+def _level_mesh(terrain: Mesh, faces: NDArray[np.uint32], level_m: Floats) -> Mesh:
+    vertices = terrain.vertices_m.astype(np.float64)
+    vertices[:, 2] = np.nan_to_num(level_m)
+    mesh = part_of(Mesh(vertices.astype(np.float32), terrain.faces), faces)
+    normals = vertex_normals(mesh.vertices_m.astype(np.float64), mesh.faces)
+    uv = mesh.vertices_m[:, :2] / np.float32(WAVES_M)
+    return replace(mesh, normals=normals.astype(np.float32), uv=uv.astype(np.float32))
