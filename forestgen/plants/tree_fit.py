@@ -321,9 +321,10 @@ def _stem_below(skeleton: Skeleton, height_m: float) -> Floats:
 
 def _mean_width(nodes: Floats, low: Floats, high: Floats) -> float:
     """Mean of the extents in x and y of nodes and organs' boxes."""
-    least = np.minimum(nodes[:, :2].min(axis=0), low[:, :2].min(axis=0))
-    most = np.maximum(nodes[:, :2].max(axis=0), high[:, :2].max(axis=0))
-    return float(np.mean(most - least))
+    extents = [  # column by column: several times as fast as along the rows
+        max(nodes[:, k].max(), high[:, k].max()) - min(nodes[:, k].min(), low[:, k].min()) for k in (0, 1)
+    ]
+    return float(0.5 * (extents[0] + extents[1]))
 
 
 def organ_boxes(organs: Sequence[OrganPlacements], templates: Mapping[str, Mesh]) -> tuple[Floats, Floats, Floats]:
