@@ -105,8 +105,8 @@ def fill_crown(
 
 
 def _stem_at(skeleton: Skeleton, height_m: Floats) -> Floats:
-    """(M, 3) how far the first stem is aside of the tree's foot at heights, in x and y; 0 in z."""
-    stem = skeleton.position_m[first_stem(skeleton.axis)].astype(np.float64)
+    """(M, 3) how far the stem is aside of the tree's foot at heights, in x and y; 0 in z."""
+    stem = middle_of_stems(skeleton)
     stem = stem[np.argsort(stem[:, 2], kind="stable")]
     x, y = (np.interp(height_m, stem[:, 2], stem[:, k]) for k in (0, 1))
     return np.stack([x, y, np.zeros_like(x)], axis=1)
@@ -201,6 +201,29 @@ def first_stem(axis: NDArray[np.int32]) -> Bools:
     own: Bools = axis == axis[min(1, len(axis) - 1)]
     own[0] = True
     return own
+
+
+def is_second_stem(skeleton: Skeleton) -> Bools:
+    """(N,) nodes of stems that begin on the first one, above its foot."""
+    first, last = skeleton.axes()
+    stem = first_stem(skeleton.axis)
+    bearer = skeleton.parent[first]
+    own = (skeleton.order[first] == 0) & ~stem[first] & (bearer > 0) & stem[np.maximum(bearer, 0)]
+    return np.repeat(own, last - first)
+
+
+def middle_of_stems(skeleton: Skeleton) -> Floats:
+    """(K, 3) nodes of the first stem; above a fork in the middle between both stems."""
+    points, second = skeleton.position_m.astype(np.float64), is_second_stem(skeleton)
+    stem = points[first_stem(skeleton.axis)]
+    if second.any():
+        other = points[second]
+        other = np.concatenate([points[skeleton.parent[[np.argmax(second)]]], other])
+        other = other[np.argsort(other[:, 2], kind="stable")]
+        above = stem[:, 2] > other[0, 2]
+        for k in (0, 1):
+            stem[above, k] = 0.5 * (stem[above, k] + np.interp(stem[above, 2], other[:, 2], other[:, k]))
+    return stem
 
 
 def _branches(skeleton: Skeleton, thinnest_m: float) -> tuple[Skeleton, Ints]:

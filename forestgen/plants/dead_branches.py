@@ -29,7 +29,7 @@ import numpy as np
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Bools, Floats, Ints, concatenate, unit
 from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep_tubes
-from forestgen.plants.crown_twigs import TWIG_ORDER, first_stem
+from forestgen.plants.crown_twigs import TWIG_ORDER, first_stem, is_second_stem
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.skeleton import Skeleton
 from forestgen.plants.tree_size import TreeSize
@@ -92,7 +92,7 @@ def _places(law: DeadBranches, base_m: float, rng: np.random.Generator) -> tuple
 
 def _lowest_branch_m(skeleton: Skeleton) -> float:
     """Height at which the lowest living branches leave the stem: below it are few of their sections."""
-    stem, parent = first_stem(skeleton.axis), np.maximum(skeleton.parent, 0)
+    stem, parent = first_stem(skeleton.axis) | is_second_stem(skeleton), np.maximum(skeleton.parent, 0)
     foot = ~stem & stem[parent] & (skeleton.parent >= 0) & (skeleton.order < TWIG_ORDER)
     if not foot.any():
         return 0.0

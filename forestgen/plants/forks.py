@@ -49,15 +49,6 @@ def forked(skeleton: Skeleton, wood: Wood | None, rng: np.random.Generator) -> S
     return _two(whole, int(stem[above]), aside)
 
 
-def is_second_stem(skeleton: Skeleton) -> Bools:
-    """(N,) nodes of stems that begin on the first one, above its foot."""
-    first, last = skeleton.axes()
-    stem = first_stem(skeleton.axis)
-    bearer = skeleton.parent[first]
-    own = (skeleton.order[first] == 0) & ~stem[first] & (bearer > 0) & stem[np.maximum(bearer, 0)]
-    return np.repeat(own, last - first)
-
-
 def _with_node(skeleton: Skeleton, at_m: float) -> Skeleton:
     """The skeleton with one more node on its stem, at a height that the stem reaches."""
     stem, position = np.flatnonzero(first_stem(skeleton.axis)), skeleton.position_m.astype(np.float64)

@@ -28,8 +28,17 @@ from forestgen.core.frames import BREAST_HEIGHT_M
 from forestgen.core.parts import Part
 from forestgen.core.stem_form import stem_radius_m
 from forestgen.geometry.mesh import Floats, Ints, Mesh, surface_area_m2
-from forestgen.plants.crown_twigs import DARKEST, EXTINCTION, Leaves, fill_crown, first_stem, rules_of_twigs
-from forestgen.plants.forks import FORKED, is_second_stem
+from forestgen.plants.crown_twigs import (
+    DARKEST,
+    EXTINCTION,
+    Leaves,
+    fill_crown,
+    first_stem,
+    is_second_stem,
+    middle_of_stems,
+    rules_of_twigs,
+)
+from forestgen.plants.forks import FORKED
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.tree_size import TreeSize
@@ -313,7 +322,7 @@ def _filled(stretch: Stretch, nodes: Floats, feet: Floats, area: Floats, fullnes
 
 def _stem_below(skeleton: Skeleton, height_m: float) -> Floats:
     """(K, 3) nodes of the stem up to a height, the height of each above those before."""
-    nodes = skeleton.position_m[first_stem(skeleton.axis)].astype(np.float64)
+    nodes = middle_of_stems(skeleton)
     nodes = nodes[np.maximum.accumulate(nodes[:, 2]) == nodes[:, 2]]
     below = nodes[(nodes[:, 2] <= height_m) & (np.diff(nodes[:, 2], prepend=-1.0) > 0.0)]
     return below if len(below) else np.zeros((1, 3))

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, model_validator
 
 from forestgen.recipe import fields
 from forestgen.recipe.registries import GROUND_COVERS, GROUND_OF
 
 MOST_LINES, MOST_POINTS = 20, 200
+_NARROWEST_ROAD_M = 2.4
 BEYOND_M = 60.0  # of the site's edge, as far as a path or stream may go on
 DISSOLVED_PER_M = 2.4  # see scene/water.py
 
@@ -32,7 +33,7 @@ class MicroRelief(fields.Section):
 
     rms_m: fields.NonNegative = Field(0.05, le=0.5, description="Standard deviation of their height, metres.")
     longest_m: fields.Positive = Field(
-        4.0, ge=1, le=20, description="Longest distance between mounds, metres; the shortest is a quarter of it."
+        4.0, ge=2, le=20, description="Longest distance between mounds, metres; the shortest is a quarter of it."
     )
 
 
@@ -52,6 +53,13 @@ class Path(fields.Section):
         None,
         description=f"What its surface is. Default: {GROUND_OF['path']}; {GROUND_OF['forest_road']} of a forest road.",
     )
+
+    @model_validator(mode="after")
+    def _has_room(self) -> Self:
+        if self.what == "forest_road" and self.wide_m < _NARROWEST_ROAD_M:
+            expected = f"at least {_NARROWEST_ROAD_M:g} m: two ruts and a middle strip"
+            raise fields.violation(expected, problem="a road too narrow for a car", got=f"{self.wide_m:g} m")
+        return self
 
     @property
     def surface(self) -> str:

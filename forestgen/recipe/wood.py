@@ -101,6 +101,13 @@ class Forks(Section):
     between: tuple[Fraction, Fraction] = Field((0.15, 0.7), description="Where, over the stem's height.")
     angle_deg: NonNegative = Field(28.0, le=90, description="Mean angle between the stems at the fork, degrees.")
 
+    @model_validator(mode="after")
+    def _ascends(self) -> Self:
+        low, high = self.between
+        if low > high:
+            raise violation("two shares that ascend", problem="a range upside down", got=f"[{low:g}, {high:g}]")
+        return self
+
 
 class Wood(Section):
     """Dead branches, other barks by height, covers of the bark, roots, sweep and forks of a tree."""

@@ -32,7 +32,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.registries import GROUND_LAYERS
 from forestgen.scene.blocks import sheared
 from forestgen.scene.ground_layers.layer import GROUND, Layer, Places, Request
-from forestgen.scene.ground_paint import painted, patches_of, relative_cover
+from forestgen.scene.ground_paint import LONGEST_PATCH_M, painted, patches_of, relative_cover
 from forestgen.scene.ground_tiles import COVERS, MOST_THINGS, VARIANTS, number_per_m2, single, tile
 from forestgen.scene.ground_view import MOST_TILES, TILE_M, best_pixel_m, nearest, seen_tiles
 from forestgen.scene.plan import Plan
@@ -253,8 +253,8 @@ def local_cover(layer: Layer, middle: Floats, seed: int) -> Floats:
     cover = np.asarray(1.0 - (1.0 - layer.cover) ** relative)
     if layer.relative is not None:
         row, column = (np.floor(middle[:, k] / TILE_M).astype(np.intp) % len(layer.relative) for k in (1, 0))
-        return np.asarray(np.clip(cover * layer.relative[row, column], 0.0, COVERS[-1]))
-    if layer.patch_m is None:
+        cover = np.asarray(np.clip(cover * layer.relative[row, column], 0.0, COVERS[-1]))
+    if layer.patch_m is None or (layer.patch_m <= LONGEST_PATCH_M and layer.relative is not None):
         return cover
     waves = _waves(middle, layer.patch_m, child_rng(seed, "patches", layer.name))
     threshold = _threshold(layer.cover)

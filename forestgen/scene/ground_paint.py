@@ -66,7 +66,7 @@ def patches(cover: float, patch_m: float, edge: float, rng: np.random.Generator)
 
 
 def relative_cover(sections: Sequence[GroundLayer], found: Patches) -> list[Floats | None]:
-    """Of each layer, its cover over its mean on the square metres of the texture, (rows, columns); None: even."""
+    """Of each layer, a factor on its cover by square metre of the texture, (rows, columns); None: even."""
     cells = round(TEXTURE_TILE_M / TILE_M)
     relative: list[Floats | None] = []
     for index, keys in enumerate(sections):

@@ -354,6 +354,11 @@ def _check_clouds(views: Views) -> None:
         problem, where = "light through the clouds' volume knows no water", drawn.where("site", "water")
         hint = "leave out site.water, or raise the clouds and leave render.clouds out"
         raise RecipeError(problem, where=where, expected="render.clouds: farfield or auto", got="exact", hint=hint)
+    for index, section in enumerate(drawn.recipe.cameras):
+        if section.motion is not None and drawn.recipe.render.clouds == "exact" and drawn.recipe.sky.clouds.has_clouds:
+            problem = "light through the clouds' volume knows no camera that moves"
+            where, hint = drawn.where("cameras", index, "motion"), "leave out motion, or leave render.clouds out"
+            raise RecipeError(problem, where=where, expected="render.clouds: farfield or auto", got="exact", hint=hint)
     base_m = source.known_base_m(drawn)
     if base_m is None or drawn.recipe.render.clouds != "farfield":
         return

@@ -33,7 +33,7 @@ from forestgen.scene.courses import STEP_M, Course
 from forestgen.scene.terrain import MARGIN_M, SITE_CELL_M, HeightField, smooth_step
 from forestgen.scene.water import Body, pond, stream
 
-_RELIEF_CELL_M, _RELIEF_WAVES = 0.375, 48
+_RELIEF_CELLS, _RELIEF_WAVES = 12.0, 48  # cells along the longest wave, three along the shortest
 _SMOOTHED_M = 6.0  # of a path, over which its height is even
 _RUT_APART_M, _RUT_WIDE_M, _RUT_M, _CROWN_M, _HOLLOW_M = 1.8, 0.22, 0.08, 0.03, 0.04
 _STRIP_M, _GRASS = 0.45, 0.8  # half the width of the middle strip with its border, and how much of it is grass
@@ -54,6 +54,7 @@ class Relief:
     wave_per_m: Floats  # (W, 2)
     amplitude_m: Floats  # (W,)
     phase: Floats  # (W,)
+    longest_m: float
 
     @classmethod
     def of(cls, keys: land.MicroRelief, rng: np.random.Generator) -> Relief:
@@ -61,7 +62,7 @@ class Relief:
         angle = 2.0 * np.pi * rng.random(_RELIEF_WAVES)
         wave = 2.0 * np.pi / length * np.stack([np.cos(angle), np.sin(angle)])
         size = length * keys.rms_m * np.sqrt(2.0 / np.sum(length**2))
-        return cls(wave.T, size, 2.0 * np.pi * rng.random(_RELIEF_WAVES))
+        return cls(wave.T, size, 2.0 * np.pi * rng.random(_RELIEF_WAVES), keys.longest_m)
 
     def at(self, x_m: Floats, y_m: Floats) -> Floats:
         """(N,) metres."""
@@ -136,7 +137,7 @@ class ShapedGround(HeightField):
 
     @property
     def cell_m(self) -> float:
-        return SITE_CELL_M if self.relief is None else _RELIEF_CELL_M
+        return SITE_CELL_M if self.relief is None else self.relief.longest_m / _RELIEF_CELLS
 
     @property
     def fine_m2(self) -> float:
@@ -234,7 +235,8 @@ def shaped(
     tracks = [_track(keys, base, rng) for keys, rng in zip(paths, rngs[1].spawn(len(paths)), strict=True)]
     waves = None if relief is None else Relief.of(relief, rngs[0])
     ground = ShapedGround(base.size_m, base, waves, tuple(tracks))
-    for keys, rng in zip(water, rngs[2].spawn(len(water)), strict=True):
+    parts = zip(water, rngs[2].spawn(len(water)), strict=True)
+    for keys, rng in sorted(parts, key=lambda part: isinstance(part[0], land.Stream)):  # streams run into ponds
         made: Body
         if isinstance(keys, land.Pond):
             made = pond(keys, ground.surface, rng)

@@ -104,7 +104,9 @@ class Views:
         found = []
         for index, cameras in enumerate(self.cameras):
             at_m = np.array([camera.position_m for camera in cameras], dtype=np.float64)
-            above = at_m[:, 2] - self.height.surface(*at_m[:, :2].T) - raised_m(self.drawn, at_m[:, :2])
+            is_dry = self.height.level(*at_m[:, :2].T) <= self.height(*at_m[:, :2].T)  # no snow lies on water
+            deep = np.where(is_dry, raised_m(self.drawn, at_m[:, :2]), 0.0)
+            above = at_m[:, 2] - self.height.surface(*at_m[:, :2].T) - deep
             found += [(index, cameras[k], float(above[k])) for k in np.flatnonzero(above < LEAST_ABOVE_GROUND_M)]
         return found
 

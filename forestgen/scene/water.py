@@ -159,9 +159,9 @@ def stream(keys: land.Stream, ground: Surface, pond_level: Surface, rng: np.rand
     first_m, last_m = ground(*course.places_m[[0, -1]].T)
     if first_m < last_m:
         course = Course(course.places_m[::-1].copy(), course.uneven[::-1].copy())
-    half = 0.5 * keys.width_m
-    offsets = half * np.array([-1.0, 0.0, 1.0])
-    offsets = np.concatenate([offsets, *([-half - one, half + one] for one in _BESIDE_M)])
+    half = float(half_widths_m(keys, course).max())
+    inside = half * np.linspace(-1.0, 1.0, 3 + 2 * int(half))
+    offsets = np.concatenate([inside, *([-half - one, half + one] for one in _BESIDE_M)])
     places = course.across_m(offsets)
     dry_m = ground(*places.reshape(-1, 2).T).reshape(places.shape[:2]).min(axis=1) - _FREEBOARD_M
     still_m = pond_level(*course.places_m.T)

@@ -29,18 +29,19 @@ def with_land(terrain: Terrain, ground: HeightField, seed: int) -> Terrain:
     if not isinstance(ground, ShapedGround):
         return terrain
     x, y = terrain.mesh.vertices_m[:, :2].astype(np.float64).T
-    shares: dict[str, Floats] = {}
+    shares: dict[tuple[str, str], Floats] = {}  # by purpose and ground: beds lie on paths
     for track in ground.tracks:
-        name = track.keys.surface
-        shares[name] = np.maximum(shares.get(name, 0.0), track.share(x, y))
+        key = ("path", track.keys.surface)
+        shares[key] = np.maximum(shares.get(key, 0.0), track.share(x, y))
     strip = np.max([np.zeros(len(x)), *(track.strip(x, y) for track in ground.tracks)], axis=0)
     if strip.any():
-        shares[GROUND_OF["strip"]] = np.maximum(shares.get(GROUND_OF["strip"], 0.0), strip)
+        shares["strip", GROUND_OF["strip"]] = strip
     for body in ground.bodies:
         near, share = body.near(x, y), np.zeros(len(x))
         share[near.rows] = smooth_step((_MUD_M - near.shore_m) / _MUDDY_M)
-        shares[body.keys.ground] = np.maximum(shares.get(body.keys.ground, 0.0), share)
-    return replace(terrain, patches=tuple(_patch(name, share, seed) for name, share in shares.items()))
+        key = ("bed", body.keys.ground)
+        shares[key] = np.maximum(shares.get(key, 0.0), share)
+    return replace(terrain, patches=tuple(_patch(name, share, seed) for (_, name), share in shares.items()))
 
 
 def _patch(name: str, share: Floats, seed: int) -> GroundPatch:

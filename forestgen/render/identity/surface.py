@@ -187,7 +187,7 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
     colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
     of_ground = tracer.table.far_albedo, tracer.table.film_factor
-    patches = patch_colours(tracer.table.patch_texture, tracer.table.texel, u, v, textured)
+    patches = patch_colours(tracer.table.patch_texture, tracer.table.texel, u, v, textured & (hits.instance == 0))
     shown = ground_colour(tracer, hits, corners, colour, of_ground, patches)
     if tracer.spec.snow is not None:
         shown = dr.select(under_snow(tracer, hits).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)

@@ -286,7 +286,7 @@ class Surfaces:
         colour = weighted_sum(mi.Color3f, self._paint.texel, places, textured)
         relief = weighted_sum(mi.Vector3f, self._relief.normal, places, textured)
         of_ground = self._paint.far, self._paint.film_factor
-        patches = patch_colours(self._relief.patch_texture, self._paint.texel, u, v, textured)
+        patches = patch_colours(self._relief.patch_texture, self._paint.texel, u, v, textured & (hits.instance == 0))
         colour = ground_colour(tracer, hits, corners, colour, of_ground, patches)
         matt = dr.select(textured, colour, matt)
         through = dr.gather(mi.Color3f, self._paint.through, hits.organ, valid)

@@ -8,7 +8,7 @@ Example
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -27,6 +27,7 @@ class BareSoilKeys(GroundLayer):
 
     cover: fields.Number = Field(0.1, gt=0, le=DENSEST, description="Share of the ground that is bare.")
     patch_m: fields.Positive = Field(1.5, ge=0.5, le=LONGEST_PATCH_M, description="Size of the patches, metres.")
+    on: Literal["ground"] = Field("ground", description="Everywhere but in water and on paths.")
     of: Annotated[fields.Text, *fields.part_name(GROUND_COVERS), Field(description="What shows.")]
 
 

@@ -69,7 +69,7 @@ class Layer:
     trapped: float  # share of the light that leaves a thing and meets another one, p
     spread: Spread = Spread()
     patch_m: float | None = None
-    relative: Floats | None = None  # cover over its mean on the square metres of the ground's texture; None: even
+    relative: Floats | None = None  # factor on the cover, by square metre of the ground's texture; None: even
     where: Places | None = None  # relative density by x, y of the site, of mean 1; None: the same everywhere
     is_painted: bool = True  # whether the ground has its mean colour where it is not geometry
 

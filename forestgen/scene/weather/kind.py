@@ -77,7 +77,7 @@ def check_weather(drawn: DrawnRecipe) -> None:
 
 
 def in_weather(spec: SceneSpec, drawn: DrawnRecipe, ground: HeightField) -> SceneSpec:
-    """A finished scene in its recipe's weather: parts in the order of their names, so snow is last and dry."""
+    """A finished scene in its recipe's weather: parts in the order of their names, so snow covers what rain wetted."""
     for index, keys in sorted(enumerate(drawn.recipe.weather), key=lambda part: part[1].what):
         spec = WEATHER.load(keys.what).on(keys, spec, WeatherRequest(drawn, ground, ("weather", index)))
     return spec

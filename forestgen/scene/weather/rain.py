@@ -43,6 +43,7 @@ from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import is_litter
 from forestgen.scene.spec import Falling, FogLayer, Material, SceneSpec, Terrain, WetGround
 from forestgen.scene.surfaces import under_film, wet_spectrum
+from forestgen.scene.terrain import HeightField
 from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed, wind_m_per_s
 
 _N0_PER_M3_MM = 8000.0
@@ -97,7 +98,7 @@ class Rain(WeatherKind[RainKeys]):
             fall=fall_m_per_s,
         )
         spec = replace(spec, fog=(*spec.fog, layer), falling=(*spec.falling, falling))
-        return spec if keys.wet == 0 else wetted(spec, keys.wet)
+        return spec if keys.wet == 0 else wetted(spec, keys.wet, request.ground)
 
     def notes(self, keys: RainKeys, drawn: DrawnRecipe) -> list[str]:
         if SKIES.load(drawn.recipe.sky.kind).has_sun and not drawn.recipe.sky.clouds.has_clouds:
@@ -105,10 +106,10 @@ class Rain(WeatherKind[RainKeys]):
         return []
 
 
-def wetted(spec: SceneSpec, share: float) -> SceneSpec:
-    """The scene with a film of water on a share of its surfaces."""
+def wetted(spec: SceneSpec, share: float, ground: HeightField | None = None) -> SceneSpec:
+    """The scene with a film of water on a share of its surfaces, but for what lies under water."""
     materials = {key: _wet(one, share, is_litter=is_litter(*key)) for key, one in spec.materials.items()}
-    return replace(spec, materials=materials, terrain=_wet_terrain(spec.terrain, share))
+    return replace(spec, materials=materials, terrain=_wet_terrain(spec.terrain, share, ground))
 
 
 def _wet(material: Material, share: float, *, is_litter: bool) -> Material:
@@ -134,10 +135,12 @@ def _wet(material: Material, share: float, *, is_litter: bool) -> Material:
     return replace(made, roughness=roughness) if is_litter else made
 
 
-def _wet_terrain(terrain: Terrain, share: float) -> Terrain:
+def _wet_terrain(terrain: Terrain, share: float, ground: HeightField | None) -> Terrain:
     if terrain.wet is not None:
         return terrain
-    wet = np.full(len(terrain.mesh.vertices_m), share, np.float32)
+    x, y, z = terrain.mesh.vertices_m.astype(np.float64).T
+    drowned = False if ground is None else ground.level(x, y) > z
+    wet = np.where(drowned, 0.0, np.full(len(x), share)).astype(np.float32)
     if terrain.spectrum is None:
         red, green, blue = under_film(np.array(terrain.mean_colour)).tolist()
         return replace(terrain, wet=WetGround(wet, (red, green, blue), None))

@@ -7,7 +7,8 @@ import pytest
 
 from forestgen.core.randomness import child_rng
 from forestgen.core.stem_form import stem_radius_m
-from forestgen.plants.forks import FORKED, forked, is_second_stem
+from forestgen.plants.crown_twigs import is_second_stem, middle_of_stems
+from forestgen.plants.forks import FORKED, forked
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from forestgen.plants.tree_fit import with_taper
 from forestgen.recipe.wood import Forks, Wood
@@ -82,3 +83,13 @@ def test_both_stems_have_one_taper(made: list[Skeleton]) -> None:
         np.testing.assert_allclose(fitted.radius_m[above], FORKED * stem_radius_m(z_m[above], TOP_M, 0.3), rtol=1e-4)
         np.testing.assert_allclose(fitted.radius_m[below], stem_radius_m(z_m[below], TOP_M, 0.3), rtol=1e-4)
         assert np.sum(above & second) > 3
+
+
+def test_the_middle_of_two_stems_is_where_the_one_would_be(made: list[Skeleton]) -> None:
+    for one in made:
+        middle = middle_of_stems(one)
+        fork_m = one.position_m[one.parent[np.argmax(is_second_stem(one))], 2]
+        straight = np.interp(fork_m, [0.0, TOP_M], [0.0, 0.05 * TOP_M])  # the second one leans the other way
+        above = middle[:, 2] > fork_m + 0.1
+        np.testing.assert_allclose(middle[above, 0], straight, atol=0.02)
+        np.testing.assert_allclose(middle[above, 1], 0.0, atol=0.02)

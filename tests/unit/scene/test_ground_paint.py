@@ -82,6 +82,13 @@ def test_bare_soil_hides_what_is_listed_before_it() -> None:
     assert after is None
 
 
+def test_bare_soil_leaves_large_patches_of_other_layers() -> None:
+    [layer] = (one for one in laid({**PATCHY, "patch_m": 20}, SAND)[1].layers if one.things)
+    middle = 100.0 * np.random.default_rng(1).random((4000, 2))
+    assert layer.relative is not None
+    assert local_cover(layer, middle, 1).std() > 2.0 * layer.cover * layer.relative.std()
+
+
 def test_patches_have_their_own_spectrum_in_every_channel() -> None:
     """Texels of pure sand and of wet soil, and the mean; the camera is so far away that nothing is drawn."""
     above = {"position_m": [12, 12, 2000], "look_at_m": [12, 12.1, 0], "hfov_deg": 2}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,45 @@ def test_a_stream_runs_down_to_a_pond_and_cuts_no_cliffs(base: HeightField, grou
     assert np.hypot(*slopes).max() < 1.2  # the base has 0.3, a bank up to 1
     far = np.hypot(x - 34.0, y - 36.0) > 40.0
     assert np.mean(ground(x[far], y[far]) == base(x[far], y[far])) > 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Slope(HeightField):
+    """Ground that rises northwards."""
+
+    rise: float = 0.3
+
+    def _height(self, x_m: np.ndarray, y_m: np.ndarray) -> np.ndarray:
+        return 5.0 - 0.01 * x_m + self.rise * y_m
+
+
+@pytest.mark.parametrize("width_m", [1.5, 20.0])
+def test_a_stream_on_a_cross_slope_stays_below_its_banks(width_m: float) -> None:
+    stream = land.Stream(what="stream", points_m=((0.0, 30.0), (60.0, 30.0)), width_m=width_m)
+    ground = shaped(Slope(SIZE_M), None, (), (stream,), 3)
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(5.0, 55.0, 0.2), np.arange(5.0, 55.0, 0.2)))
+    near = ground.bodies[0].near(x, y)
+    beyond = (near.shore_m > 0.45) & (near.shore_m < 0.5)
+    assert np.max(near.level_m[beyond] - ground(x, y)[near.rows][beyond]) < 0.0
+
+
+def test_a_stream_runs_into_a_pond_in_either_order(base: HeightField) -> None:
+    one, other = (shaped(base, None, (), water, 3) for water in ((POND, STREAM), (STREAM, POND)))
+    x, y = grid(0.5)
+    both = [np.sort([body.keys.what for body in ground.bodies]).tolist() for ground in (one, other)]
+    assert both[0] == both[1]
+    shared = [np.isfinite(ground.level(x, y)).mean() for ground in (one, other)]
+    assert shared[0] == pytest.approx(shared[1], rel=0.1)
+
+
+@pytest.mark.parametrize("longest_m", [2.0, 4.0])
+def test_the_mesh_has_the_micro_relief(longest_m: float) -> None:
+    ground = shaped(HeightField((20.0, 20.0)), land.MicroRelief(rms_m=0.1, longest_m=longest_m), (), (), 3)
+    mesh = terrain_mesh(ground)
+    middle = mesh.vertices_m[mesh.faces].astype(np.float64).mean(axis=1)
+    inside = (np.abs(middle[:, :2] - 10.0) < 10.0).all(axis=1)
+    error = middle[inside, 2] - ground(*middle[inside, :2].T)
+    assert error.std() < 0.25 * 0.1
 
 
 def test_a_path_is_level_across_and_a_road_has_two_ruts() -> None:
@@ -170,6 +210,7 @@ def test_a_stream_does_not_run_uphill_to_a_pond() -> None:
         ({"paths": [{"points_m": [[5, 5], [5, 5]]}]}, "site.paths.0.points_m"),
         ({"paths": [{"points_m": [[5, 5], [9, 9]], "ground": "tar"}]}, "site.paths.0.ground"),
         ({"micro_relief": {"rms_m": 2}}, "site.micro_relief.rms_m"),
+        ({"paths": [{"what": "forest_road", "points_m": [[5, 5], [9, 9]], "width_m": 1}]}, "site.paths.0"),
     ],
 )
 def test_bad_keys(site: dict[str, Any], place: str) -> None:
