@@ -35,6 +35,7 @@ TWIG_ORDER = 100  # branch order of all twigs
 EXTINCTION = 0.25  # of light by leaf area: half of it is seen, of which half acts as if at random
 DARKEST = 4.0  # optical depth of a crown, as of a leaf area index of 16; the lowest leaves of denser ones live on
 _LAYERS, _SECTORS = 12, 8  # of the hull's measurement
+_LOBES = 12  # round the crown
 _FINER = 6  # times as many for its volume
 _UNEVEN = 0.25  # of points' mean distance, standard deviation by which they are moved at random
 _NEAREST = 12  # nodes of branches that a point may be reached from
@@ -59,6 +60,9 @@ class CrownTwigs(Section):
     diameter_m: float = Field(0.0024, gt=0, le=0.02, description="of a twig's tip, metres")
     bend: float = Field(0.5, ge=0, le=1, description="how far a twig sets out along its bearer, not straight ahead")
     dome: float = Field(0.0, ge=0, le=1, description="how far the crown is filled up to half an ellipsoid above")
+    lobes: float = Field(
+        0.0, ge=0, le=0.5, description="standard deviation of the logarithm of the crown's radius, from lobe to lobe"
+    )
     droop: float = Field(0.0, ge=-1, le=1, description="how far twigs rather grow down than up; negative: up")
     level: float = Field(0.0, ge=0, le=4, description="how far twigs rather grow level: flat sprays in tiers")
 
@@ -96,7 +100,8 @@ def fill_crown(
     wanted = leaves.total_m2 / (twigs.leaves_each * _leaf_m2(rules, blade_m2, height_m))
     count, extinct_m2 = round(float(np.clip(wanted, _FEWEST, _MOST))), EXTINCTION * leaves.total_m2
     position = leaves.position_m - _stem_at(wood, leaves.position_m[:, 2])
-    tips, apart_m = _hull(replace(leaves, position_m=position), twigs.dome).spread(count, extinct_m2, rng)
+    hull = _hull(replace(leaves, position_m=position), twigs.dome)
+    tips, apart_m = hull.lobed(twigs.lobes, rng).spread(count, extinct_m2, rng)
     tips += _stem_at(wood, tips[:, 2])
     tips = np.concatenate([_beyond_ends(wood, apart_m), tips])
     grown, base = _grown(wood, *_spanned(wood, tips, twigs), twigs)
@@ -138,6 +143,22 @@ class _Hull:
     low_m: float
     high_m: float
     radius_m: Floats  # (L, S) in layers from below, closed at both ends, and sectors from x on
+
+    def lobed(self, deviation: float, rng: np.random.Generator) -> _Hull:
+        """The hull with lobes and bays, of the same volume."""
+        from scipy.ndimage import map_coordinates  # slow to import
+
+        if deviation == 0.0:
+            return self
+        layers, sectors = self.radius_m.shape
+        noise = rng.spawn(1)[0].normal(size=(_LAYERS, _LOBES))
+        noise = np.pad(np.pad(noise, ((1, 1), (0, 0)), mode="edge"), ((0, 0), (1, 1)), mode="wrap")
+        layer_at, sector_at = (
+            (np.arange(many) + 0.5) * few / many + 0.5 for many, few in ((layers, _LAYERS), (sectors, _LOBES))
+        )
+        waves = map_coordinates(noise, np.stack(np.meshgrid(layer_at, sector_at, indexing="ij")), order=1)
+        radius = self.radius_m * np.exp(deviation * waves / waves.std())
+        return replace(self, radius_m=radius * np.sqrt(np.sum(self.radius_m**2) / np.sum(radius**2)))
 
     def spread(self, count: int, extinct_m2: float, rng: np.random.Generator) -> tuple[Floats, float]:
         """(count, 3) points, even but for shade, and their distance; `extinct_m2`: leaf area times extinction."""
