@@ -19,7 +19,7 @@ _THREAD_SHARE = 1e-4  # the same as a share of the plant's greatest radius
 LARGEST_PLANT = 50_000_000  # nodes or organs: no plant needs more, whatever the machine has
 _SHARE_OF_FREE = 0.5
 _OF_A_SMALL_PLANT, _OF_A_SLENDER_PLANT_PER_M3, _OF_A_WIDE_PLANT_PER_M3 = 20_000, 800, 60_000  # triangles
-_OF_A_LARGE_PLANT, _OF_A_LARGE_PLANT_PER_M2, _OF_A_LARGE_SLENDER_PLANT_PER_M2 = 240_000, 900, 2300
+_OF_A_LARGE_PLANT, _OF_A_LARGE_PLANT_PER_M2, _OF_A_LARGE_SLENDER_PLANT_PER_M2 = 240_000, 900, 2400
 
 
 @dataclass(frozen=True)

@@ -159,4 +159,5 @@ def test_the_bark_of_plants_of_modules_has_covers_too() -> None:
 @pytest.mark.parametrize("name", ["pine", "birch"])
 def test_the_zones_of_shipped_species_are_seen(name: str) -> None:
     found = {one.material for one in grown(name).organs if one.part == Part.TRUNK}
-    assert {"bark", {"pine": "upper_bark", "birch": "foot_bark"}[name]} <= found
+    assert "bark" in found
+    assert any({"pine": "upper_bark", "birch": "foot_bark"}[name] in material for material in found)
