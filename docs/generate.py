@@ -77,6 +77,7 @@ _SECTIONS = {
     "Cover": "species: wood.covers (each)",
     "Roots": "species: wood.roots",
     "Sweep": "species: wood.sweep",
+    "Forks": "species: wood.forks",
 }
 
 
