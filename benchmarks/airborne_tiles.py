@@ -6,7 +6,9 @@ Real windows are squares of 20 m, 10 m apart, of the tile; their spread is the 5
 those of three stands of the recipe (`--quick`: two with half the samples); their median is inside the spread or not.
 A distance of histograms is that of a window to all real ones together; its yardstick is the 95th percentile of the
 real windows' distances to the others. `labels` are crowns and ground as our labels have them, which checks the two
-methods that tiles allow: by boxes, and by a split of colours (tests/support/airborne.py). Light is linear, of sRGB.
+methods that tiles allow: by boxes, and by a split of colours (tests/support/airborne.py). Light is linear, of sRGB:
+what a picture shows. So ours are developed as photographs, with their recipe's blur, contrast and saturation, which
+are estimates of what the camera, its raw converter and the rectification did to each tile.
 
 The tiles are not part of the repository; without them the command says how to get them.
 """
@@ -34,10 +36,10 @@ from support.airborne import (
     spread,
     textures,
 )
-from support.airborne_views import HOW_TO_GET, PLACES, Place, as_bright, picture_of, tile_of, views
+from support.airborne_views import HOW_TO_GET, PLACES, Place, as_bright, contrast_of, picture_of, tile_of, views
 
 RECIPES = Path(__file__).parents[1] / "recipes" / "places"
-STANDS, SAMPLES = 3, 16
+STANDS, SAMPLES = 3, 64
 _GAP_PX = 8
 
 
@@ -54,7 +56,7 @@ def rendered(place: Place, tile: Picture, outputs: Path, stands: int, samples: i
     for frame in views(place, outputs, stands, RECIPES, {"render.samples": samples}):
         folder = outputs / place.recipe / frame.split / frame.name
         picture, (crowns, ground) = picture_of(frame, folder, place.greener)
-        picture = as_bright(picture, tile)
+        picture = as_bright(picture, tile, contrast_of(folder))
         pictures.append(picture)
         by_labels.append(_labelled(picture.rgb[crowns], picture.rgb[ground]))
     return Ours(pictures, by_labels)

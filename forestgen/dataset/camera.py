@@ -41,7 +41,7 @@ from forestgen.scene.motion import row_times_s, shutter_s
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera, CameraMotion
 
-_OPTICS = ("f_number", "vignetting", "falloff", "chromatic_aberration", "veiling_glare")
+_OPTICS = ("f_number", "vignetting", "falloff", "chromatic_aberration", "blur_px", "veiling_glare")
 _NDC_NEAR_M = 0.1  # of worldToNDC's depth, which readers discard
 
 

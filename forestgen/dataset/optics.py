@@ -1,7 +1,8 @@
-"""What a lens does to the light of a raw image: falloff, lateral colour, glare. frame.exr has none of it.
+"""What a lens does to the light of a raw image: falloff, lateral colour, blur, glare. frame.exr has none of it.
 
     falloff            1 + k1 r² + k2 r⁴ + k3 r⁶       r: 1 in the image's corners, as the `pa` model of Lensfun
     lateral colour     red and blue are larger than green by the factors 1 + s about the image's middle
+    blur               L * exp(-r² / (2 b²)) / (2 pi b²)   b: its standard deviation, by diffraction, aberrations, focus
     veiling glare      (1 - g) L + g (L * G)           G: r0 / (2 pi (r² + r0²)^(3/2)), whose integral is 1
 
 G falls as the third power of the distance, as the widest part of the glare of Spencer, Shirley, Zimmerman and Greenberg
@@ -35,13 +36,15 @@ def falloff(size_px: tuple[int, int], coefficients: Sequence[float]) -> Floats:
     return np.maximum(1.0 + square * (k1 + square * (k2 + square * k3)), 0.0)
 
 
-def through_lens(light: Floats, chromatic_aberration: Sequence[float], veiling_glare: float) -> Floats:
+def through_lens(
+    light: Floats, chromatic_aberration: Sequence[float], veiling_glare: float, blur_px: float = 0.0
+) -> Floats:
     """(H, W, C) light on the sensor. `chromatic_aberration`: of the first and of the last channel."""
     if any(chromatic_aberration):
         light = light.copy()
         for channel, growth in zip((0, -1), chromatic_aberration, strict=True):
             light[..., channel] = _enlarged(light[..., channel], growth)
-    return _veiled(light, veiling_glare) if veiling_glare else light
+    return _spread(light, veiling_glare, blur_px) if veiling_glare or blur_px else light
 
 
 def _enlarged(image: Floats, growth: float) -> Floats:
@@ -53,11 +56,12 @@ def _enlarged(image: Floats, growth: float) -> Floats:
     return np.asarray(map_coordinates(image, np.meshgrid(rows, columns, indexing="ij"), order=1, mode="nearest"))
 
 
-def _veiled(light: Floats, share: float) -> Floats:
+def _spread(light: Floats, glare: float, blur_px: float) -> Floats:
     from scipy.fft import dctn, idctn
 
     height, width = light.shape[:2]
     frequency = np.hypot(np.arange(width) / (2 * width), (np.arange(height) / (2 * height))[:, None])
-    transfer = 1 - share + share * np.exp(-2 * np.pi * _GLARE_SHARE * np.hypot(width, height) * frequency)
+    transfer = (1 - glare) * np.exp(-2 * (np.pi * blur_px * frequency) ** 2)
+    transfer += glare * np.exp(-2 * np.pi * _GLARE_SHARE * np.hypot(width, height) * frequency)
     spread = idctn(dctn(light, axes=(0, 1)) * transfer[..., None], axes=(0, 1))
     return np.asarray(np.maximum(spread, 0.0))

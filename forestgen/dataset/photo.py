@@ -1,13 +1,15 @@
 """photo.jpg: the picture that a camera makes of its own raw image, with the sensor's noise and clipping in it.
 
 1. Digital numbers less the black level, over the range: 1 is saturation.
-2. Colours that a mosaic leaves out, by the linear filters of Malvar, He and Cutler (2004).
+2. Colours that a mosaic leaves out, by the linear filters of Malvar, He and Cutler (2004); linear Rec. 709 by the
+   camera's colour matrix.
 3. White balance. `daylight`: that of D65. `auto`: the temperature that the picture's own greys seem to have. Greys are
    pixels, neither clipped nor dark, whose green lies within 15% of what light of the CIE daylight locus would give at
    their ratio of red to blue: leaves and meadows are left out. The mean logarithm of that ratio gives the temperature,
    kept within 4000 and 10,000 K. Without greys it is 6504 K.
 4. Brightness: a metered mean, which lies at 12.7% of saturation, comes to 18%, the half stop of ISO 12232.
-5. A curve that is steep about middle grey and reaches white where the first colour, balanced, is saturated, so that
+5. Saturation: each pixel's difference from its luminance.
+6. A curve that is steep about middle grey and reaches white where the first colour, balanced, is saturated, so that
    clipped highlights are white; the sRGB encoding; JPEG, 4:2:0.
 
 References
@@ -30,6 +32,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.spectrum import LUMINANCE
 from forestgen.dataset.files import write_bytes
 from forestgen.dataset.raw import Raw
 from forestgen.dataset.tonemap import filmic
@@ -71,9 +74,14 @@ def photo_of(raw: Raw, jpeg: Jpeg) -> Photo:
     """The picture of a raw image of three colours."""
     light = linear_colours(raw)
     kelvin = _D65_K if jpeg.white_balance == "daylight" else grey_temperature(light)
-    gain = _GAIN / daylight_rgb(kelvin)
-    picture = filmic((light * gain).astype(np.float32), float(gain.min()))  # saturation is white in all channels
-    facts = {"file": NAME, "white_balance": jpeg.white_balance, "temperature_k": kelvin, "quality": jpeg.quality}
+    white_rgb, luminance = daylight_rgb(kelvin), np.array(LUMINANCE)
+    gain = _GAIN * (luminance @ white_rgb) / white_rgb
+    white = float(gain.min())
+    exposed = np.minimum(light * gain, white)  # saturation is white in all channels
+    grey = (exposed @ luminance)[..., None]
+    exposed = grey + jpeg.saturation * (exposed - grey)
+    picture = filmic(exposed.clip(0.0).astype(np.float32), white, jpeg.contrast)
+    facts = {"file": NAME, "temperature_k": kelvin, **jpeg.model_dump()}
     return Photo(picture, _encoded(picture, jpeg.quality, raw.facts), facts)
 
 
@@ -87,7 +95,7 @@ def with_photo(folder: Path, raw: Raw, exposure: Exposure) -> Raw:
 
 
 def linear_colours(raw: Raw) -> Floats:
-    """(H, W, 3) shares of saturation, all colours in all pixels, neutral for a white surface under D65."""
+    """(H, W, 3) linear Rec. 709, saturation 1, all colours in all pixels; a white surface under D65 is neutral."""
     facts = raw.facts
     black, white, names = facts["black_level"], facts["white_level"], facts["channels"]
     balance = np.array([facts["white_balance"][name] for name in names])
@@ -97,7 +105,8 @@ def linear_colours(raw: Raw) -> Floats:
     else:
         pattern = np.array([[names.index(one) for one in row] for row in facts["mosaic"]])
         light = _demosaiced(planes[0], pattern, balance)
-    return np.asarray(np.clip(light, 0.0, 1.0))
+    # Clipped first: what is saturated is white, whatever its colour was.
+    return np.asarray(np.clip(np.clip(light, 0.0, 1.0) @ np.array(facts["colour_matrix"]).T, 0.0, 1.0))
 
 
 def _demosaiced(image: Floats, pattern: NDArray[np.int64], balance: Floats) -> Floats:

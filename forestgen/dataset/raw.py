@@ -4,7 +4,7 @@ From luminance L (cd/m²) to digital numbers, pixel by pixel:
 
     illuminance on the sensor   E = pi L V / (4 N²)                a lens focused far away that loses no light
     vignetting                  V = 1 - v + v cos⁴(theta)          theta: between the pixel's ray and the axis
-    lens                        falloff, lateral colour, glare     dataset/optics.py
+    lens                        falloff, lateral colour, blur, glare     dataset/optics.py
     exposure                    H = E t                            lux seconds
     saturation                  H_sat = 78 / S                     ISO 12232; S: iso
     electrons expected          n = H F S_0 / 78                   F: full_well_electrons; S_0: base_iso
@@ -23,7 +23,8 @@ What L is by channel:
   negative value, of a colour more saturated than the space holds, counts as 0.
 - A colour camera's three bands: electrons are in proportion to the integral of response times radiance, in which the
   three responses share a scale; under D65 light of luminance L the strongest channel has n of L. So a white surface is
-  not neutral, as in any camera's raw image: `white_balance` makes it so.
+  not neutral, as in any camera's raw image: `white_balance` makes it so, and `colour_matrix` (dataset/colour_matrix.py)
+  turns the balanced values into linear Rec. 709.
 - Other bands: each has a sensor of its own, which D65 of luminance L gives n of L. Beyond 780 nm D65 goes on as a black
   body of its temperature.
 
@@ -36,8 +37,8 @@ has the numbers that lead back::
 
     radiance of the channel = (D - black_level) radiance_per_dn[channel] / V
 
-V includes the falloff; lateral colour, glare and ghosts (dataset/ghosts.py) are not undone by it. dataset/photo.py has
-the camera's picture.
+V includes the falloff; lateral colour, blur, glare and ghosts (dataset/ghosts.py) are not undone by it.
+dataset/photo.py has the camera's picture.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.core.randomness import child_rng
-from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Spectrum
+from forestgen.core.spectrum import LUMINANCE, SECOND_RADIATION_NM_K, Band, Spectrum
 from forestgen.dataset.files import write_json
 from forestgen.dataset.ghosts import COLOURS_NM, ghosts_of
 from forestgen.dataset.optics import falloff, through_lens
@@ -76,7 +77,8 @@ _D65_KELVIN, _D65_END_NM, _LAST_NM = 6504.0, 780, 2500
 _MOSAIC = ((0, 1), (1, 2))  # red, green over green, blue: index of the channel by row and column
 
 _EXPOSURE = (
-    "read_noise_electrons", "full_well_electrons", "f_number", "iso", "base_iso", "vignetting", "veiling_glare"
+    "read_noise_electrons", "full_well_electrons", "f_number", "iso", "base_iso", "vignetting", "veiling_glare",
+    "blur_px",
 )  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -100,6 +102,7 @@ class _Sensor:
     luminance_per_radiance: Floats  # (C,) cd/m² of L by the channel's unit
     white_balance: Floats  # (C,) factors that make a white surface under D65 neutral
     meter: Floats  # (C,) weights of `luminance` by channel in the metered one
+    colour_matrix: Floats | None  # (3, 3) from balanced values to linear Rec. 709; of three colours
     is_colour: bool
 
 
@@ -153,6 +156,7 @@ def raw_image(radiance: Radiance, camera: Camera, exposure: Exposure, seed: int)
         "hfov_deg": float(camera.hfov_deg),
         "radiance_per_dn": dict(zip(sensor.names, per_dn.tolist(), strict=True)),
         "white_balance": dict(zip(sensor.names, sensor.white_balance.tolist(), strict=True)),
+        "colour_matrix": None if sensor.colour_matrix is None else sensor.colour_matrix.tolist(),
         "radiance_unit": "W m-2 sr-1 nm-1" if radiance.bands else "cd/m2",
         "of": "radiance" if radiance.denoised is None else "radiance.denoised",
     }
@@ -201,9 +205,9 @@ def _luminance(light: NDArray[np.float32], sensor: _Sensor) -> Floats:
 def _arriving(light: NDArray[np.float32], sensor: _Sensor, exposure: Exposure) -> Floats | None:
     """(H, W, C) what L is behind the lens; None: the lens changes nothing."""
     colours = exposure.chromatic_aberration if sensor.is_colour else (0.0, 0.0)
-    if not any(colours) and not exposure.veiling_glare:
+    if not any(colours) and not exposure.veiling_glare and not exposure.blur_px:
         return None
-    return through_lens(_luminance(np.nan_to_num(light), sensor), colours, exposure.veiling_glare)
+    return through_lens(_luminance(np.nan_to_num(light), sensor), colours, exposure.veiling_glare, exposure.blur_px)
 
 
 def _ghosts(radiance: Radiance, camera: Camera, exposure: Exposure) -> dict[str, Any] | None:
@@ -232,7 +236,9 @@ def _metered_luminance(light: NDArray[np.float32], sensor: _Sensor, camera: Came
 def _sensor(radiance: Radiance) -> _Sensor:
     bands = radiance.bands
     if not bands:
-        return _Sensor(radiance.channels, (0, 1, 2), np.ones(3), np.ones(3), np.array(LUMINANCE), is_colour=True)
+        return _Sensor(
+            radiance.channels, (0, 1, 2), np.ones(3), np.ones(3), np.array(LUMINANCE), np.eye(3), is_colour=True
+        )
     chosen = picture_bands(bands)
     colour = len(bands) == 3 and chosen.kind == "true colour"
     columns = chosen.channels if colour else tuple(range(len(bands)))
@@ -241,7 +247,16 @@ def _sensor(radiance: Radiance) -> _Sensor:
     answer = power * [float(np.trapezoid(one.value, one.wavelength_nm)) for one in responses]
     sensitivity = answer / answer.max() if colour else np.ones(len(bands))
     names = tuple(radiance.channels[column] for column in columns)
-    return _Sensor(names, columns, sensitivity / power, 1.0 / sensitivity, 1.0 / sensitivity / len(names), colour)
+    meter = 1.0 / sensitivity / len(names)
+    matrix = _colour_matrix(tuple(bands[column] for column in columns)) if colour else None
+    return _Sensor(names, columns, sensitivity / power, 1.0 / sensitivity, meter, matrix, colour)
+
+
+def _colour_matrix(bands: tuple[Band, ...]) -> Floats:
+    """Of cameras alone: the chart's reflectances are those of a library that takes a second to import."""
+    from forestgen.dataset.colour_matrix import colour_matrix
+
+    return colour_matrix(bands, d65())
 
 
 @cache

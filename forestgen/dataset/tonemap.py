@@ -8,11 +8,12 @@ follows one of the views:
 
 - ``filmic``: each channel follows
 
-      y = x^n (1 + (c/w)^n) / (x^n + c^n),        n = 1.25
+      y = x^n (1 + (c/w)^n) / (x^n + c^n),        n = 1.5
 
   which is steep around middle grey, bends highlights over as film does and reaches 1 at w, the exposed luminance of
   the 99.7th percentile (at least 4: a dull picture is not stretched). c is such that middle grey maps to itself. Then
-  the sRGB encoding.
+  the sRGB encoding. n is that of photographs: with w = 1.91 the curve is within 5% of the default one of Adobe's raw
+  converters (DNG SDK 1.7.1, dng_tone_curve_acr3_default) from a seventh of middle grey to saturation, 2.5% on average.
 - ``srgb``: the sRGB encoding alone (IEC 61966-2-1); what is brighter than 1 is white. Values below white can be undone
   to radiance.
 - ``acescct``: the logarithmic encoding of Academy S-2016-001, on AP1's primaries: flat to look at, made to be graded.
@@ -43,7 +44,7 @@ KEY_PERCENTILES = (5.0, 95.0)
 WHITE_PERCENTILE = 99.7
 _BRIGHT_CD_PER_M2 = 10.0  # of a key: pictures of brighter scenes are equally bright
 LEAST_WHITE = 4.0
-CONTRAST = 1.25
+CONTRAST = 1.5
 _STEPS = 1 << 12
 _RED_WEIGHT, _GREEN_WEIGHT, _BLUE_WEIGHT = (np.float32(weight) for weight in LUMINANCE)
 _DARKEST, _INFINITE = 1e-20, 1e30
@@ -103,9 +104,9 @@ def tone_map(radiance: NDArray[np.float32], exposure: float | None = None, view:
     return _developed(light * factor, white, view)
 
 
-def filmic(exposed: NDArray[np.float32], white: float) -> NDArray[np.uint8]:
+def filmic(exposed: NDArray[np.float32], white: float, contrast: float = CONTRAST) -> NDArray[np.uint8]:
     """(H, W, 3) picture of light whose middle grey is 0.18; `white` and what is brighter becomes white."""
-    return _encode(_curve(exposed, white))
+    return _encode(_curve(exposed, white, contrast))
 
 
 def _developed(exposed: NDArray[np.float32], white: float, view: View) -> NDArray[np.uint8]:
@@ -131,8 +132,7 @@ def _cleaned(radiance: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(np.nan_to_num(radiance, nan=0.0, posinf=_INFINITE, neginf=0.0).clip(0.0), dtype=np.float32)
 
 
-def _curve(x: NDArray[np.float32], white: float) -> NDArray[np.float32]:
-    n = CONTRAST
+def _curve(x: NDArray[np.float32], white: float, n: float) -> NDArray[np.float32]:
     # Middle grey g maps to itself: g (g^n + c^n) = g^n (1 + c^n / w^n), solved for c^n.
     grey = MIDDLE_GREY**n
     c_n = grey * (1.0 - MIDDLE_GREY) / (MIDDLE_GREY - grey / white**n)

@@ -19,6 +19,12 @@ class Jpeg(Section):
     white_balance: Literal["auto", "daylight"] = Field(
         "auto", description="auto: by the picture's greys, 4000 to 10,000 K; daylight: white is that of D65."
     )
+    contrast: Positive = Field(
+        1.5, ge=0.5, le=3, description="Slope of the curve in the shadows, of logarithms; 1.5 is usual."
+    )
+    saturation: NonNegative = Field(
+        1.0, le=3, description="Of colours, by those that a colour chart is seen in; 0: a grey picture."
+    )
 
 
 class Exposure(Section):
@@ -53,6 +59,9 @@ class Exposure(Section):
         (0.0, 0.0),
         description="By how much the images of red and of blue are larger than that of green, shares: [0.0003, "
         "-0.0003]; of sensors of three colours.",
+    )
+    blur_px: NonNegative = Field(
+        0.0, le=20, description="Standard deviation of the blur of lens and sensor, pixels: 0.3 to 0.7 of sharp ones."
     )
     veiling_glare: Number = Field(
         0.0, ge=0, le=0.3, description="Share of the light that the lens spreads widely over the image: 0.01 to 0.05."

@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw
 
 import forestgen as fg
 from forestgen.core.spectrum import LUMINANCE
+from forestgen.dataset.tonemap import CONTRAST, filmic
 from support.airborne import Box, Floats, Mask, Picture, boxes_of, crowns_and_ground, encoded, linear, sunlit
 
 HOW_TO_GET = """The tiles travel in the wheel of deepforest 2.1.0 on PyPI; they are not part of this repository.
@@ -22,6 +23,8 @@ HOW_TO_GET = """The tiles travel in the wheel of deepforest 2.1.0 on PyPI; they 
         'deepforest/data/2019_YELL_2_541000*' -d FOLDER"""
 
 TREE_M, TREE_PX = 2.0, 10  # what a person draws a box around: trees of this height, seen this widely
+_WHITE = 1.91  # saturation, where middle grey is 0.18: of raw converters, forestgen/dataset/tonemap.py
+_EXPOSURES = 8
 _DEAD_LYING = 2  # dead_form from which a dead tree does not stand
 # Outline of the road in Yellowstone, pixels: x of the western and of the eastern side, and y of each.
 _ROAD = (
@@ -95,7 +98,8 @@ def tree_boxes(frame: fg.Frame) -> list[Box]:
 
 
 def developed(folder: Path) -> Floats:
-    """(H, W, 3) light of a frame's raw image, white balance set so that a white surface in the open is white."""
+    """(H, W, 3) linear Rec. 709 of a frame's raw image, white where a white surface in the open is; with the
+    saturation of its photograph."""
     facts = json.loads((folder / "raw.json").read_text(encoding="utf-8"))
     white = open_irradiance(folder)
     planes = []
@@ -103,7 +107,14 @@ def developed(folder: Path) -> Floats:
         counts = np.asarray(Image.open(folder / facts["files"][name])).astype(np.float64)
         light = np.maximum(counts - facts["black_level"], 0.0) * facts["radiance_per_dn"][name]
         planes.append(np.pi * light / white[name])
-    return np.stack(planes, axis=-1)
+    rgb = np.stack(planes, axis=-1) @ np.array(facts["colour_matrix"]).T
+    grey = (rgb @ LUMINANCE)[..., None]
+    return np.asarray(np.maximum(grey + facts["photo"]["saturation"] * (rgb - grey), 0.0))
+
+
+def contrast_of(folder: Path) -> float:
+    """Of a frame's photograph."""
+    return float(json.loads((folder / "raw.json").read_text(encoding="utf-8"))["photo"]["contrast"])
 
 
 def open_irradiance(folder: Path) -> dict[str, float]:
@@ -112,11 +123,14 @@ def open_irradiance(folder: Path) -> dict[str, float]:
         return dict(json.loads(file.parts[0].header["forestgen/open_irradiance"]))
 
 
-def as_bright(picture: Picture, like: Picture) -> Picture:
-    """The picture exposed so that its sunlit pixels have the other's median luminance, in 8 bits of sRGB."""
-    alike = replace(picture, rgb=picture.rgb * (like.rgb.mean() / picture.rgb.mean()))
-    light, wanted = (np.median((one.rgb @ LUMINANCE)[sunlit(one)]) for one in (alike, like))
-    return replace(alike, rgb=linear(encoded(alike.rgb * (wanted / light))))
+def as_bright(picture: Picture, like: Picture, contrast: float = CONTRAST) -> Picture:
+    """The picture as a camera's raw converter makes it, exposed so that its sunlit pixels have the other's median."""
+    wanted = np.median((like.rgb @ LUMINANCE)[sunlit(like)])
+    exposure = wanted / np.median((picture.rgb @ LUMINANCE)[sunlit(picture)])
+    for _ in range(_EXPOSURES):
+        exposed = replace(picture, rgb=linear(filmic((picture.rgb * exposure).astype(np.float32), _WHITE, contrast)))
+        exposure *= wanted / np.median((exposed.rgb @ LUMINANCE)[sunlit(exposed)])
+    return exposed
 
 
 def as_coloured(picture: Picture, like: Picture) -> Picture:

@@ -202,12 +202,12 @@ def _expected(
 
 def _behind_lens(facts: Mapping[str, Any], light: Mapping[str, NDArray[Any]]) -> Mapping[str, NDArray[Any]]:
     """The sensor's channels as its lens shows them."""
-    names, colours, glare = facts["channels"], facts.get("chromatic_aberration", ()), facts.get("veiling_glare", 0)
-    if not any(colours) and not glare:
+    names, colours = facts["channels"], facts.get("chromatic_aberration", ())
+    glare, blur_px = facts.get("veiling_glare", 0), facts.get("blur_px", 0)
+    if not any(colours) and not glare and not blur_px:
         return light
-    shown = through_lens(
-        np.stack([light[name].astype(np.float64).clip(0.0) for name in names], axis=-1), colours, glare
-    )
+    stacked = np.stack([light[name].astype(np.float64).clip(0.0) for name in names], axis=-1)
+    shown = through_lens(stacked, colours, glare, blur_px)
     return dict(zip(names, np.moveaxis(shown, -1, 0), strict=True))
 
 
@@ -224,7 +224,7 @@ def photo(frame: FrameData) -> Iterator[Finding]:
         return
     for name in facts["files"].values():
         planes[name] = read_picture(frame.root, frame.file(name)).astype(np.uint16)
-    jpeg = Jpeg(quality=about["quality"], white_balance=about["white_balance"])
+    jpeg = Jpeg(**{key: about[key] for key in Jpeg.model_fields})
     made = photo_of(Raw(planes, facts, is_colour=True), jpeg)
     if abs(made.facts["temperature_k"] - about["temperature_k"]) > 1.0:
         yield finding("temperature_k is not the raw image's", made.facts["temperature_k"], about["temperature_k"])
