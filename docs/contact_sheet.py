@@ -9,6 +9,7 @@ minutes a view. With names, it renders these again and takes the others from the
 from __future__ import annotations
 
 import argparse
+import math
 import shutil
 import subprocess
 import sys
@@ -38,7 +39,8 @@ DRONE: Keys = {"position_m": [30, -60, 70], "look_at_m": [30, 60, 0], "hfov_deg"
 
 def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str = "", **more: Any) -> Keys:
     """A closed stand of 30 m2 of basal area, with young trees of a species below, in forest."""
-    storeys: list[Keys] = [{"species": dict(species), "basal_area_m2_per_ha": 30, "dominant_height_m": top_m}]
+    main: Keys = {"species": dict(species), "basal_area_m2_per_ha": 30, "dominant_height_m": top_m}
+    storeys: list[Keys] = [{**main, "dbh": {"cv": 0.35}, "clark_evans": 0.9}]
     if young:
         storeys.append({"species": {young: 1}, "stems_per_ha": 250, "dominant_height_m": 4})
     names = [*species, *([young] if young else []), "bramble", "bracken", "grass"]
@@ -62,15 +64,17 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
 
 
 def tree(species: str, height_m: float, camera: Keys, **more: Any) -> Keys:
-    """One tree in grass, near the camera."""
+    """One tree in a glade of grass, near the camera."""
     recipe = forest({species: 1.0}, 20, camera)
-    recipe["site"] |= {
-        "surroundings": "open",
-        "size_m": [12, 12],
-        "ground": {"kind": "litter", "layers": [*FLOOR, GRASS]},
-    }
-    recipe["species"] = {species: None, "grass": None}
-    plants = [{"species": species, "position_m": [6, 6], "height_m": height_m}]
+    recipe["site"]["ground"] = {"kind": "litter", "layers": [*FLOOR, GRASS]}
+    recipe["species"] = dict.fromkeys((species, "spruce", "birch", "grass"))
+    plants = [{"species": species, "position_m": [30, 30], "height_m": height_m}]
+    for k in range(2, 60):  # around it, by the golden angle
+        away_m, turn = 3.7 * k**0.5 + 4, 2.39996 * k
+        kind, height = ("birch", 15 + k % 5) if k % 3 else ("spruce", 12 + k % 9)
+        place = [round(30 + away_m * math.sin(turn), 2), round(30 + away_m * math.cos(turn), 2)]
+        if max(abs(x - 30) for x in place) < 29:
+            plants.append({"species": kind, "position_m": place, "height_m": height})
     return _merged({**recipe, "community": {"model": "placed", "plants": plants}}, more)
 
 
@@ -103,11 +107,11 @@ MIXED = {"beech": 0.4, "spruce": 0.35, "maple": 0.15, "birch": 0.1}
 OVERCAST = {"kind": "overcast", "sun": {"elevation_deg": 40, "azimuth_deg": 215}}
 ROAD = {"what": "forest_road", "points_m": [[-20, 22], [10, 27.5], [30, 31], [55, 30], [80, 40]]}
 POND = {"what": "pond", "position_m": [31, 20], "radius_m": 9, "depth_m": 1.2}
-LEAF = {"position_m": [6, 2.6, 1.8], "look_at_m": [6, 6, 2.2], "hfov_deg": 40}
+LEAF = {"position_m": [30, 26.6, 1.8], "look_at_m": [30, 30, 2.2], "hfov_deg": 40}
 
 VIEWS: Mapping[str, Callable[[], Keys]] = {
     "beech leaves": lambda: tree("beech", 7, LEAF),
-    "spruce shoots": lambda: tree("spruce", 6, {**LEAF, "position_m": [6, 3.2, 1.3]}),
+    "spruce shoots": lambda: tree("spruce", 6, {**LEAF, "position_m": [30, 27.2, 1.3]}),
     "forest floor": lambda: forest(BEECH, 26, {**EYE, "position_m": [30, 4, 1.2], "look_at_m": [30, 5.4, 0]}),
     "beech, noon": lambda: forest(BEECH, 26, EYE, "beech"),
     "spruce, noon, road": lambda: forest(SPRUCE, 26, EAST, "spruce", site__paths=[ROAD]),

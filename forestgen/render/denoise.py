@@ -6,8 +6,9 @@ too: a denoiser that knows albedo alone takes them for noise and smears them. Cl
 that are lost in the noise of their light: there the guide is how much of the sun comes to where a pixel's rays end in
 the cloud. Other clouds and what lies between are left to the denoiser.
 
-For the same reason, under a sky without a sun each of a pixel's samples has a place of the sky, hidden or not: the
-shade between leaves is in the colours. All pixels have the same places, so that the guide has no noise.
+For the same reason each of a pixel's samples that the sun does not reach has a place of the sky, hidden or not: the
+shade between leaves is in the colours. All pixels have the same places, so that the guide has no noise. Without it
+forests seen from inside, nearly all in the shade, have a third of the power at the finest details, with it a half.
 
 `benchmarks/sharpness.py` compares power spectra of denoised images with those of nearly noise-free ones.
 """
@@ -42,8 +43,9 @@ _CLOUD_RAYS = 4  # of a pixel
 _SEEN_DEPTH = 0.7  # optical depth of the place in a cloud that a ray sees
 _CLEAR, _CLOUD_SHADE, _CLOUD_FALL, _DARK_DEPTH = 0.35, 0.5, 0.3, 12.0  # of guides: light falls slowly inside clouds
 Floats = NDArray[np.float64]
-_SHADE = 0.15  # light in the shade, by that of a surface that faces the sun
-_HIDDEN = 0.2  # light where the sky is hidden, by that in the open: leaves let light through and scatter it
+_SHADE = 0.15  # light in the open shade, by that of a surface that faces the sun
+_HIDDEN = 0.2  # shade where the sky is hidden, by that in the open: leaves let light through and scatter it
+_SHADE_EVERY = 4  # samples of which one is tried in the shade beside the sun's light, for the time that it takes
 _PLACES = 37  # of the sky, between one sample's and the next one's; it has no divisor in common with `SAMPLES`
 
 
@@ -62,14 +64,16 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
     def values(hits: Hits) -> list[Any]:
         facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
         smooth = shading_normal(tracer, hits, corners, facing)
+        sunlit = sun_visible(tracer, camera, hits, facing)
+        every = _SHADE_EVERY if casts_shadows(tracer.spec.sky) else 1
+        number = dr.arange(mi.UInt32, dr.width(hits.distance_m)) % SAMPLES
+        to_sky = _sky_place(number)
+        is_open = unhidden(tracer, camera, hits, facing, to_sky, hits.valid & ~sunlit & (number % every == 0))
+        # Of all places over level ground the mean cosine is a half.
+        shade = _HIDDEN + (1.0 - _HIDDEN) * dr.select(is_open, 2.0 * every * dr.abs(dr.dot(smooth, to_sky)), 0.0)
         if casts_shadows(tracer.spec.sky):
-            lit = sun_visible(tracer, camera, hits, facing)
-            shade = _SHADE + (1.0 - _SHADE) * dr.select(lit, dr.abs(dr.dot(smooth, tracer.to_light)), 0.0)
-        else:
-            to_sky = _sky_places(dr.width(hits.distance_m))
-            lit = unhidden(tracer, camera, hits, facing, to_sky)
-            # Of all places over level ground the mean cosine is a half.
-            shade = _HIDDEN + (1.0 - _HIDDEN) * dr.select(lit, 2.0 * dr.abs(dr.dot(smooth, to_sky)), 0.0)
+            lit = _SHADE + (1.0 - _SHADE) * dr.abs(dr.dot(smooth, tracer.to_light))
+            shade = dr.select(sunlit, lit, _SHADE * shade)
         colour = dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
         smooth = dr.select(hits.valid, smooth, 0.0)
         if fog is not None:  # what is behind it is as faint as its light
@@ -109,9 +113,8 @@ def with_clouds(guides: Guides, spec: SceneSpec, camera: Camera, sky: Floats) ->
     return Guides(np.clip(colour, 0.0, None).astype(np.float32), guides.normal)
 
 
-def _sky_places(rays: int) -> Any:
-    """Unit directions upwards, even over the half sphere, of rays that are a pixel's `SAMPLES` one after another."""
-    number = dr.arange(mi.UInt32, rays) % SAMPLES
+def _sky_place(number: Any) -> Any:
+    """Unit direction upwards of a pixel's sample: even over the half sphere."""
     up = (mi.Float(number * _PLACES % SAMPLES) + 0.5) / SAMPLES
     sine, cosine = dr.sincos(2 * np.pi * mi.Float(number * LENS_STEPS[1] >> 8) * 2.0**-24)
     level = dr.sqrt(1.0 - up * up)

@@ -48,3 +48,12 @@ def test_under_an_overcast_sky_what_lies_below_others_is_darker():
     share = (guides.colour / np.array(spec.terrain.mean_colour))[ground]
     assert ground.sum() > 20
     assert 0.2 <= share.min() < 0.93 < share.max() < 1.03
+
+
+def test_the_shade_is_darker_where_the_sky_is_hidden_too():
+    spec = scattered_scene(60, size_m=40.0, exemplars=2, leaves=300, terrain=plain_ground(-200, 200))
+    camera = camera_at((20.0, 20.0, 4.0), (20.0, 20.1, 0.0), (64, 64))
+    spec = replace(spec, cameras=(camera,), sky=replace(spec.sky, kind="clear", sun_elevation_deg=20.0))
+    share = trace_guides(SceneTracer(spec, Timings()), camera).colour.mean(axis=-1) / np.mean(spec.terrain.mean_colour)
+    assert np.median(share) == pytest.approx(0.15 + 0.85 * np.sin(np.radians(20.0)), rel=0.01)
+    assert 0.03 <= share.min() < 0.145  # 0.15 is the open shade
