@@ -8,7 +8,7 @@ the cloud. Other clouds and what lies between are left to the denoiser.
 
 For the same reason each of a pixel's samples that the sun does not reach has a place of the sky, hidden or not: the
 shade between leaves is in the colours. All pixels have the same places, so that the guide has no noise. Without it
-a beech forest from inside, of 48 samples, has .35 of the power of 1/4 to 1/2 cycles a pixel, with it .48.
+a beech forest from inside, of 48 samples, has .35 of the power of 1/4 to 1/2 cycles a pixel, with it .46.
 
 `benchmarks/sharpness.py` compares power spectra of denoised images with those of nearly noise-free ones.
 """
@@ -43,8 +43,8 @@ _CLOUD_RAYS = 4  # of a pixel
 _SEEN_DEPTH = 0.7  # optical depth of the place in a cloud that a ray sees
 _CLEAR, _CLOUD_SHADE, _CLOUD_FALL, _DARK_DEPTH = 0.35, 0.5, 0.3, 12.0  # of guides: light falls slowly inside clouds
 Floats = NDArray[np.float64]
-_SHADE = 0.4  # light in the open shade, by that of a surface that faces the sun
-_HIDDEN = 0.2  # shade where the sky is hidden, by that in the open: leaves let light through and scatter it
+_SHADE = 0.15  # light in the open shade, by that of a surface that faces the sun
+_HIDDEN, _HIDDEN_BY_DAY = 0.2, 0.5  # shade where the sky is hidden, by that in the open; more beside sunlit leaves
 _SHADE_EVERY = 4  # samples of which one is tried in the shade beside the sun's light, for the time that it takes
 _PLACES = 37  # of the sky, between one sample's and the next one's; it has no divisor in common with `SAMPLES`
 
@@ -65,12 +65,12 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
         facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
         smooth = shading_normal(tracer, hits, corners, facing)
         sunlit = sun_visible(tracer, camera, hits, facing)
-        every = _SHADE_EVERY if casts_shadows(tracer.spec.sky) else 1
+        every, hidden = (_SHADE_EVERY, _HIDDEN_BY_DAY) if casts_shadows(tracer.spec.sky) else (1, _HIDDEN)
         number = dr.arange(mi.UInt32, dr.width(hits.distance_m)) % SAMPLES
         to_sky = _sky_place(number)
         is_open = unhidden(tracer, camera, hits, facing, to_sky, hits.valid & ~sunlit & (number % every == 0))
         # Of all places over level ground the mean cosine is a half.
-        shade = _HIDDEN + (1.0 - _HIDDEN) * dr.select(is_open, 2.0 * every * dr.abs(dr.dot(smooth, to_sky)), 0.0)
+        shade = hidden + (1.0 - hidden) * dr.select(is_open, 2.0 * every * dr.abs(dr.dot(smooth, to_sky)), 0.0)
         if casts_shadows(tracer.spec.sky):
             lit = _SHADE + (1.0 - _SHADE) * dr.abs(dr.dot(smooth, tracer.to_light))
             shade = dr.select(sunlit, lit, _SHADE * shade)
