@@ -83,7 +83,6 @@ def dead_branches(
     branches = _Branches.of(stem, law, height_m, whole_m, left_m, form_rng).at(np.flatnonzero(kept))
     if not len(branches.left_m):
         return ()
-    tile_m = law.tile_m or (1.0, 1.0)
     is_near, tile_m = pixel_m <= 0.0, law.tile_m or (1.0, 1.0)
     lines, sides, pointed = branches.tubes(is_near)
     meshes = [sweep_tubes(lines, sides, pointed=pointed, tile_m=tile_m)[0]]
@@ -97,20 +96,17 @@ def dead_branches(
 
 def _collars(branches: _Branches, wood: Wood, height_m: float) -> list[OrganMesh]:
     """Swellings of the stem around its dead branches, of the bark at their height."""
-    made = []
-    zones: list[tuple[str, tuple[float, float], Bools]] = [
-        (wood.material, wood.bark_tile_m, branches.radius_m[:, 0] >= _THIN_M)
-    ]
+    barks, which = [(wood.material, wood.bark_tile_m)], np.zeros(len(branches.height_m), dtype=np.int64)
     for zone in () if wood.years is None else wood.years.bark_zones:
         middle_m = float(np.mean(zone.above or zone.below or (0.0, 0.0))) * height_m
-        inside = (branches.height_m > middle_m) == (zone.above is not None)
-        own = zones[0][2] & inside
-        zones = [(name, tile, rows & ~inside) for name, tile, rows in zones]
-        zones.append((zone.material, zone.tile_m or wood.bark_tile_m, own))
-    for material, tile_m, rows in zones:
-        if rows.any():
-            made.append(OrganMesh(Part.BRANCH, material, branches.at(np.flatnonzero(rows)).collars(tile_m)))
-    return made
+        which[(branches.height_m > middle_m) == (zone.above is not None)] = len(barks)
+        barks.append((zone.material, zone.tile_m or wood.bark_tile_m))
+    which[branches.radius_m[:, 0] < _THIN_M] = -1
+    return [
+        OrganMesh(Part.BRANCH, material, branches.at(np.flatnonzero(which == k)).collars(tile_m))
+        for k, (material, tile_m) in enumerate(barks)
+        if np.any(which == k)
+    ]
 
 
 def _places(law: DeadBranches, base_m: float, rng: np.random.Generator) -> tuple[Floats, Floats]:

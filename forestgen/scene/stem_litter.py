@@ -28,7 +28,7 @@ _LAYERS = 3.0  # things above one another at the bark
 _LEAN_DEG = 30.0  # standard deviation of a thing's lean
 _LEAST_DBH_M, _REFERENCE_M = 0.06, 0.35
 _LOBES = 0.45  # mean of the widening above roots, over its peak
-_MISSING = 0.2  # share of heaps that are not there
+_MISSING = 0.1  # share of heaps that are not there
 _UPHILL = 2.5  # growth of the height on the upper side, over the slope
 _STEP_M = 0.15  # on which the slope is taken
 
@@ -52,12 +52,12 @@ def heap(layer: Layer, variant: int, seed: int) -> Exemplar:
 
 def foot_factors(plants: Mapping[str, Any], names: Sequence[str]) -> Floats:
     """(S,) mean radius of stems at the ground over that at breast height, by species; `plants`: their parameters."""
-    wood = [None if name not in plants else plants[name].wood for name in names]
-    roots = [
-        0.0 if one is None or one.years is None or one.years.roots is None else one.years.roots.rise for one in wood
-    ]
-    flare = [0.0 if one is None else one.flare for one in wood]
-    return np.asarray(1.0 + np.array(flare) + _LOBES * np.array(roots))
+    factors = np.ones(len(names))
+    for k, wood in enumerate(plants[name].wood if name in plants else None for name in names):
+        if wood is not None:
+            roots = None if wood.years is None else wood.years.roots
+            factors[k] += wood.flare + (0.0 if roots is None else _LOBES * roots.rise)
+    return factors
 
 
 def heaps(
@@ -86,7 +86,7 @@ def _around(
     """(K, 3, 4) of the heaps of one stem."""
     rng = child_rng(seed, "heaps", layer.name, int(population.plant_id[row]))
     radius_m = 0.5 * factor * dbh_m
-    count = int(np.ceil(2.0 * np.pi * radius_m / (0.7 * _WIDE_M)))
+    count = int(np.ceil(2.0 * np.pi * radius_m / (0.6 * _WIDE_M)))
     angle = 2.0 * np.pi * (np.arange(count) + rng.uniform(-0.35, 0.35, count) + rng.random()) / count
     foot = population.position_m[row, :2]
     cover = layer.cover * (1.0 if layer.where is None else float(layer.where(*foot[:, None])[0]))
