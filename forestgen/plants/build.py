@@ -154,8 +154,7 @@ def _dead_wood(
     years = plant.wood.years
     if tree is None or years is None or years.dead_branches is None:
         return ()
-    found = dead_branches(skeleton, years.dead_branches, tree, pixel_m, rng)
-    return () if found is None else (found,)
+    return dead_branches(skeleton, years.dead_branches, plant.wood, tree, pixel_m, rng)
 
 
 def _grown(

@@ -17,7 +17,11 @@ cease to grow, and a stem takes more than 40 years to close over them (Mäkinen 
 The sizes of spruce, pine and birch give the dry mass that Repola found in Finland (2009, Silva Fennica 43, 625-647;
 2008, ibid. 42, 605-624) within a factor of two: tests/unit/plants/test_dead_branches.py.
 
-Far versions of a plant have no twigs and no stubs shorter than a pixel.
+Their course has kinks, where a fork once went the other way, and they are thinner beyond; they sag, and their tips turn
+up. Those that have lost their tip end in a splinter. The stem forms a collar of its own bark around each. Kinks, sags
+and collars are ours.
+
+Far versions of a plant have no twigs, no collars and no stubs shorter than a pixel.
 """
 
 from __future__ import annotations
@@ -27,10 +31,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from forestgen.core.parts import Part
-from forestgen.geometry.mesh import Bools, Floats, Ints, concatenate, unit
+from forestgen.geometry.mesh import Bools, Floats, Ints, Mesh, concatenate, unit
 from forestgen.geometry.sweep import Polylines, sides_for_radius, sweep_tubes
 from forestgen.plants.crown_twigs import TWIG_ORDER, first_stem, is_second_stem
 from forestgen.plants.exemplar import OrganMesh
+from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
 from forestgen.plants.tree_size import TreeSize
 from forestgen.recipe.wood import DeadBranches
@@ -39,9 +44,17 @@ _LOWEST_M = 0.15  # of a whorl
 _LEAST_M = 0.015  # of a stub, from the bark
 _LOWEST_SHARE = 0.03  # of the living branches' sections, which may be below the lowest
 _MOST = 0.9  # of the crown's radius: the living crown stays the widest
-_NODES, _TWIG_NODES = 5, 3  # of a branch, of a twig
+_NODES, _TWIG_NODES = 7, 3  # of a branch, of a twig
 _MOST_SIDES = 5
-_CROOKED_DEG = 7.0  # standard deviation of the turn from node to node
+_THIN_M = 0.004  # radius: thinner branches have every other node, no collar and no splinter
+_CROOKED_DEG, _KINK_DEG = 6.0, 24.0  # standard deviation of the turn from node to node, and at a kink
+_KINKS = 0.3  # share of the nodes
+_LOST = 0.15  # of the radius, at a kink
+_UNEVEN = 0.1  # standard deviation of the logarithm of the radius
+_UPTURN_DEG = 40.0  # of a whole branch's tip
+_SPLINTER = (2.4, 0.8)  # ahead and aside, over the radius at the break
+_COLLAR = np.array([[0.0, 2.1], [1.0, 1.9], [2.0, 1.35], [3.2, 0.85]])  # way from the bark, radius; over the branch's
+_COLLAR_TILE_M = 0.12  # of the bark's texture, round a collar
 _ANGLE_DEG = 7.0  # of the angle to the stem
 _TAPER = 0.75  # of a whole branch's radius, lost up to its tip
 _TWIG_LENGTH, _TWIG_ANGLE_DEG, _TWIG_DROOP_DEG = 0.5, 58.0, 35.0  # over what is left of the branch beyond; ...
@@ -50,11 +63,12 @@ _TWIGS_KEEP = 0.6  # of the depth by which branches keep their length
 
 
 def dead_branches(
-    skeleton: Skeleton, law: DeadBranches, tree: TreeSize, pixel_m: float, rng: np.random.Generator
-) -> OrganMesh | None:
-    """The dead branches of a tree; None: it has none.
+    skeleton: Skeleton, law: DeadBranches, wood: Wood, tree: TreeSize, pixel_m: float, rng: np.random.Generator
+) -> tuple[OrganMesh, ...]:
+    """The dead branches of a tree, the first mesh, and the stem's collars around them; none: it has none.
 
-    `skeleton`: of the living tree, at its final size. `pixel_m`: what a pixel covers of the plant, metres; 0: all.
+    `skeleton`: of the living tree, at its final size. `wood`: the barks of its stem. `pixel_m`: what a pixel covers of
+    the plant, metres; 0: all.
     """
     stem = _Stem.of(skeleton)
     base_m = max(tree.crown_base_m, _lowest_branch_m(skeleton))
@@ -68,13 +82,31 @@ def dead_branches(
     kept = (form_rng.random(len(whole_m)) < np.exp(-depth_m / law.gone_m)) & (left_m >= pixel_m)
     branches = _Branches.of(stem, law, height_m, whole_m, left_m, form_rng).at(np.flatnonzero(kept))
     if not len(branches.left_m):
-        return None
-    tile_m = law.tile_m or (1.0, 1.0)
-    meshes = [sweep_tubes(*branches.tubes(), pointed=branches.are_whole, tile_m=tile_m)[0]]
-    if law.twigs_per_m > 0.0 and pixel_m <= 0.0:
+        return ()
+    is_near, tile_m = pixel_m <= 0.0, law.tile_m or (1.0, 1.0)
+    lines, sides, pointed = branches.tubes(is_near)
+    meshes = [sweep_tubes(lines, sides, pointed=pointed, tile_m=tile_m)[0]]
+    if not is_near:
+        return (OrganMesh(Part.BRANCH, law.material, meshes[0]),)
+    if law.twigs_per_m > 0.0:
         twigs = _twigs(branches, law, (base_m - branches.height_m) / law.keeps_m, twig_rng)
         meshes += [] if twigs is None else [sweep_tubes(twigs, np.full(len(twigs.lengths), 3), tile_m=tile_m)[0]]
-    return OrganMesh(Part.BRANCH, law.material, concatenate(meshes))
+    return (OrganMesh(Part.BRANCH, law.material, concatenate(meshes)), *_collars(branches, wood, tree.height_m))
+
+
+def _collars(branches: _Branches, wood: Wood, height_m: float) -> list[OrganMesh]:
+    """Swellings of the stem around its dead branches, of the bark at their height."""
+    barks, which = [(wood.material, wood.bark_tile_m)], np.zeros(len(branches.height_m), dtype=np.int64)
+    for zone in () if wood.years is None else wood.years.bark_zones:
+        middle_m = float(np.mean(zone.above or zone.below or (0.0, 0.0))) * height_m
+        which[(branches.height_m > middle_m) == (zone.above is not None)] = len(barks)
+        barks.append((zone.material, zone.tile_m or wood.bark_tile_m))
+    which[branches.radius_m[:, 0] < _THIN_M] = -1
+    return [
+        OrganMesh(Part.BRANCH, material, branches.at(np.flatnonzero(which == k)).collars(tile_m))
+        for k, (material, tile_m) in enumerate(barks)
+        if np.any(which == k)
+    ]
 
 
 def _places(law: DeadBranches, base_m: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -131,8 +163,9 @@ class _Branches:
     height_m: Floats  # (B,) at which each leaves the stem
     whole_m: Floats  # (B,) length when it died
     left_m: Floats  # (B,) of it
-    points_m: Floats  # (B, N, 3) from inside the stem to the end
+    points_m: Floats  # (B, N, 3) from inside the stem to the end, and beyond it the tip of a splinter
     radius_m: Floats  # (B, N)
+    stem_m: Floats  # (B,) radius of the stem
 
     @classmethod
     def of(
@@ -144,21 +177,29 @@ class _Branches:
         turn = 2.399963 * np.arange(count) + rng.normal(0.0, 0.35, count)
         share = np.linspace(0.0, 1.0, _NODES)
         tilt = law.angle_deg + rng.normal(0.0, _ANGLE_DEG, count)
-        crook = np.cumsum(rng.normal(0.0, _CROOKED_DEG, (2, count, _NODES - 1)), axis=2)
+        kink = rng.random((count, _NODES - 1)) < _KINKS
+        crook = np.cumsum(rng.normal(0.0, np.where(kink, _KINK_DEG, _CROOKED_DEG), (2, count, _NODES - 1)), axis=2)
         step_m = left_m / (_NODES - 1)
-        along_m = left_m[:, None] * 0.5 * (share[1:] + share[:-1])
-        down = np.radians(tilt[:, None] + law.droop_deg_per_m * along_m + crook[0])
+        along = 0.5 * (share[1:] + share[:-1])
+        age = (left_m / whole_m).clip(0.0, 1.0)[:, None] * along
+        sag = law.droop_deg_per_m * left_m[:, None] * along * (2.0 - 2.0 * age) - _UPTURN_DEG * age**2
+        down = np.radians(tilt[:, None] + sag + crook[0])
         aside = turn[:, None] + np.radians(crook[1])
         way = np.stack([np.sin(down) * np.cos(aside), np.sin(down) * np.sin(aside), np.cos(down)], axis=2)
         bark = middle + bearer_m[:, None] * 0.95 * np.stack([np.cos(turn), np.sin(turn), np.zeros(count)], axis=1)
         out = bark[:, None] + np.cumsum(way * step_m[:, None, None], axis=1)
-        out[:, :, 2] = np.maximum(out[:, :, 2], 0.02)
-        inside = middle + 0.4 * (bark - middle)
-        points = np.concatenate([inside[:, None], bark[:, None], out], axis=1)
         thick = 0.5 * law.thickness * whole_m[:, None]
         radius = thick * (1.0 - _TAPER * share * (left_m / whole_m).clip(0.0, 1.0)[:, None])
-        radius = np.concatenate([radius[:, :1], radius], axis=1)
-        return cls(height_m, whole_m, left_m, points, np.minimum(radius, 0.7 * bearer_m[:, None]))
+        radius[:, 1:] *= np.exp(rng.normal(0.0, _UNEVEN, kink.shape)) * (1.0 - _LOST) ** (np.cumsum(kink, 1) - 1)
+        radius = np.minimum(np.concatenate([radius[:, :1], radius, radius[:, -1:]], axis=1), 0.7 * bearer_m[:, None])
+        across = unit(np.cross(way[:, -1], rng.normal(size=(count, 3))))
+        splinter = out[:, -1] + radius[:, -1:] * (_SPLINTER[0] * way[:, -1] + _SPLINTER[1] * across)
+        inside = middle + 0.4 * (bark - middle)
+        points = np.concatenate([inside[:, None], bark[:, None], out, splinter[:, None]], axis=1)
+        points[:, 2:, 2] = np.maximum(points[:, 2:, 2], 0.02)
+        thin = radius[:, 0] < _THIN_M
+        points[thin, 2:-2:2] = 0.5 * (points[thin, 1:-3:2] + points[thin, 3:-1:2])  # on the lines that `tubes` has
+        return cls(height_m, whole_m, left_m, points, radius, bearer_m)
 
     def at(self, rows: Ints) -> _Branches:
         return _Branches(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
@@ -168,11 +209,27 @@ class _Branches:
         """(B,) which have their tip: the others end in a break."""
         return np.asarray(self.left_m > 0.8 * self.whole_m, dtype=np.bool_)
 
-    def tubes(self) -> tuple[Polylines, Ints]:
-        """Lines, and (B,) sides."""
-        count, nodes = self.radius_m.shape
-        lines = Polylines(self.points_m.reshape(-1, 3), self.radius_m.reshape(-1), np.arange(count + 1) * nodes)
-        return lines, np.minimum(sides_for_radius(self.radius_m[:, 0]), _MOST_SIDES)
+    def tubes(self, is_near: bool) -> tuple[Polylines, Ints, Bools]:
+        """Lines, (B,) sides, and (B,) which end in a point."""
+        thick = is_near & (self.radius_m[:, 0] >= _THIN_M)
+        kept = np.ones(self.radius_m.shape, dtype=np.bool_)
+        kept[:, 2:-2:2] = thick[:, None]
+        kept[:, -1] = thick & ~self.are_whole
+        offset = np.concatenate([[0], np.cumsum(kept.sum(axis=1))])
+        lines = Polylines(self.points_m[kept], self.radius_m[kept], offset)
+        return lines, np.minimum(sides_for_radius(self.radius_m[:, 0]), _MOST_SIDES), thick | self.are_whole
+
+    def collars(self, tile_m: tuple[float, float]) -> Mesh:
+        """Tubes around the feet; `tile_m`: of the bark's texture."""
+        way, thick_m = unit(self.points_m[:, 2] - self.points_m[:, 1]), self.radius_m[:, :1]
+        along = 0.05 * self.stem_m[:, None] + _COLLAR[:, 0] * thick_m
+        points = self.points_m[:, 1, None] + along[..., None] * way[:, None]
+        radius = np.minimum(_COLLAR[:, 1] * thick_m, 0.5 * self.stem_m[:, None])
+        lines = Polylines(points.reshape(-1, 3), radius.ravel(), np.arange(len(thick_m) + 1) * len(_COLLAR))
+        mesh, _ = sweep_tubes(lines, np.full(len(thick_m), _MOST_SIDES + 1), pointed=False, tile_m=tile_m)
+        assert mesh.uv is not None
+        mesh.uv[:, 0] *= np.float32(_COLLAR_TILE_M / tile_m[0])
+        return mesh
 
 
 def _twigs(branches: _Branches, law: DeadBranches, depth: Floats, rng: np.random.Generator) -> Polylines | None:

@@ -244,7 +244,10 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
     angle = np.arange(count) * (2.0 * np.pi / count)
     phase = 40.0 * line.points_m[min(8, len(height) - 1), :2]  # differs from tree to tree, needs no random number
     near_ground = np.exp(-np.maximum(height, 0.0) / (3.5 * base))[:, None]
-    ridges = 1.0 + 0.55 * np.cos(5.0 * angle + phase[0]) + 0.35 * np.cos(3.0 * angle + phase[1])
+    if roots is None:
+        ridges = 1.0 + 0.55 * np.cos(5.0 * angle + phase[0]) + 0.35 * np.cos(3.0 * angle + phase[1])
+    else:
+        ridges = roots.ridges(angle.astype(np.float64))
     waves = 0.03 * np.sin(3.0 * angle + 1.7 * height[:, None]) + 0.025 * np.sin(2.0 * angle - 2.9 * height[:, None])
     factor = 1.0 + flare * near_ground * ridges + waves
     if roots is not None:

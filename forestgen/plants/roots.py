@@ -2,12 +2,13 @@
 
 A stem widens above each root by
 
-    rise exp(-z / (1.3 r)) exp(k (cos(a - a_root) - 1))
+    1.15 rise s exp(-z / (1.3 r f)) exp(k (cos(a - a_root) - 1))
 
-of its radius r at the height z and azimuth a. From the ridge a tube goes on, taller than wide and mostly below the
-ground, so that it hangs over no slope that is not steep. It ends below the ground within `reach_m`, times the root of
-the stem's diameter over 30 cm. Spruce and beech root near the surface (Köstler, Brückner and Bibelriether 1968, Die
-Wurzeln der Waldbäume); lengths and numbers are ours.
+of its radius r at the height z and azimuth a: s is the root's size over the largest, f = 0.45 + 0.75 s, so ridges of
+large roots reach further up. The stem's own flare is of the same ridges, wider, with hollows between them. From the
+ridge a tube goes on, taller than wide and mostly below the ground, so that it hangs over no slope that is not steep. It
+ends below the ground within `reach_m`, times the root of the stem's diameter over 30 cm. Spruce and beech root near the
+surface (Köstler, Brückner and Bibelriether 1968, Die Wurzeln der Waldbäume); lengths and numbers are ours.
 """
 
 from __future__ import annotations
@@ -23,12 +24,14 @@ from forestgen.recipe.wood import Roots
 
 HIGH = 1.2  # height of roots at the stem, over its radius: above, a stem is a stem
 _LEAST_RADIUS_M = 0.04  # of a stem with roots above the ground
-_NARROW = 9.0  # k
+_NARROW, _PEAK = 12.0, 1.15  # k, and the peak over `rise`
+_WIDE = 3.5  # k of the flare's ridges
 _FADES = 1.3  # of the widening's height, over the stem's radius
 _NODES, _SIDES = 12, 8
 _TALL = 1.7  # height of a root's section over its width
 _WANDER_RAD = 0.14  # standard deviation of a root's turn to the side, and of its waves
 _REFERENCE_M = 0.3  # diameter
+_SINKS = 1.0  # of a root's radius, over its way: litter and soil cover it bit by bit
 _DIVE = 0.3  # of the way, at the end, on which a root goes down
 
 
@@ -47,8 +50,19 @@ class StemRoots:
 
     def widening(self, angle_rad: Floats, height_m: Floats) -> Floats:
         """(K, S) of the stem, over its radius."""
-        lobes = np.exp(_NARROW * (np.cos(angle_rad[:, None] - self.azimuth_rad) - 1.0)) @ self.size
-        return np.asarray(self.rise * np.exp(-height_m / (_FADES * self.stem_m))[:, None] * lobes)
+        fades_m = _FADES * self.stem_m * (0.45 + 0.75 * self.size)
+        return np.asarray(
+            _PEAK * self.rise * np.exp(-height_m[:, None] / fades_m) * self.size @ self._lobes(angle_rad, _NARROW).T
+        )
+
+    def ridges(self, angle_rad: Floats) -> Floats:
+        """(S,) of the stem's flare, of mean 1."""
+        lobes = self._lobes(angle_rad, _WIDE) @ self.size
+        return np.asarray(lobes / lobes.mean())
+
+    def _lobes(self, angle_rad: Floats, narrow: float) -> Floats:
+        """(S, R) of each root by azimuth."""
+        return np.asarray(np.exp(narrow * (np.cos(angle_rad[:, None] - self.azimuth_rad) - 1.0)))
 
     def mesh(self, foot_m: Floats, tile_m: tuple[float, float]) -> Mesh:
         """Tubes from within the stem; `foot_m`: (3,) the stem's middle on the ground."""
@@ -57,7 +71,9 @@ class StemRoots:
         away = begin_m + (self.reach_m[:, None] - begin_m) * share
         radius = self.thick_m[:, None] * (1.0 - 0.8 * share**0.8)
         ridge = self.rise * self.size[:, None] * self.stem_m
-        top = ridge * np.exp(-(away - begin_m) / (0.9 * self.stem_m)) + 0.7 * radius * (1.0 + self.bumps)
+        top = ridge * np.exp(-(away - begin_m) / (0.9 * self.stem_m)) + (0.7 - _SINKS * share) * radius * (
+            1.0 + self.bumps
+        )
         top -= 2.2 * radius * (np.maximum(share - 1.0 + _DIVE, 0.0) / _DIVE) ** 2
         azimuth = self.azimuth_rad[:, None] + self.turn_rad
         height = top - np.sqrt(_TALL) * radius

@@ -8,8 +8,9 @@ contours are.
 
       s = at_foot exp(-z / fades_m) + weather exp(-z / weather_fades_m) ((1 + cos(a - weather side)) / 2)^2
 
-  so s of the surface there bears it: thin at the edge of a patch, dense where s is above the noise by `_DENSE`. Both
-  are the bark's own texture with the cover's colour in parts of it (plants/bark/texture.py); `covered_name` names them.
+  times a number of the stem's own. So s of the surface there bears it: thin at the edge of a patch, dense where s is
+  above the noise by `_DENSE`. Both are the bark's own texture with the cover's colour in parts of it
+  (plants/bark/texture.py); `covered_name` names them.
 
 Mosses grow highest on the side from which rain comes and at the foot, where stems are moist longest (Barkman 1958,
 Phytosociology and Ecology of Cryptogamic Epiphytes, chapters on exposure and height). Shares are ours.
@@ -32,6 +33,7 @@ COVERED = "+"  # in the name of a bark under a cover
 LEVELS = (0.4, 0.85)  # share of a covered bark's texture that has the cover's colour, of thin and dense cover
 _DENSE = 0.25
 _LEAST_SHARE = 0.03  # of a cover
+_UNLIKE = 0.5  # standard deviation of the logarithm of what stems bear
 _LEAST_RADIUS_M = 0.03  # of a stem that bears anything
 EDGE_M = 0.08  # of the finest triangles, at the ground
 _COARSER_M = 2.0  # height at which they are twice as large
@@ -58,7 +60,7 @@ def surfaced(
         return [organ]
     waves = _Waves(round(1e6 * base_radius_m))
     edge_m, top_m = max(EDGE_M, 0.5 * pixel_m), float(organ.mesh.vertices_m[:, 2].max())
-    pieces = [organ]
+    pieces = [_shifted(organ, child_rng(waves.seed, "texture").random(2))]
     for zone in wood.bark_zones:
         field = _ZoneField(zone, waves, top_m)
         found = [new for one in pieces for new in split(one, field, edge_m, zone.material)]
@@ -81,6 +83,7 @@ class _Waves:
     """Smooth noise of mean 0 and deviation 1."""
 
     def __init__(self, seed: int) -> None:
+        self.seed = seed
         rng = child_rng(seed, "stem surface")
         length = np.repeat(_WAVES_M, 4)
         way = rng.normal(size=(len(length), 3))
@@ -88,6 +91,10 @@ class _Waves:
         self._way = way * np.array([1.0 / _ACROSS, 1.0 / _ACROSS, 1.0])
         self._phase = rng.uniform(0.0, 2.0 * np.pi, len(length))
         self._size = length**0.35 / np.sqrt(0.5 * np.sum(length**0.7))
+
+    def amount(self, shift: float) -> float:
+        """How much a stem bears, over the mean; `shift`: of another cover."""
+        return float(np.exp(child_rng(self.seed, "cover", round(shift)).normal(-0.5 * _UNLIKE**2, _UNLIKE)))
 
     def at(self, mesh: Mesh, shift: float) -> Floats:
         """(V,) at a mesh's vertices; `shift`: another noise."""
@@ -118,6 +125,7 @@ class _CoverField:
 
     def __init__(self, cover: Cover, waves: _Waves, shift: float) -> None:
         self._cover, self._waves, self._shift = cover, waves, shift
+        self._amount = waves.amount(shift)
 
     def at(self, mesh: Mesh) -> Floats:
         assert mesh.normals is not None  # wood has
@@ -127,6 +135,7 @@ class _CoverField:
         facing = (east * np.sin(side) + north * np.cos(side)) / np.maximum(np.hypot(east, north), 1e-9)
         share = cover.at_foot * np.exp(-height_m / cover.fades_m)
         share += cover.weather * np.exp(-height_m / cover.weather_fades_m) * (0.5 + 0.5 * facing) ** 2
+        share *= self._amount
         even = 1.0 / (1.0 + np.exp(-1.702 * self._waves.at(mesh, self._shift)))  # of a normal number
         return np.where(share < _LEAST_SHARE, -1.0, share - even)
 
@@ -179,6 +188,12 @@ def split(organ: OrganMesh, field: Field, edge_m: float, material: str) -> list[
 def _piece(organ: OrganMesh, mesh: Mesh, faces: Ints, material: str) -> OrganMesh:
     mark = None if organ.mark is None else organ.mark[faces]
     return replace(organ, mesh=mesh, material=material, mark=mark)
+
+
+def _shifted(organ: OrganMesh, by: Floats) -> OrganMesh:
+    """The surface with its texture elsewhere: no two stems show the same plates at their feet."""
+    uv = organ.mesh.uv
+    return organ if uv is None else replace(organ, mesh=replace(organ.mesh, uv=uv + by.astype(np.float32)))
 
 
 def _tiled(organ: OrganMesh, old_m: tuple[float, float], new_m: tuple[float, float] | None) -> OrganMesh:

@@ -110,10 +110,12 @@ class Bark(Section):
     )
     light: Colour | None = Field(None, description="Colour of what stands out, before the mean is set; null: chosen.")
     marks: Fraction | None = Field(
-        None, le=0.5, description="Share of lenticels, checks or cracks, 0 to 0.5; null: the pattern's own."
+        None,
+        le=0.5,
+        description="Share of lenticels, checks, cracks or fresh scales, 0 to 0.5; null: the pattern's own.",
     )
     mark_colour: Colour | None = Field(
-        None, description="Colour of the marks of smooth and papery bark; null: as dark."
+        None, description="Colour of the marks of smooth, papery, scaly and plated bark; null: as dark."
     )
     lichen: NonNegative = Field(0.0, le=0.9, description="Share of the surface that lichen covers.")
     lichen_colour: Colour = Field((0.3, 0.33, 0.24), description="Colour of lichen, before the mean is set.")

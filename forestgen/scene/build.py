@@ -17,6 +17,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.phenology import SUMMER, fallen_lately
+from forestgen.scene import bark_tones
 from forestgen.scene.building import building_materials
 from forestgen.scene.exemplar_plan import TREE_SIZES
 from forestgen.scene.exemplars import SizeError
@@ -121,6 +122,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             sky=sky_of(recipe, float(np.mean(terrain.far_reflectance))),  # the region, which sky and clouds see
             clouds=clouds,
             cameras=tuple(camera for entry in views for camera in entry),
+            bark_spread=bark_tones.SPREAD,
         )
         ground = ground_cover(plan, population, spec.cameras)
         spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars), recipe.time_of_year))

@@ -37,6 +37,7 @@ from forestgen.scene.ground_tiles import COVERS, MOST_THINGS, VARIANTS, number_p
 from forestgen.scene.ground_view import MOST_TILES, TILE_M, best_pixel_m, nearest, seen_tiles
 from forestgen.scene.plan import Plan
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec
+from forestgen.scene.stem_litter import foot_factors, heaps
 from forestgen.scene.terrain import HeightField
 
 _FEWEST = 4.0  # things on a tile, in the mean
@@ -112,7 +113,8 @@ def ground_cover(plan: Plan, population: Population, cameras: Sequence[Camera]) 
         named = [replace(one, name=f"{index}/{one.name}", relative=relative[index]) for one in found]
         layers += [_placed(one, keys.on, height) for one in named]
         notes += _notes(f"site.ground.layers.{index}: {keys.what}", found)
-    laid = _laid([one for one in layers if one.things], cameras, height, plan.drawn.image_seed)
+    stems = population, foot_factors(plan.plants.generators, population.species_names)
+    laid = _laid([one for one in layers if one.things], cameras, height, stems, plan.drawn.image_seed)
     return replace(
         laid, layers=tuple(layers), tiles=_tiles_of_all(layers, laid.tiles), patches=patches, notes=tuple(notes)
     )
@@ -151,7 +153,9 @@ def _notes(name: str, layers: Sequence[Layer]) -> list[str]:
     return notes
 
 
-def _laid(layers: Sequence[Layer], cameras: Sequence[Camera], height: HeightField, seed: int) -> LaidGround:
+def _laid(
+    layers: Sequence[Layer], cameras: Sequence[Camera], height: HeightField, stems: tuple[Population, Floats], seed: int
+) -> LaidGround:
     exemplars: list[Exemplar] = []
     which, places = [np.zeros(0, np.intp)], [np.zeros((0, 3, 4))]
     seen = [seen_tiles(cameras, height, max(one.length_m for one in layer.things)) for layer in layers]
@@ -159,10 +163,13 @@ def _laid(layers: Sequence[Layer], cameras: Sequence[Camera], height: HeightFiel
     for layer, (at, _), near in zip(layers, seen, kept, strict=True):
         mean = float(number_per_m2(layer, np.array(layer.cover))) * TILE_M**2
         lay = _lay_singly if mean < _FEWEST else _lay_tiles
-        made, index, transform = lay(layer, at[near], height, seed)
-        which.append(index + len(exemplars))
-        places.append(transform)
-        exemplars += made
+        found = [lay(layer, at[near], height, seed)]
+        if layer.heaped_m > 0.0:
+            found.append(heaps(layer, at[near], *stems, height, seed))
+        for made, index, transform in found:
+            which.append(index + len(exemplars))
+            places.append(transform)
+            exemplars += made
     materials = {(GROUND, key): one for layer in layers for key, one in layer.materials.items()}
     return LaidGround(
         exemplars=tuple(exemplars),

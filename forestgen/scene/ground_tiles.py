@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
@@ -41,7 +42,11 @@ def tile(layer: Layer, index: int, seed: int) -> tuple[Exemplar, int]:
     cover, rng = COVERS[index // VARIANTS], child_rng(seed, "tile", layer.name, index)
     count = min(int(rng.poisson(float(number_per_m2(layer, np.array(cover))) * TILE_M**2)), MOST_THINGS)
     kind = rng.integers(len(layer.things), size=count)
-    frames = _frames(layer, count, rng)
+    return laid(layer, kind, anywhere(layer, count, rng), TILE_M), count
+
+
+def laid(layer: Layer, kind: NDArray[np.integer], frames: Floats, width_m: float) -> Exemplar:
+    """Things of a layer on an area of a width, its middle in the origin; `kind`: (N,); `frames`: (N, 3, 4)."""
     meshes: dict[tuple[Part, str], list[OrganMesh]] = {}
     for number, thing in enumerate(layer.things):
         mine = frames[kind == number]
@@ -49,8 +54,8 @@ def tile(layer: Layer, index: int, seed: int) -> tuple[Exemplar, int]:
             continue
         mine = _sunk(mine, thing, layer.spread.sunk)
         for organ in thing.organs:
-            laid = replace(organ, mesh=instance(organ.mesh, mine.astype(np.float32)))
-            meshes.setdefault((organ.part, organ.material), []).append(laid)
+            one = replace(organ, mesh=instance(organ.mesh, mine.astype(np.float32)))
+            meshes.setdefault((organ.part, organ.material), []).append(one)
     organs = tuple(
         OrganMesh(part, material, replace(concatenate([one.mesh for one in group]), uv=None))
         for (part, material), group in meshes.items()
@@ -59,10 +64,10 @@ def tile(layer: Layer, index: int, seed: int) -> tuple[Exemplar, int]:
         first = layer.things[0].organs[0]
         buried = instance(first.mesh, np.hstack([0.01 * np.eye(3), [[0.0], [0.0], [-1.0]]])[None].astype(np.float32))
         organs = (OrganMesh(first.part, first.material, replace(buried, uv=None)),)
-    return Exemplar(GROUND, organs, 0.5 * TILE_M, _top_m(organs), TILE_M, 0.0, 0.0), count
+    return Exemplar(GROUND, organs, 0.5 * width_m, _top_m(organs), width_m, 0.0, 0.0)
 
 
-def _frames(layer: Layer, count: int, rng: np.random.Generator) -> Floats:
+def anywhere(layer: Layer, count: int, rng: np.random.Generator) -> Floats:
     """(N, 3, 4) of things anywhere on a tile, turned, leaning, of random sizes, lying on each other."""
     spread = layer.spread
     turn, way = rng.random((2, count)) * 2.0 * np.pi

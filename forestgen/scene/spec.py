@@ -301,3 +301,4 @@ class SceneSpec:
     fog: tuple[FogLayer, ...] = ()  # what light goes through near the ground
     snow: SnowCover | None = None  # on plants; None: there is none
     falling: tuple[Falling, ...] = ()  # what falls before the cameras
+    bark_spread: float = 0.0  # of wood's reflectance between plants: scene/bark_tones.py

@@ -30,6 +30,7 @@ from forestgen.render.paths.tracer import Sky as SkyOnDevice
 from forestgen.render.skies.model import MAP_COLUMNS, MAP_ROWS, daylight_of
 from forestgen.render.surfaces import surface_bsdf
 from forestgen.render.variant import CUDA, LLVM, SCALAR, drjit, mitsuba, using
+from forestgen.scene.bark_tones import bark_tones
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Lens, Material, SceneSpec, Sky, WetGround
 from support.bark_post import REFLECTANCE, TILE_M, leaning_texture, post_scene
@@ -389,6 +390,16 @@ def test_relief_of_bark_is_lit_as_mitsuba_lights_it(turn_deg):
         spec = post_scene(Material(REFLECTANCE, texture=texture), turn_deg=turn_deg)
         spec = replace(spec, sky=Sky(30.0, 200.0, 3.0))
         assert_same(images_of(spec, 10, 64), by_mitsuba(spec, 10, 64))
+
+
+def test_wood_has_the_tone_of_its_plant():
+    """A convex post: all of its light but what it sends to itself by the ground goes with its reflectance."""
+    spec = replace(post_scene(Material(REFLECTANCE, texture=leaning_texture())), sky=Sky(30.0, 200.0, 3.0))
+    spread = 0.3
+    tone = float(bark_tones(spec.instances.plant_id, spread)[0])
+    assert abs(tone - 1.0) > 0.05
+    plain, toned = (radiance(one, 16, seed=1).mean for one in (spec, replace(spec, bark_spread=spread)))
+    np.testing.assert_allclose(toned.mean() / plain.mean(), tone, rtol=0.02)
 
 
 def test_an_image_is_the_same_with_any_threads_and_blocks(monkeypatch):

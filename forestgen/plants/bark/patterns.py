@@ -182,8 +182,8 @@ class Pattern:
 def furrowed(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
     """Long ridges that part and meet again, broken by cracks across, with dark furrows between (oak, old poplar)."""
     s = scale_m
-    lean = (0.32 * s * tile.noise(rng, (3 * s, 9 * s)), 0.7 * s * tile.noise(rng, (3 * s, 7 * s)))
-    rough = 0.045 * s * tile.noise(rng, (0.5 * s, 0.9 * s), 1.7)
+    lean = (0.24 * s * tile.noise(rng, (4 * s, 9 * s)), 0.5 * s * tile.noise(rng, (4 * s, 9 * s)))
+    rough = 0.035 * s * tile.noise(rng, (0.5 * s, 0.9 * s), 2.0)
     cells = tile.cells(rng, (s, 7.0 * s), (lean[0] + rough, lean[1]))
     ridge = np.asarray(1.0 - np.exp(-((cells.border_m / (0.24 * s)) ** 1.6)), dtype=np.float32)
     blocks = tile.cells(rng, (0.9 * s, 1.7 * s), (0.7 * lean[0], lean[1] + 3.0 * rough))
@@ -198,35 +198,60 @@ def furrowed(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
 
 
 def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
-    """Large flat plates, themselves of flakes on flakes, with wide dark cracks between (pine, maple)."""
+    """Long uneven plates of thin scales on each other, between wide furrows; their flanks and fresh scales are `marks`
+    (pine).
+
+    Furrows along the stem part and meet. Cracks across fade out where a noise is low, so that plates differ in length
+    and many cracks end within a plate. Warps move places by less than they stretch: none folds into a curl.
+    """
     s = scale_m
-    warp_u, warp_v = 0.22 * s * tile.noise(rng, (1.5 * s, 3 * s)), 0.35 * s * tile.noise(rng, (1.5 * s, 2 * s))
-    rough = 0.035 * s * tile.noise(rng, (0.25 * s, 0.3 * s), 1.7)
-    plates = tile.cells(rng, (s, 2.1 * s), (warp_u + rough, warp_v + rough))
-    crack = step(plates.border_m, 0.015 * s, 0.13 * s)
-    flakes = tile.cells(rng, (0.32 * s, 0.42 * s), (warp_u + 2.5 * rough, warp_v + 2.5 * rough))
-    layer = flakes.values(rng)
-    edge = step(flakes.border_m, 0.0, 0.022 * s)
-    fine = tile.noise(rng, (0.08 * s, 0.12 * s), 1.5)
-    height = crack * (0.72 + 0.20 * layer + 0.08 * edge) + 0.015 * fine
-    tone = crack * (0.42 + 0.30 * layer + 0.16 * edge + 0.24 * (plates.values(rng) - 0.5)) + 0.05 * fine
-    return Relief(height, tone + 0.04 * tile.noise(rng, (0.05 * s, 0.5 * s), 2.0) * crack)
+    sway = (0.14 * s * tile.noise(rng, (2.5 * s, 6 * s)), 0.30 * s * tile.noise(rng, (2.5 * s, 5 * s)))
+    fray = 0.022 * s * tile.noise(rng, (0.45 * s, 0.7 * s), 2.4)
+    uneven = tile.noise(rng, (0.9 * s, 2 * s))
+    width = np.exp(0.55 * uneven)
+    plates = tile.cells(rng, (1.15 * s, 3.4 * s), (sway[0] + fray, sway[1] + fray))
+    blocks = tile.cells(rng, (1.4 * s, 1.9 * s), (sway[0] + 2 * fray, sway[1] + 2 * fray))
+    furrow = np.clip(plates.border_m / (0.19 * s * width), 0.0, 1.0)
+    fading = step(uneven, -0.9, 0.3)
+    crack = 1.0 - fading * (1.0 - np.clip(blocks.border_m / (0.08 * s * width), 0.0, 1.0))
+    wall = step(np.minimum(furrow, crack), 0.0, 1.0)
+    scales, fresh, rim = _scales(tile, rng, s, 1.5, (sway[0] + 2 * fray, sway[1] + 2 * fray))
+    lean = blocks.values(rng) - 0.5, plates.values(rng) - 0.5
+    tilt = 0.16 * (lean[0] * blocks.offset_u - blocks.offset_v * (0.35 + lean[1]))
+    grain = tile.noise(rng, (0.06 * s, 0.35 * s), 1.6)
+    fine = tile.noise(rng, (0.05 * s, 0.05 * s), 1.2)
+    height = wall * (0.62 + 0.22 * scales + 0.05 * rim + tilt) + 0.012 * grain + 0.010 * fine
+    tone = 0.50 + 0.14 * scales + 0.16 * rim + 0.42 * lean[0] + 0.30 * lean[1] + 0.05 * grain + 0.05 * fine
+    red = np.maximum(marks * fresh, 0.8 * step(wall, 0.95, 0.55)) * step(wall, 0.02, 0.35)
+    return Relief(height, wall * (0.25 + 0.75 * wall) * tone, red)
+
+
+def _scales(tile: Tile, rng: Rng, s: float, tall: float, warp_m: tuple[Image, Image]) -> tuple[Image, Image, Image]:
+    """Scales on each other: how high the uppermost is, 0 to 1, whether it is fresh, and its loose lower rim."""
+    high, fresh, rim = (np.zeros((tile.rows, tile.columns), np.float32) for _ in range(3))
+    for layer, size in enumerate((0.7, 0.45)):
+        scale = tile.cells(rng, (size * s, tall * size * s), warp_m)
+        draw = scale.values(rng)
+        on = step(scale.border_m, 0.0, 0.02 * s) * (draw < np.float32(0.55))
+        high += on * (np.float32(0.5 * (layer + 1)) + 0.3 * (draw - 0.2) - high)
+        fresh += on * ((draw < np.float32(0.15)).astype(np.float32) - fresh)
+        rim += on * (step(scale.border_m, 0.05 * s, 0.015 * s) * step(scale.offset_v, 0.1, -0.4) - rim)
+    return high, fresh, rim
 
 
 def scaly(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
-    """Small rounded plates that come loose at their lower edge (spruce)."""
+    """Small rounded scales on each other that come loose at their lower edge; fresh ones are `marks` (spruce)."""
     s = scale_m
-    warp = [0.20 * s * tile.noise(rng, (2.2 * s, 2.2 * s), 2.6) for _ in range(2)]
-    scales = tile.cells(rng, (s, 1.25 * s), (warp[0], warp[1]))
-    crack = step(scales.border_m + 0.03 * s * tile.noise(rng, (0.4 * s, 0.4 * s), 2.0), 0.0, 0.085 * s)
-    dome = np.minimum(scales.border_m / (0.4 * s), 1.0)
-    tilt = np.clip(0.5 - 0.55 * scales.offset_v, 0.0, 1.0)
-    layer = scales.values(rng)
+    warp = [0.10 * s * tile.noise(rng, (1.6 * s, 1.6 * s), 2.6) for _ in range(2)]
+    below = tile.cells(rng, (1.1 * s, 1.4 * s), (warp[0], warp[1]))
+    high, fresh, rim = _scales(tile, rng, 1.6 * s, 1.15, (warp[0], warp[1]))
+    gap = step(below.border_m, 0.0, 0.12 * s)
     fine = tile.noise(rng, (0.16 * s, 0.2 * s), 1.5)
-    height = crack * (0.30 + 0.22 * dome + 0.25 * tilt + 0.23 * layer) + 0.03 * fine
     old = tile.noise(rng, (5 * s, 8 * s))
-    tone = (0.35 + 0.65 * crack) * (0.28 + 0.26 * tilt + 0.44 * layer**1.5 + 0.10 * dome) + 0.05 * fine + 0.07 * old
-    return Relief(height, tone)
+    ground = (high <= 0.0) * (0.25 + 0.75 * gap)
+    height = 0.25 * ground + high * (0.75 + 0.2 * rim) + 0.03 * fine
+    tone = (0.30 + 0.25 * below.values(rng)) * ground + (high > 0.0) * (0.32 + 0.45 * high + 0.22 * rim)
+    return Relief(height, tone + 0.05 * fine + 0.07 * old, marks * fresh)
 
 
 def smooth(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
@@ -352,7 +377,7 @@ def _radial_checks(rng: Rng, angle: Image, radius: Image, marks: float) -> Image
 
 PATTERNS = {
     "furrowed": Pattern(furrowed, 0.045, 0.016, 0.0),
-    "plated": Pattern(plated, 0.11, 0.014, 0.0),
+    "plated": Pattern(plated, 0.05, 0.014, 0.5),
     "scaly": Pattern(scaly, 0.022, 0.004, 0.0),
     "smooth": Pattern(smooth, 0.016, 0.003, 0.0),
     "papery": Pattern(papery, 0.05, 0.004, 0.08),

@@ -1,7 +1,8 @@
 """Bark as a texture: colour and relief of one tile that repeats round a stem and along it.
 
 A material's ``reflectance`` stays what it is: the mean of the texture. The pattern, its colours and its marks only
-share it out. `marks` are lenticels of smooth and papery bark, checks or cracks of others.
+share it out. `marks` are lenticels of smooth and papery bark, fresh scales of scaly and plated bark, checks or cracks
+of others.
 
 Recipe::
 
@@ -14,8 +15,10 @@ Blocks that read as these trees from 1 to 3 m; before the colon stands the mater
 
     oak, 0.130 0.112 0.088: {pattern: furrowed, dark: [0.035, 0.028, 0.02], light: [0.24, 0.21, 0.17], lichen: 0.05}
     maple, 0.16 0.15 0.13: {pattern: furrowed, scale_m: 0.03, depth_m: 0.008, dark: [0.06, 0.055, 0.045]}
-    pine, 0.19 0.12 0.08: {pattern: plated, dark: [0.03, 0.02, 0.015], light: [0.36, 0.21, 0.13]}
-    spruce, 0.125 0.105 0.085: {pattern: scaly, dark: [0.05, 0.03, 0.02], light: [0.24, 0.19, 0.16]}
+    pine, 0.19 0.12 0.08: {pattern: plated, dark: [0.025, 0.015, 0.011], light: [0.36, 0.27, 0.21],
+                           mark_colour: [0.19, 0.085, 0.05]}
+    spruce, 0.125 0.105 0.085: {pattern: scaly, dark: [0.05, 0.035, 0.025], light: [0.25, 0.20, 0.17], marks: 0.5,
+                                mark_colour: [0.14, 0.07, 0.045]}
     beech, 0.26 0.26 0.235: {pattern: smooth, dark: [0.10, 0.10, 0.09], light: [0.34, 0.34, 0.31], lichen: 0.06}
     birch, 0.58 0.56 0.51: {pattern: papery, dark: [0.30, 0.22, 0.16], light: [0.75, 0.73, 0.68],
                             mark_colour: [0.03, 0.027, 0.025]}
@@ -52,7 +55,7 @@ from forestgen.recipe.wood import BarkZone, DeadBranches
 Colour = tuple[float, float, float]
 
 _TEXEL_M = 0.0015
-_LEAST_TEXELS, _MOST_TEXELS = 64, 512
+_LEAST_TEXELS, _MOST_TEXELS = 64, 640
 _COVER_M = 0.004  # thickness of what grows on bark
 _STEEPEST = 1.2  # slope of the normal map: without shadows, steeper walls look wrong
 
@@ -78,7 +81,7 @@ class SurfaceTexture:
         return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True), dtype=np.float32)
 
 
-@lru_cache(maxsize=32)  # at most 4 MB each
+@lru_cache(maxsize=32)  # at most 6.6 MB each
 def bark_texture(bark: Bark, reflectance: Colour, name: str) -> SurfaceTexture:
     """Texture of a material, made once.
 

@@ -68,6 +68,7 @@ _WET_GLOSS, _WET_ROUGHNESS = 0.04, 0.3  # a film of water's
 _NEEDLE_SHADES = (0.68, 0.95, 1.22, 1.63)  # a floor of them reflects as measured: spectra/ground/litter_needles
 _TRAPPED = {"needle": 0.52}  # share of light, by type of leaf: benchmarks/ground_cover.py
 _TRAPPED_BY_BLADES = 0.38
+_HEAPED_M, _BLADES_HEAPED_M = {"needle": 0.08}, 0.16  # against stems
 _LEAST_SHARE = 0.03  # of the leaf area: rarer species leave nothing that one sees
 _FEWEST_TORN = 20  # triangles of a leaf that is drawn so finely that one sees tears
 _IN_ONE = 60  # needles that make one thing
@@ -114,6 +115,7 @@ class Leaves(GroundLayerKind[LeavesKeys]):
                     spread=Spread(tilt_deg=16.0, depth_m=0.02, size_sigma=_SIZE_SIGMA),
                     patch_m=keys.patch_m,
                     where=where,
+                    heaped_m=_HEAPED_M.get(str(species.materials[key].leaf_type), _BLADES_HEAPED_M),
                 )
             )
         return found

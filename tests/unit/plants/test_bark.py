@@ -6,6 +6,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from forestgen.plants.bark.patterns import PATTERNS, Tile, upper_share
 from forestgen.plants.bark.texture import SurfaceTexture, bark_texture, texture_images, with_bark_tiles, with_mean
@@ -182,6 +183,32 @@ def test_meshes_count_in_the_tiles_of_their_materials():
     alone = plant.model_copy(update={"wood": plant.wood.model_copy(update={"branch_material": None})})
     assert with_bark_tiles(alone, materials).wood.branch_tile_m == (0.4, 0.6)
     assert with_bark_tiles(plant, {}) is plant
+
+
+def test_plates_of_pine_are_long_and_uneven_and_none_is_a_small_loop():
+    """Scots pine's are about 5 to 25 cm high and 3 to 9 cm wide (by eye, in photographs); sizes weighed by area."""
+    made = PATTERNS["plated"].make(Tile(496, 480, (0.72, 0.75)), np.random.default_rng(1), 0.05, 0.5)
+    texel_m = 0.0015
+    is_plate = np.tile(made.height > 0.3, (2, 2))  # across the seams
+    labels, _ = ndimage.label(is_plate)
+    plates = ndimage.find_objects(labels)
+    area = np.bincount(labels.ravel())[1:]
+    whole = [
+        k
+        for k, place in enumerate(plates)
+        if all(one.start > 0 and one.stop < size for one, size in zip(place, is_plate.shape, strict=True))
+    ]
+    sizes_m = texel_m * np.array([[one.stop - one.start for one in plates[k]] for k in whole])
+    area = area[whole] * texel_m**2
+    for sizes, low_m, high_m in zip(sizes_m.T, (0.05, 0.03), (0.28, 0.10), strict=True):
+        order = np.argsort(sizes)
+        share = np.cumsum(area[order]) / area.sum()
+        tenth, ninth = sizes[order][np.searchsorted(share, [0.1, 0.9])]
+        assert low_m < tenth
+        assert ninth < high_m
+        assert ninth > 1.5 * tenth  # uneven
+    assert area[area < 0.015**2].sum() < 0.015 * area.sum()
+    assert 0.15 < 1.0 - is_plate.mean() < 0.35  # furrows
 
 
 @pytest.mark.slow

@@ -15,9 +15,9 @@ from forestgen.geometry.mesh import Floats, Mesh
 from forestgen.plants.dead_branches import dead_branches
 from forestgen.plants.exemplar import OrganMesh
 from forestgen.plants.growing import grow_exemplar
+from forestgen.plants.parameters import Wood
 from forestgen.plants.skeleton import Skeleton
 from forestgen.plants.tree_size import TreeSize
-from forestgen.recipe.wood import DeadBranches
 from forestgen.scene.plant_measures import PlantMeter
 from forestgen.scene.spec import Instances
 
@@ -25,11 +25,9 @@ SIZES = {"spruce": (20.0, 0.21, 8.3), "pine": (20.0, 0.22, 10.4), "birch": (16.0
 WOOD_KG_PER_M3 = 450.0
 
 
-def law_of(name: str) -> DeadBranches:
-    wood = plan_of(name, 1).drawn.species[name].wood
-    assert wood is not None
-    assert wood.dead_branches is not None
-    return wood.dead_branches
+def wood_of(name: str) -> Wood:
+    wood: Wood = request_of(plan_of(name, 1), name, 12.0, 1).parameters.wood
+    return wood
 
 
 def tree_of(name: str) -> TreeSize:
@@ -45,11 +43,15 @@ def stem_of(tree: TreeSize) -> Skeleton:
     return Skeleton.of(np.arange(-1, 49), points, radius, np.zeros(50), np.zeros(50))
 
 
+def all_on_stem(name: str, seed: int = 1, pixel_m: float = 0.0) -> tuple[OrganMesh, ...]:
+    tree, wood = tree_of(name), wood_of(name)
+    assert wood.years is not None
+    assert wood.years.dead_branches is not None
+    return dead_branches(stem_of(tree), wood.years.dead_branches, wood, tree, pixel_m, child_rng(seed, "dead", name))
+
+
 def on_stem(name: str, seed: int = 1, pixel_m: float = 0.0) -> OrganMesh:
-    tree = tree_of(name)
-    found = dead_branches(stem_of(tree), law_of(name), tree, pixel_m, child_rng(seed, "dead", name))
-    assert found is not None
-    return found
+    return all_on_stem(name, seed, pixel_m)[0]
 
 
 def volume_m3(mesh: Mesh) -> float:
@@ -110,3 +112,22 @@ def test_the_living_tree_stays_as_it_is(name: str) -> None:
     measured = [PlantMeter([exemplar]).measure(one) for exemplar in (with_dead, without)]
     for column in ("crown_width_m", "dbh_m", "crown_base_m", "leaf_area_m2", "tip_m", "crown_centre_m"):
         assert np.array_equal(*(getattr(found, column) for found in measured)), column
+
+
+def test_the_stem_has_a_collar_of_its_own_bark_round_each_thick_branch() -> None:
+    tree, wood = tree_of("pine"), wood_of("pine")
+    assert wood.years is not None
+    assert wood.years.dead_branches is not None
+    few = {"whorl_m": 2.5, "per_whorl": 0.99, "twigs_per_m": 0.0, "angle_deg": 90.0, "keeps_m": 100.0, "gone_m": 200.0}
+    law = wood.years.dead_branches.model_copy(update=few)
+    branch, *collars = dead_branches(stem_of(tree), law, wood, tree, 0.0, child_rng(1, "few"))
+    assert {one.material for one in collars} == {"bark", "upper_bark"}
+    points = np.concatenate([one.mesh.vertices_m for one in collars]).astype(np.float64)
+    height_m = np.sort(points[:, 2])
+    whorls = np.split(height_m, np.flatnonzero(np.diff(height_m) > 0.5) + 1)
+    assert len(whorls) > 2
+    for middle_m in (0.5 * (whorl[0] + whorl[-1]) for whorl in whorls):
+        stem_m = float(stem_radius_m(np.array([middle_m]), tree.height_m, tree.dbh_m)[0])
+        beside = [one[np.abs(one[:, 2] - middle_m) < 0.5] for one in (points, branch.mesh.vertices_m)]
+        collar, own = [one[np.hypot(one[:, 0], one[:, 1]) < stem_m + 0.03] for one in beside]
+        assert np.ptp(collar[:, 2]) > 1.5 * np.ptp(own[:, 2])

@@ -36,8 +36,8 @@ def stem() -> OrganMesh:
     return OrganMesh(Part.TRUNK, "bark", sweep_tubes(lines, np.array([24]), pointed=False)[0])
 
 
-def pieces_of(wood: Wood, pixel_m: float = 0.0) -> list[OrganMesh]:
-    return surfaced(stem(), wood, RADIUS_M, pixel_m, (1.0, 1.0))
+def pieces_of(wood: Wood, pixel_m: float = 0.0, which: int = 0) -> list[OrganMesh]:
+    return surfaced(stem(), wood, RADIUS_M + 1e-3 * which, pixel_m, (1.0, 1.0))
 
 
 def middles(pieces: list[OrganMesh]) -> tuple[Floats, Floats]:
@@ -63,10 +63,14 @@ def test_a_bark_zone_begins_between_its_heights() -> None:
 def test_covers_grow_at_the_foot_and_on_the_weather_side() -> None:
     moss = Cover(material="moss", at_foot=0.8, fades_m=0.5)
     algae = Cover(material="algae", weather=0.8, weather_fades_m=5.0, weather_side_deg=315.0)
-    pieces = covered(pieces_of(Wood(covers=(moss, algae))))
+    stems = [covered(pieces_of(Wood(covers=(moss, algae)), which=which)) for which in range(8)]
+    pieces = [one for stem in stems for one in stem]
     place, area = middles([one for one in pieces if "moss" in one.material])
     assert np.average(place[:, 2], weights=area) < 1.0
-    assert 0.1 < area.sum() / (2.0 * np.pi * RADIUS_M * moss.at_foot * moss.fades_m) < 1.5
+    expected_m2 = 2.0 * np.pi * RADIUS_M * moss.at_foot * moss.fades_m
+    assert 0.6 < area.sum() / (8 * expected_m2) < 1.8
+    own_m2 = [sum(surface_area_m2(one.mesh) for one in stem if "moss" in one.material) for stem in stems]
+    assert max(own_m2) > 1.5 * min(own_m2)  # stems differ
     place, area = middles([one for one in pieces if "algae" in one.material])
     north_west = place[:, 1] - place[:, 0] > 0.0
     assert area[north_west].sum() > 0.9 * area.sum()

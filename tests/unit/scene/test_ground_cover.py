@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scene_plants import population
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.frames import look_at
@@ -31,6 +32,7 @@ from forestgen.scene.ground_view import TILE_M, nearest, tiles_before
 from forestgen.scene.plan import check_plan
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera, Material
+from forestgen.scene.stem_litter import heaps
 from forestgen.scene.terrain import HeightField
 from support.error_messages import raises_error
 from support.ground_looks import LAYERS, LEAST, MOST, looks
@@ -90,6 +92,29 @@ def test_a_tile_hides_its_share_of_the_ground(level: int) -> None:
         inside = np.maximum(np.abs(np.sum(away * along, axis=2)), np.abs(np.sum(away * across, axis=2))) < half
         hidden.append(inside.any(axis=1).mean())
     assert np.mean(hidden) == pytest.approx(COVERS[level], abs=0.05)
+
+
+def test_litter_is_heaped_against_stems() -> None:
+    """Around the bark, highest there, and higher on the upper side of a slope."""
+    layer, dbh_m = replace(squares(0.05), cover=0.9, heaped_m=0.07), 0.4
+    found = population(40, np.random.default_rng(2))
+    found = replace(found, columns={"dbh_m": np.where(np.arange(40) % 2, dbh_m, 0.0)})
+    tiles = np.stack(np.meshgrid(np.arange(50), np.arange(50)), axis=-1).reshape(-1, 2)
+    foot = np.array([1.5])
+    made, which, transform = heaps(layer, tiles, found, foot, lambda x, y: 0.3 * x + 0.0 * y, 3)
+    stems = found.position_m[1::2, :2]
+    away = transform[:, None, :2, 3] - stems
+    apart = np.linalg.norm(away, axis=2)
+    nearest = np.argmin(np.abs(apart - 0.75 * dbh_m), axis=1)
+    np.testing.assert_allclose(apart[np.arange(len(apart)), nearest], 0.75 * dbh_m)
+    assert set(nearest.tolist()) == set(range(20))
+    np.testing.assert_allclose(transform[:, 2, 3], 0.3 * transform[:, 0, 3])
+    uphill = away[np.arange(len(apart)), nearest, 0] > 0.0
+    assert transform[uphill, 2, 2].mean() > 1.5 * transform[~uphill, 2, 2].mean()
+    assert not len(heaps(layer, tiles[:0], found, foot, lambda x, y: x, 3)[2])
+    points = np.concatenate([one.mesh.vertices_m for k in set(which.tolist()) for one in made[k].organs])
+    near, far = points[points[:, 0] < 0.04, 2], points[points[:, 0] > 0.2, 2]
+    assert np.percentile(near, 90) > 2.0 * np.percentile(far, 90)
 
 
 @pytest.mark.parametrize("cover", [0.05, 0.3, 0.7])
