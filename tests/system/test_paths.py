@@ -13,6 +13,7 @@ from test_exact_light import ALBEDO, COLOURED, GREY, bare_ground, loaded, path, 
 from test_exact_light import stand as leafy_stand
 from test_leaf import LEAVES, PASSES
 
+from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Spectrum
@@ -388,6 +389,18 @@ def test_relief_of_bark_is_lit_as_mitsuba_lights_it(turn_deg):
     for texture in (leaning_texture((0.6, 0.3)), furrowed):
         spec = post_scene(Material(REFLECTANCE, texture=texture), turn_deg=turn_deg)
         spec = replace(spec, sky=Sky(30.0, 200.0, 3.0))
+        assert_same(images_of(spec, 10, 64), by_mitsuba(spec, 10, 64))
+
+
+@pytest.mark.slow
+def test_veins_of_leaves_are_lit_as_mitsuba_lights_them_from_both_sides():
+    """The post's inner side, seen from above its upper end, is a leaf's lower side."""
+    for height_m in (1.0, 6.0):
+        leaf = Material(REFLECTANCE, (0.2, 0.15, 0.1), 0.4, leaning_texture((0.4, 0.3)), gloss=0.03)
+        spec = replace(post_scene(leaf, part=Part.LEAF), sky=Sky(30.0, 200.0, 3.0))
+        eye = (0.0, -6.0, height_m)
+        view = replace(spec.cameras[0], position_m=eye, world_from_camera=look_at(eye, (0.0, 0.0, 1.0)))
+        spec = replace(spec, cameras=(view,))
         assert_same(images_of(spec, 10, 64), by_mitsuba(spec, 10, 64))
 
 
