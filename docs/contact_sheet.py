@@ -104,6 +104,7 @@ def _merged(keys: Keys, more: Mapping[str, Any]) -> Keys:
 
 BEECH, SPRUCE, PINE, BIRCH = {"beech": 1.0}, {"spruce": 1.0}, {"pine": 0.9, "birch": 0.1}, {"birch": 1.0}
 MIXED = {"beech": 0.4, "spruce": 0.35, "maple": 0.15, "birch": 0.1}
+AUTUMN = "2026-10-19"  # half of the beeches' leaves are coloured, most of the birches'
 OVERCAST = {"kind": "overcast", "sun": {"elevation_deg": 40, "azimuth_deg": 215}}
 ROAD = {"what": "forest_road", "points_m": [[-20, 22], [10, 27.5], [30, 31], [55, 30], [80, 40]]}
 POND = {"what": "pond", "position_m": [31, 20], "radius_m": 9, "depth_m": 1.2}
@@ -117,7 +118,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "spruce, noon, road": lambda: forest(SPRUCE, 26, EAST, "spruce", site__paths=[ROAD]),
     "pine, low sun": lambda: forest(PINE, 22, WEST, "birch", sky__sun={"elevation_deg": 9, "azimuth_deg": 290}),
     "birch, spring": lambda: forest(BIRCH, 20, EAST, plants__season="spring"),
-    "mixed, autumn": lambda: forest(MIXED, 24, WEST, "beech", plants__season="autumn"),
+    "mixed, autumn": lambda: forest(MIXED, 24, WEST, "beech", site__date=AUTUMN),
     "beech, winter": lambda: forest(
         BEECH, 26, EAST, plants__season="winter", sky__sun={"elevation_deg": 14, "azimuth_deg": 210}
     ),
@@ -143,7 +144,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         PINE, 22, WEST, sky__sun={"elevation_deg": -30}, sky__moon={"elevation_deg": 40, "azimuth_deg": 200}
     ),
     "drone, conifers": lambda: forest({"spruce": 0.6, "pine": 0.4}, 24, DRONE),
-    "drone, autumn": lambda: forest(MIXED, 24, DRONE, plants__season="autumn"),
+    "drone, autumn": lambda: forest(MIXED, 24, DRONE, site__date=AUTUMN),
     "nadir, mixed": lambda: forest(MIXED, 24, {"position_m": [30, 30, 90], "look": "down", "hfov_deg": 40}),
     "nadir, open pines": lambda: camera_of(shipped("places/neon_osbs")),
     "vista, cumulus": lambda: shipped(

@@ -41,6 +41,7 @@ from forestgen.plants.organs.sprays import (
 from forestgen.plants.skeleton import OrganPlacements
 from forestgen.plants.twig_needles import TwigNeedles, sprays_on_twigs
 
+VEINED = ", veins"  # at the end of names of materials of leaves with uv
 LEAF_PX = 2.0  # side of a square, in pixels, that has a leaf's area where it is drawn at true size
 _DETAIL_PX = (6.0, 16.0)  # side of a leaf in pixels, as of a square, from which on it has detail 1 and 2
 _NEEDLE_PX = 1.5  # width of a needle from which on it has two triangles
@@ -159,7 +160,8 @@ def with_near_foliage(
     Parameters
     ----------
     near : how the organs of each of `exemplar.foliage` are drawn.
-    kinds : of the single leaves of a material, the last for all that is left; their materials: `material_of_kind`.
+    kinds : of the single leaves of a material, the last for all that is left; their materials: `material_of_kind`, and
+        `VEINED` of those at detail 2.
     seed : which leaves are of which kind.
     """
     count = [len(one.node) for one in exemplar.foliage]
@@ -189,9 +191,9 @@ def with_near_foliage(
                 if here.any():
                     own = mesh if here.all() else part_of(mesh, mesh.faces[here])
                     of_face = None if mark is None else np.repeat(mark, spray.leaves.triangles)[here]
-                    made[Part.LEAF, material if kind is None else material_of_kind(material, kind)].append(
-                        (own, of_face)
-                    )
+                    name = material if kind is None else material_of_kind(material, kind)
+                    name += "" if own.uv is None else VEINED
+                    made[Part.LEAF, name].append((own, of_face))
             if spray.twig is not None and bark is not None:
                 of_face = None if mark is None else np.repeat(mark, spray.twig.triangles)
                 made[Part.BRANCH, bark].append((instance(spray.twig, frame), of_face))

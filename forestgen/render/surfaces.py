@@ -206,7 +206,7 @@ def gloss_share(material: Material) -> float:
     return float(max(min(material.gloss, darkest, room), 0.0))
 
 
-def _unbounded(colour: NDArray[np.float64], share: float) -> dict[str, Any]:
+def _unbounded(colour: NDArray[np.floating], share: float) -> dict[str, Any]:
     """A lobe's colour over its share of the paths: a reflectance that may pass 1."""
     return {"type": "srgb", "color": (colour / max(share, 1e-9)).tolist(), "unbounded": True}
 
@@ -222,8 +222,8 @@ class Surface:
 
 
 def is_textured(part: Part, material: Material, *, has_uv: bool) -> bool:
-    """Whether an organ shows its material's texture, which needs a mesh with uv; leaves show none."""
-    return part not in LEAFLIKE and material.texture is not None and has_uv
+    """Whether an organ shows its material's texture, which needs a mesh with uv."""
+    return material.texture is not None and has_uv
 
 
 def surface_of(part: Part, material: Material, channels: Channels, *, has_uv: bool) -> Surface:
@@ -231,7 +231,8 @@ def surface_of(part: Part, material: Material, channels: Channels, *, has_uv: bo
     textured = is_textured(part, material, has_uv=has_uv)
     if part not in LEAFLIKE:
         material = replace(material, transmittance=(0.0, 0.0, 0.0), transmittance_spectrum=None)
-    lobe = gloss_of(material.roughness) if not textured and gloss_share(material) > 0 else None
+    is_glossy = (part in LEAFLIKE or not textured) and gloss_share(material) > 0
+    lobe = gloss_of(material.roughness) if is_glossy else None
     spectrum = material.transmittance_spectrum
     transmits = max(material.transmittance) > 0 or (spectrum is not None and float(spectrum.value.max()) > 0)
     return Surface(sides_of(material, channels), lobe, transmits, textured)
@@ -248,61 +249,67 @@ def surface_bsdf(part: Part, material: Material, channels: Channels = RGB, *, ha
     may pass 1, and nothing is clipped or lost, whichever channels are large.
     """
     surface = surface_of(part, material, channels, has_uv=has_uv)
-    if surface.textured:
-        return _textured(material, channels)
+    colour = relief_colour(material, surface, channels) if surface.textured else surface.sides.matt
+    normals = material.texture.normals() if surface.textured and material.texture is not None else None
     if not surface.transmits:
-        return _reflector(surface, 1.0)
+        return _reflector(surface, 1.0, colour, normals)
     share = surface.sides.shares[0]
     return {
         "type": "blendbsdf",
         "weight": share,
-        "r": _reflector(surface, 1.0 - share),
+        "r": _reflector(surface, 1.0 - share, colour, normals),
         "t": {"type": "principledthin", "base_color": _unbounded(surface.sides.through, share), "diff_trans": 2.0},
     }
 
 
-def _reflector(surface: Surface, share: float) -> dict[str, Any]:
-    """What a surface reflects, on both sides, over a share of the paths."""
+def _reflector(
+    surface: Surface, share: float, colour: NDArray[np.floating], normals: NDArray[np.float32] | None
+) -> dict[str, Any]:
+    """What a surface of a matt colour reflects, on both sides, over a share of the paths."""
     sides, lobe = surface.sides, surface.lobe
-    if lobe is None:
-        return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _unbounded(sides.matt, share)}}
-    glossy = sides.shares[1]
-    matt = {"type": "diffuse", "reflectance": _unbounded(sides.matt, share * (1.0 - glossy))}
-    mirror = {
-        "type": "roughconductor",
-        "distribution": "ggx",
-        "alpha": lobe.alpha,
-        "eta": lobe.index,
-        "k": 0.0,
-        "specular_reflectance": _unbounded(np.full(3, sides.gloss / lobe.albedo), share * glossy),
+    glossy = sides.shares[1] if lobe is not None else 0.0
+    matt = colour / max(share * (1.0 - glossy), 1e-9)
+    faces = [_matt(matt, normals, side) for side in ((1.0, -1.0) if normals is not None else (1.0,))]
+    if lobe is not None:
+        mirror = {
+            "type": "roughconductor",
+            "distribution": "ggx",
+            "alpha": lobe.alpha,
+            "eta": lobe.index,
+            "k": 0.0,
+            "specular_reflectance": _unbounded(np.full(3, sides.gloss / lobe.albedo), share * glossy),
+        }
+        faces = [{"type": "blendbsdf", "weight": glossy, "d": one, "g": mirror} for one in faces]
+    return {"type": "twosided", **{f"side{k}": one for k, one in enumerate(faces)}}
+
+
+def _matt(colour: NDArray[np.floating], normals: NDArray[np.float32] | None, side: float) -> dict[str, Any]:
+    """A diffuse surface; with a relief, seen from above (side 1) or from below (-1)."""
+    if normals is None:
+        return {"type": "diffuse", "reflectance": _unbounded(colour, 1.0)}
+    return {
+        "type": "normalmap",
+        "use_shadowing_function": False,  # the facets' colours already contain the terminator's shading
+        "normalmap": _bitmap(0.5 + 0.5 * normals * np.array([side, side, 1.0], np.float32)),
+        "bsdf": {"type": "diffuse", "reflectance": _bitmap(colour)},
     }
-    return {"type": "twosided", "bsdf": {"type": "blendbsdf", "weight": glossy, "d": matt, "g": mirror}}
 
 
-def relief_colour(material: Material, channels: Channels) -> NDArray[np.floating]:
+def relief_colour(material: Material, surface: Surface, channels: Channels) -> NDArray[np.floating]:
     """(H, W, 3) colour of the facets of a material with a texture.
 
     Under a sky that is equally bright everywhere, a facet that leans from the surface by an angle a gets only
     (1 + cos a) / 2 of what the surface gets: the rest of its hemisphere lies below the surface. What it misses there
     would come from the facet opposite. The colour is divided by that share, so that the mean reflectance stays the
-    texture's own.
+    texture's own, less the gloss. Of a thin leaf, no texel reflects more than the leaf does not let through.
     """
     assert material.texture is not None
     seen = 0.5 + 0.5 * material.texture.normals()[..., 2:]
-    spectrum = material.reflectance_spectrum
-    return channels.texture(material.texture.colour, material.reflectance, spectrum, seen[..., 0]) / seen
-
-
-def _textured(material: Material, channels: Channels) -> dict[str, Any]:
-    """Diffuse surface with a colour and a normal map."""
-    assert material.texture is not None
-    relief = {
-        "type": "normalmap",
-        "use_shadowing_function": False,  # the facets' colours already contain the terminator's shading
-        "normalmap": _bitmap(0.5 + 0.5 * material.texture.normals()),
-        "bsdf": {"type": "diffuse", "reflectance": _bitmap(relief_colour(material, channels))},
-    }
-    return {"type": "twosided", "bsdf": relief}
+    mean = channels.of_surface(material.reflectance, material.reflectance_spectrum)
+    most = seen[..., 0] * max(1.0 - float(surface.sides.through.max()), float(mean.max()))
+    colour = channels.texture(material.texture.colour, material.reflectance, material.reflectance_spectrum, most)
+    matt = surface.sides.matt / np.maximum(mean, 1e-9) if surface.lobe is not None else 1.0
+    return np.asarray(colour * matt / seen)
 
 
 def _bitmap(image: NDArray[Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_plann
 from forestgen.scene.leaf_variation import vary_leaves
 from forestgen.scene.lying import laid_along_y, lying_plants, on_the_ground
 from forestgen.scene.near_foliage import leaves_of, with_near_plants
-from forestgen.scene.phenology import leaf_states
+from forestgen.scene.phenology import colour_stages, leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, sun_notes, wetness_of
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Terrain
@@ -103,8 +103,10 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
             tree=chosen.tree,
             is_unique=chosen.is_unique,
         )
+        plant = chosen.first_plant(population.plant_id)
         base_materials = _materials(plan, population)
-        site = SurroundedStand.of(population, instances, exemplars, base_materials)
+        varied = vary_leaves(exemplars, base_materials, plant, drawn.image_seed, colour_stages(drawn))
+        site = SurroundedStand.of(population, instances, *varied)
         labelled = recipe.site.surroundings.labelled
         around = surrounded(site, layers, height, drawn.image_seed, labelled)
         around = _on_slopes(around, lying, population.height_m, height)
@@ -112,11 +114,9 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         trunks = Trunks(exemplars, around.plants)
         views = drawn_cameras(drawn, trunks)
         terrain = _terrain(plan, population, around.reach_m)
-        plant = np.pad(chosen.first_plant(population.plant_id), (0, len(around.exemplars) - len(exemplars)))
-        varied, materials = vary_leaves(around.exemplars, around.materials, plant, drawn.image_seed)
         spec = SceneSpec(
-            exemplars=varied,
-            materials=materials,
+            exemplars=around.exemplars,
+            materials=around.materials,
             instances=around.instances,
             terrain=terrain,
             sky=sky_of(recipe, float(np.mean(terrain.far_reflectance))),  # the region, which sky and clouds see

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
-from forestgen.geometry.mesh import Floats, concatenate, instance
+from forestgen.geometry.mesh import Floats, Mesh, concatenate, instance
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.scene.ground_layers.layer import GROUND, Layer, Thing
 from forestgen.scene.ground_view import TILE_M
@@ -29,7 +29,7 @@ def single(layer: Layer, number: int) -> Exemplar:
     """One of the layer's things, sunk into the ground as the layer says."""
     thing = layer.things[number]
     frame = _sunk(np.eye(3, 4)[None], thing, layer.spread.sunk).astype(np.float32)
-    organs = tuple(replace(one, mesh=replace(instance(one.mesh, frame), uv=None)) for one in thing.organs)
+    organs = tuple(replace(one, mesh=_shown(layer, one.material, instance(one.mesh, frame))) for one in thing.organs)
     return Exemplar(GROUND, organs, 0.5 * thing.length_m, _top_m(organs), thing.length_m, 0.0, 0.0)
 
 
@@ -42,7 +42,7 @@ def tile(layer: Layer, index: int, seed: int) -> tuple[Exemplar, int]:
     cover, rng = COVERS[index // VARIANTS], child_rng(seed, "tile", layer.name, index)
     count = min(int(rng.poisson(float(number_per_m2(layer, np.array(cover))) * TILE_M**2)), MOST_THINGS)
     kind = rng.integers(len(layer.things), size=count)
-    return laid(layer, kind, anywhere(layer, count, rng), TILE_M), count
+    return laid(layer, kind, anywhere(layer, kind, rng), TILE_M), count
 
 
 def laid(layer: Layer, kind: NDArray[np.integer], frames: Floats, width_m: float) -> Exemplar:
@@ -57,7 +57,7 @@ def laid(layer: Layer, kind: NDArray[np.integer], frames: Floats, width_m: float
             one = replace(organ, mesh=instance(organ.mesh, mine.astype(np.float32)))
             meshes.setdefault((organ.part, organ.material), []).append(one)
     organs = tuple(
-        OrganMesh(part, material, replace(concatenate([one.mesh for one in group]), uv=None))
+        OrganMesh(part, material, _shown(layer, material, concatenate([one.mesh for one in group])))
         for (part, material), group in meshes.items()
     )
     if not organs:  # a tile needs a surface
@@ -67,11 +67,17 @@ def laid(layer: Layer, kind: NDArray[np.integer], frames: Floats, width_m: float
     return Exemplar(GROUND, organs, 0.5 * width_m, _top_m(organs), width_m, 0.0, 0.0)
 
 
-def anywhere(layer: Layer, count: int, rng: np.random.Generator) -> Floats:
-    """(N, 3, 4) of things anywhere on a tile, turned, leaning, of random sizes, lying on each other."""
-    spread = layer.spread
+def _shown(layer: Layer, material: str, mesh: Mesh) -> Mesh:
+    """The mesh without uv where its material has no texture."""
+    return mesh if layer.materials[material].texture is not None else replace(mesh, uv=None)
+
+
+def anywhere(layer: Layer, kind: NDArray[np.integer], rng: np.random.Generator) -> Floats:
+    """(N, 3, 4) of things anywhere on a tile, turned, leaning, of random sizes, lying on each other; `kind`: (N,)."""
+    spread, count = layer.spread, len(kind)
+    rise = np.array([one.rise for one in layer.things])[kind]
     turn, way = rng.random((2, count)) * 2.0 * np.pi
-    lean = np.abs(rng.normal(0.0, np.radians(spread.tilt_deg), count))
+    lean = rise * np.abs(rng.normal(0.0, np.radians(spread.tilt_deg), count))
     size = np.exp(rng.normal(0.0, spread.size_sigma, count))
     cos, sin, zero, one = np.cos(turn), np.sin(turn), np.zeros(count), np.ones(count)
     turned = np.array([[cos, -sin, zero], [sin, cos, zero], [zero, zero, one]]).transpose(2, 0, 1)
@@ -86,7 +92,7 @@ def anywhere(layer: Layer, count: int, rng: np.random.Generator) -> Floats:
     frames = np.zeros((count, 3, 4))
     frames[:, :, :3] = size[:, None, None] * leant @ turned
     frames[:, :2, 3] = (rng.random((count, 2)) - 0.5) * TILE_M
-    frames[:, 2, 3] = rng.random(count) * spread.depth_m
+    frames[:, 2, 3] = rise * rng.random(count) * spread.depth_m
     return frames
 
 

@@ -13,11 +13,15 @@ crowns without discoloration have up to 10% (ICP Forests' class 0; the shares ar
 shoots of evergreens, the outer ends of sprays, are pale from May (Norway spruce; our estimate) until they have their
 chlorophyll at the end of July: half of it is missing at first, as in young leaves of beech and oak, and none after.
 
+In autumn plants differ in stage, too: green, yellow and brown ones stand side by side. Where `plants.phenology_classes`
+is 1 the plants of an exemplar have the colours of a day of their own, spread as the species' `autumn_sd_days`; as many
+of their leaves have fallen as of the mean plant. More classes have their own colours, and leaves that fell.
+
 Materials with `leaf_type` take part. An exemplar has one chlorophyll, so plants that share an exemplar are alike,
 whatever their detail and season. One of its plants, of the lowest plant_id, decides on its place among the exemplars of
 its species, which are evenly spread over the normal distribution: their standard deviation is that of plants, however
-many there are, and with other numbers of exemplars plants keep their order of green. One alone is as green as the mean,
-as are the far meshes around a site.
+many there are, and with other numbers of exemplars plants keep their order of green. One alone is as green as the mean.
+Far meshes around a site are of its plants, each with its leaves.
 
 References
 ----------
@@ -27,10 +31,11 @@ Serbin et al. 2014 (Ecological Applications 24, 1651-1669). Shiklomanov et al. 2
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from statistics import NormalDist
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +54,7 @@ from forestgen.scene.spec import Material
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Materials = dict[tuple[str, str], Material]
+Stages = Callable[[float], Sequence[float]]  # standard deviations late -> shares of `SEASONS`
 CLASSES = ("sun", "middle", "shade")
 _CELLS = 32  # along the crown's longest side
 _LEAST = {"autumn": 0.015, "dry": 0.007}  # share of yellow and of dead leaves at any time
@@ -60,15 +66,23 @@ _RAREST = 0.02  # share of plants that are cut off at each end of the distributi
 
 
 def vary_leaves(
-    exemplars: Sequence[Exemplar], materials: Mapping[tuple[str, str], Material], plant: Ints, seed: int
+    exemplars: Sequence[Exemplar],
+    materials: Mapping[tuple[str, str], Material],
+    plant: Ints,
+    seed: int,
+    stages: Mapping[str, Stages] = MappingProxyType({}),
 ) -> tuple[tuple[Exemplar, ...], Materials]:
     """Exemplars with their leaves in classes, and the materials of all.
 
     `plant`: (E,) id of the plant that decides on each exemplar's chlorophyll, see `ExemplarPlan.first_plant`; 0: none.
+    `stages`: of species whose plants are early or late in autumn by their colours alone, see `colour_stages`.
     """
     found, varied = dict(materials), []
-    deviations = _deviations([one.species for one in exemplars], plant, seed)
-    for exemplar, number, deviation in zip(exemplars, plant.tolist(), deviations.tolist(), strict=True):
+    species = [one.species for one in exemplars]
+    greens, lates = (_deviations(species, plant, seed, what) for what in ("leaf chlorophyll", "leaf stage"))
+    for exemplar, number, deviation, late in zip(
+        exemplars, plant.tolist(), greens.tolist(), lates.tolist(), strict=True
+    ):
         leafy = [
             organ
             for organ in exemplar.organs
@@ -91,19 +105,36 @@ def vary_leaves(
                 key = exemplar.species, name
                 if key not in found:
                     base = materials[exemplar.species, organ.material]
+                    if number and exemplar.species in stages:
+                        base = _at_stage(base, stages[exemplar.species](late))
                     found[key] = varied_material(base, CLASSES[index], deviation)
                 organs.append(_some_faces(organ, of_face == index, name))
         varied.append(replace(exemplar, organs=tuple(organs)))
     return tuple(varied), found
 
 
-def _deviations(species: Sequence[str], plant: Ints, seed: int) -> Floats:
-    """(E,) standard deviations of each exemplar's chlorophyll below the mean; see `vary_leaves`."""
+def _at_stage(base: Material, shares: Sequence[float]) -> Material:
+    """A leaf of other shares of `SEASONS`; of a species without spectra of them all, itself."""
+    before, through = base.reflectance_spectrum, base.transmittance_spectrum
+    if len(base.seasons) < len(shares) or before is None or through is None:
+        return base
+    seasons = tuple(one._replace(share=share) for one, share in zip(base.seasons, shares, strict=True))
+
+    def mean(old: Spectrum, side: str) -> Spectrum:
+        grid, known = old.wavelength_nm, [(one.share, getattr(one, side)) for one in seasons if one.share > 0.0]
+        return Spectrum(grid, np.sum([share * one.at(grid) for share, one in known], axis=0))
+
+    varied = _of_spectra(base, mean(before, "reflectance"), mean(through, "transmittance"))
+    return replace(varied, seasons=seasons)
+
+
+def _deviations(species: Sequence[str], plant: Ints, seed: int, what: str) -> Floats:
+    """(E,) standard deviations of each exemplar's chlorophyll below the mean, or earliness; see `vary_leaves`."""
     deviation = np.zeros(len(plant))
     for name in {one for one, number in zip(species, plant.tolist(), strict=True) if number}:
         mine = np.array([one == name for one in species]) & (plant > 0)
         ids, which = np.unique(plant[mine], return_inverse=True)
-        order = np.argsort([child_rng(seed, "leaf chlorophyll", name, one).random() for one in ids.tolist()])
+        order = np.argsort([child_rng(seed, what, name, one).random() for one in ids.tolist()])
         even = _RAREST + (1.0 - 2.0 * _RAREST) * (np.argsort(order) + 0.5) / len(ids)
         normal = np.array([NormalDist().inv_cdf(one) for one in even.tolist()])
         deviation[mine] = (normal / (float(normal.std()) or 1.0))[which.reshape(-1)]

@@ -17,6 +17,7 @@ from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Bools, Floats
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.near_foliage import (
+    VEINED,
     NearOrgans,
     largest_pixel_m,
     material_of_kind,
@@ -25,6 +26,7 @@ from forestgen.plants.near_foliage import (
     with_near_foliage,
 )
 from forestgen.plants.organs.base import OrganForm
+from forestgen.plants.organs.leaf_texture import LeafLooks, leaf_texture
 from forestgen.plants.organs.sprays import LeafKind
 from forestgen.plants.skeleton import OrganPlacements
 from forestgen.recipe.phenology import TimeOfYear
@@ -125,9 +127,23 @@ def with_near_plants(spec: SceneSpec, leaves: Sequence[Leaves | None], time: Tim
             kinds = of_exemplar[plant.exemplar]
             seed = int(spec.instances.plant_id[plant.row])
             made.append(with_near_foliage(exemplar, own.shapes, own.true_m, organs, kinds, seed))
+            _add_veins(made[-1], own.shapes, materials)
     which[spec.instances.exemplar >= plants] += np.uint32(len(made))
     exemplars = (*spec.exemplars[:plants], *made, *spec.exemplars[plants:])
     return replace(spec, exemplars=exemplars, materials=materials, instances=replace(spec.instances, exemplar=which))
+
+
+def _add_veins(exemplar: Exemplar, shapes: Mapping[str, OrganForm], materials: dict[tuple[str, str], Material]) -> None:
+    """Add the materials of its leaves with uv."""
+    for organ in exemplar.organs:
+        key = exemplar.species, organ.material
+        if not organ.material.endswith(VEINED) or key in materials:
+            continue
+        plain = materials[exemplar.species, organ.material.removesuffix(VEINED)]
+        leaves = [one for one in shapes.values() if one.part == "leaf"]
+        form = max(leaves, key=lambda one: float(getattr(one, "length_m", 0.0)))
+        texture = leaf_texture(form, plain.reflectance, LeafLooks(), f"{exemplar.species}/live")
+        materials[key] = replace(plain, texture=texture)
 
 
 def _leaf_kinds(

@@ -7,6 +7,8 @@ one: in summer and winter there is one alone. A plant's class is its own, whatev
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from statistics import NormalDist
 
 import numpy as np
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 from forestgen.community.population import Population, Status
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.phenology import LeafState, leaf_state
+from forestgen.recipe.phenology import BARE, LeafState, Phenology, TimeOfYear, leaf_state
 
 
 def class_days(classes: int) -> NDArray[np.float64]:
@@ -43,6 +45,25 @@ def leaf_class_of_plant(drawn: DrawnRecipe, population: Population) -> NDArray[n
         of_class = np.array([different.index(state) for state in states])
         chosen[rows] = of_class[(own * len(states)).astype(np.int64)]
     return chosen
+
+
+def colour_stages(drawn: DrawnRecipe) -> dict[str, Callable[[float], tuple[float, ...]]]:
+    """By species, shares of `SEASONS` in the leaves of a plant that is some standard deviations late in autumn.
+
+    Of species whose plants are in one class; others are early or late as plants.
+    """
+    if drawn.recipe.plants.phenology_classes > 1:
+        return {}
+    return {
+        name: partial(_colours, one.phenology, drawn.recipe.time_of_year)
+        for name, one in drawn.species.items()
+        if one.phenology is not None
+    }
+
+
+def _colours(phenology: Phenology, time: TimeOfYear, late: float) -> tuple[float, ...]:
+    state = leaf_state(phenology, time, autumn_days=late * phenology.autumn_sd_days)
+    return (0.0, 0.0, 0.0, 1.0) if state == BARE else state.spectra
 
 
 def _by_class(drawn: DrawnRecipe, name: str) -> tuple[str, list[LeafState]]:

@@ -36,7 +36,7 @@ class Material:
     reflectance: tuple[float, float, float]
     transmittance: tuple[float, float, float] = (0.0, 0.0, 0.0)
     roughness: float = 0.5  # of the gloss
-    texture: SurfaceTexture | None = None  # of an opaque surface with uv; its mean colour is the reflectance
+    texture: SurfaceTexture | None = None  # of a surface with uv; its mean colour is the reflectance
     gloss: float = 0.0  # share of light that a leaf's skin mirrors, part of the reflectance; see render/surfaces.py
     reflectance_spectrum: Spectrum | None = None  # of which the reflectance is the colour; None: the colour is all
     transmittance_spectrum: Spectrum | None = None

@@ -45,9 +45,10 @@ def heap(layer: Layer, variant: int, seed: int) -> Exemplar:
     place = np.stack([away, rng.uniform(-0.5, 0.5, count) * _WIDE_M], axis=1)
     up_m = layer.heaped_m * rng.random(count) * np.exp(-np.maximum(away, 0.0) / _OUT_M)
     loose = replace(layer, spread=replace(layer.spread, tilt_deg=_LEAN_DEG))
-    frames = anywhere(loose, count, rng)
+    kind = rng.integers(len(layer.things), size=count)
+    frames = anywhere(loose, kind, rng)
     frames[:, :, 3] = np.column_stack([place, up_m])
-    return laid(layer, rng.integers(len(layer.things), size=count), frames, _WIDE_M)
+    return laid(layer, kind, frames, _WIDE_M)
 
 
 def foot_factors(plants: Mapping[str, Any], names: Sequence[str]) -> Floats:

@@ -36,11 +36,11 @@ def cylinder(sides: int = 64, uv: bool = True) -> Mesh:
     )
 
 
-def post_scene(material: Material, uv: bool = True, turn_deg: float = 0.0) -> SceneSpec:
+def post_scene(material: Material, uv: bool = True, turn_deg: float = 0.0, part: Part = Part.TRUNK) -> SceneSpec:
     """One cylinder, seen from the south so that it fills the picture's width."""
     post = Exemplar(
         species="post",
-        organs=(OrganMesh(Part.TRUNK, "bark", cylinder(uv=uv)),),
+        organs=(OrganMesh(part, "bark", cylinder(uv=uv)),),
         radius_m=1.0,
         height_m=2.0,
         crown_width_m=1.0,

@@ -345,6 +345,7 @@ def _turns(origin_y: float, a: Floats, b: Floats) -> bool:
     return bool(cross > _SOUND * np.hypot(*one) * np.hypot(*two))
 
 
+_FOOT_UV = (0.5, 0.03)  # of the midrib, whose colour petioles have
 _STALK_WIDTH = 0.018  # of the blade's length, where the file does not say
 
 
@@ -360,6 +361,7 @@ class _Leaf(OrganForm, _Blade):
         if self.stalk_m == 0.0:
             return [OrganPatch(self.material, blade)]
         petiole = patches.stalk(self.stalk_m, self.stalk_width_m or _STALK_WIDTH * self.length_m, self.detail)
+        petiole = petiole._replace(uv=np.full_like(petiole.uv, _FOOT_UV))
         return [OrganPatch(self.material, patches.lifted(blade, self.stalk_m)), OrganPatch(self.material, petiole)]
 
 

@@ -71,9 +71,12 @@ class Spray(NamedTuple):
     along: Floats  # (L,) where each is on its shoot: 0 foot, 1 tip
 
     @classmethod
-    def of(cls, leaves: list[Patch], twigs: list[Patch], along: Floats, faces: Ints | int) -> Spray:
-        """`along`: of each leaf, in the order of the faces. `faces`: of each leaf."""
-        mesh = replace(to_mesh(*leaves), uv=None)
+    def of(
+        cls, leaves: list[Patch], twigs: list[Patch], along: Floats, faces: Ints | int, is_veined: bool = False
+    ) -> Spray:
+        """`along`: of each leaf, in the order of the faces. `faces`: of each leaf. `is_veined`: they have uv."""
+        mesh = to_mesh(*leaves)
+        mesh = mesh if is_veined else replace(mesh, uv=None)
         leaf = np.repeat(np.arange(len(along)), faces)
         return cls(mesh, to_mesh(*twigs) if twigs else None, surface_area_m2(mesh), leaf, along)
 
@@ -126,7 +129,7 @@ def leafy_twig(form: Leaf, length_m: float, number: int, detail: int, variant: i
     radius = 0.004 * length_m + 0.002 * twig_m
     twig = [tube(on_axis(np.array([0.0, twig_m])), np.array([radius, 0.4 * radius]), 3)] if twig_m > 0.0 else []
     faces = np.array([len(one.faces) for one in bends])
-    return Spray.of([lifted(whole, away)], twig, share[order], faces[kind[order]])
+    return Spray.of([lifted(whole, away)], twig, share[order], faces[kind[order]], detail == 2)
 
 
 def form_area_m2(form: OrganForm) -> float:
@@ -145,7 +148,7 @@ def _middle_m(patch: Patch) -> float:
 def finer_leaf(form: CompoundLeaf, detail: int) -> Spray:
     """The leaf itself with another number of triangles."""
     whole = [one.patch for one in form.model_copy(update={"detail": detail}).patches()]
-    return Spray.of(whole, [], np.full(1, 0.5), sum(len(one.faces) for one in whole))
+    return Spray.of(whole, [], np.full(1, 0.5), sum(len(one.faces) for one in whole), detail == 2)
 
 
 class Needles(NamedTuple):

@@ -41,6 +41,18 @@ def worn(patch: Patch, rng: np.random.Generator, larger: float = 1.0) -> Patch:
     return fine._replace(faces=fine.faces[~gone])
 
 
+def piece(patch: Patch, rng: np.random.Generator) -> Patch:
+    """A piece of a dead leaf along y: what lies on one side of a ragged tear across it, more than a third."""
+    fine = _quartered(patch)
+    middle = fine.points[fine.faces][:, :, :2].mean(axis=1)
+    turn = rng.uniform(-0.7, 0.7)
+    along = middle[:, 1] * np.cos(turn) + middle[:, 0] * np.sin(turn)
+    along = along + 0.02 * np.ptp(middle[:, 1]) * rng.normal(size=len(along))
+    is_tip = rng.random() < 0.5
+    edge = float(np.quantile(along, rng.uniform(0.35, 0.75)))
+    return fine._replace(faces=fine.faces[(along > edge) == is_tip])
+
+
 def _margin(flat: Floats, y: float, side: float) -> float:
     """Half-width of the leaf on one side about a height."""
     near = np.argsort(np.abs(flat[:, 1] - y))[: max(len(flat) // 8, 3)]

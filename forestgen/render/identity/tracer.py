@@ -95,7 +95,8 @@ def hit_tables(spec: SceneSpec) -> HitTables:
     terrain, organs = spec.terrain, list(organs_of(spec))
     meshes = [terrain.mesh, *(mesh for _, mesh, _ in organs)]
     ground_albedo = np.array(terrain.mean_colour)
-    images = [terrain.texture, *(_image(*organ) for organ in organs)]  # colour textures
+    of_material = {(id(one), part in LEAFLIKE): _image(part, one) for part, _, one in organs}
+    images = [terrain.texture, *(of_material[id(one), part in LEAFLIKE] for part, _, one in organs)]  # colours
     images = [None if mesh.uv is None else image for mesh, image in zip(meshes, images, strict=True)]
     shown = {id(image): image for image in images if image is not None}  # species share none, organs may
     patches = [one.texture for one in terrain.overlays]
@@ -143,8 +144,12 @@ def patch_rows(images: Sequence[NDArray[np.float32]], first: Sequence[int]) -> N
     return np.array(rows, dtype=np.uint32) if rows else None
 
 
-def _image(part: Part, mesh: Mesh, material: Material) -> NDArray[np.float32] | None:
-    return None if material.texture is None or part in LEAFLIKE else material.texture.colour
+def _image(part: Part, material: Material) -> NDArray[np.float32] | None:
+    """(H, W, 3) texture of `albedo_of`."""
+    if material.texture is None:
+        return None
+    colour = material.texture.colour
+    return colour + np.asarray(material.transmittance, np.float32) if part in LEAFLIKE else colour
 
 
 def _first_rows(blocks: Sequence[NDArray[Any] | None], first: int) -> NDArray[np.uint32]:

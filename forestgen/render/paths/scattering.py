@@ -119,7 +119,7 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
         surface = surface_of(part, material, channels, has_uv=mesh.uv is not None)
         if surface.textured and id(material) not in known:
             known.add(id(material))
-            texels.append(np.asarray(relief_colour(material, channels), dtype=np.float32).reshape(-1, 3))
+            texels.append(np.asarray(relief_colour(material, surface, channels), dtype=np.float32).reshape(-1, 3))
         sides, lobe = surface.sides, surface.lobe
         absorbed.append(np.zeros(3) if material.absorption is None else channels.of_absorption(material.absorption))
         if material.absorption is not None:
@@ -291,7 +291,8 @@ class Surfaces:
         geometric = tracer.geometric_normal(hits)
         corners = corners_of(tracer, hits)
         normal = shading_normal(tracer, hits, corners, geometric)
-        normal = dr.select(dr.dot(normal, towards) < 0, -normal, normal)
+        below = dr.dot(normal, towards) < 0
+        normal = dr.select(below, -normal, normal)
         matt = dr.gather(mi.Color3f, self._paint.matt, hits.organ, valid)
         offset, width, height = (
             dr.gather(mi.UInt32, self._relief.texture, hits.organ * 3 + k, valid) for k in range(3)
@@ -320,6 +321,7 @@ class Surfaces:
             smooth = dr.normalize(normal + _SNOW_SMOOTH * mi.Vector3f(0.0, 0.0, 1.0))
             normal = dr.select(snow.seen & (dr.dot(smooth, towards) > 0), smooth, normal)
             textured &= ~snow.seen
+        relief.x = dr.select(below, -relief.x, relief.x)  # seen from below, where v is to the other side of u
         facet = self._facet(hits, normal, towards, relief, textured)
         return Local(towards, geometric, normal, facet, matt, through, gloss, chance)
 

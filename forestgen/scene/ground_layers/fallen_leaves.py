@@ -1,9 +1,10 @@
-"""Fallen leaves and needles of the stand's own species, dry, greyer and darker with age.
+"""Fallen leaves and needles of the stand's own species: some curled and dry on top, more flat, dark and wet below.
 
 Each species' lie where its crowns are: their share of the ground follows that of the leaf area above within some
-metres. Leaves are those of the species file, as they dried: curled along and across, folded, twisted, every second one
-face down, every third one with pieces missing. Their colours go from the dry leaf's to the grey of weathered wood, and
-some are wet and dark (`_AGES`; shares are ours).
+metres. Leaves are those of the species file, as they dried: curled along and across, folded, twisted, wavy, every
+second one face down, every third one with pieces missing, a few in pieces. Their colours go from the dry leaf's, in
+autumn with that of leaves that fell lately, to deeper browns and the grey of weathered wood; older ones are flat, wet,
+and dark in patches (`_AGES`; shares are ours). Near a camera they show veins (`plants/organs/leaf_texture.py`).
 
 Example
 -------
@@ -19,12 +20,13 @@ import numpy as np
 
 from forestgen.core.parts import Part
 from forestgen.core.spectrum import Spectrum
+from forestgen.geometry.mesh import Floats
 from forestgen.geometry.patches import Patch, bend, copies, join, strip
 from forestgen.plants.organs.base import OrganForm
-from forestgen.plants.organs.wear import worn
+from forestgen.plants.organs.leaf_texture import LeafLooks, leaf_texture
+from forestgen.plants.organs.wear import piece, worn
 from forestgen.recipe.ground import GroundLayer
-from forestgen.recipe.phenology import LeafState
-from forestgen.recipe.species import Species
+from forestgen.recipe.phenology import LeafState, fallen_lately
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import (
@@ -44,32 +46,40 @@ from forestgen.scene.surfaces import surface_of, wet_spectrum
 
 
 class _Age(NamedTuple):
-    grey: float  # share of the colour that is of weathered wood
     bright: float  # over a leaf just dry
+    deep: float  # more of its pigments: power of its reflectance, less 1
+    grey: float  # share of the colour that is of weathered wood
+    decayed: float = 0.0  # share of the blade in dark patches
+    rise: float = 1.0  # how far it is curled, and lies on others
     is_wet: bool = False
+    shapes: int = 3
 
 
 _AGES = (
-    _Age(0.0, 0.92),
-    _Age(0.05, 0.78),
-    _Age(0.1, 0.66),
-    _Age(0.2, 0.55),
-    _Age(0.3, 0.48),
-    _Age(0.45, 0.46),
-    _Age(0.1, 0.55, is_wet=True),
-    _Age(0.25, 0.6, is_wet=True),
+    _Age(1.18, 0.0, 0.05, 0.02, shapes=2),
+    _Age(1.2, 0.12, 0.05, 0.03),
+    _Age(0.95, 0.22, 0.1, 0.05),
+    _Age(0.85, 0.15, 0.3, 0.12, 0.7),
+    _Age(0.62, 0.1, 0.4, 0.2, 0.3),
+    _Age(0.7, 0.25, 0.15, 0.3, 0.2),
+    _Age(0.75, 0.3, 0.1, 0.2, 0.15, is_wet=True),
+    _Age(0.55, 0.35, 0.2, 0.45, 0.1, is_wet=True, shapes=4),
 )
-_EACH = 2  # shapes of an age
-_CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG = 40.0, 55.0, 25.0, 18.0  # standard deviations
-_FACE_DOWN, _TORN, _LARGER_BITES = 0.5, 0.25, 1.4
+_IN_DECAY = 0.3  # brightness of decayed patches over sound ones, about
+_CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG = 40.0, 45.0, 22.0, 18.0  # standard deviations on top
+_FLATTEST = 0.2  # of these, of leaves below others
+_FACE_DOWN, _TORN, _IN_PIECES, _LARGER_BITES = 0.5, 0.25, 0.15, 1.4
 _WRINKLES, _WRINKLE = 5, 0.012  # number, height over the length
+_WAVES, _WAVE = 6.0, 0.05  # of the margin, height over the half-width
+_RELIEF, _MOTTLED = 0.28, 0.16  # of veins of dry leaves, and of their tone
 _SIZE_SIGMA = 0.25
 _WET_GLOSS, _WET_ROUGHNESS = 0.04, 0.3  # a film of water's
 _NEEDLE_SHADES = (0.68, 0.95, 1.22, 1.63)  # a floor of them reflects as measured: spectra/ground/litter_needles
 _TRAPPED = {"needle": 0.52}  # share of light, by type of leaf: benchmarks/ground_cover.py
-_TRAPPED_BY_BLADES = 0.38
+_TRAPPED_BY_BLADES = 0.26
 _HEAPED_M, _BLADES_HEAPED_M = {"needle": 0.08}, 0.16  # against stems
 _LEAST_SHARE = 0.03  # of the leaf area: rarer species leave nothing that one sees
+_TEXTURED = 10.0  # pixels that a leaf covers that shows veins
 _FEWEST_TORN = 20  # triangles of a leaf that is drawn so finely that one sees tears
 _IN_ONE = 60  # needles that make one thing
 
@@ -92,25 +102,38 @@ class Leaves(GroundLayerKind[LeavesKeys]):
             key = next((key for key, one in species.materials.items() if one.leaf_type is not None), None)
             if key is None or share < _LEAST_SHARE:
                 continue
-            dry = surface_of(
-                species.materials[key].model_copy(update={"season": None}), LeafState.of_season("dry"), name
+            fresh = fallen_lately(species.phenology, request.drawn.recipe.time_of_year)
+            dry, lately = (
+                surface_of(
+                    species.materials[key].model_copy(update={"season": None}),
+                    LeafState(spectra=(0.0, 0.0, share, 1.0 - share)),
+                    name,
+                )
+                for share in (0.0, fresh)
             )
             if dry.reflectance_spectrum is None:
                 continue
-            things = _fallen(request, name, species, key, rng)
-            if not things:
+            shape = _shape_of(request, name, key)
+            if shape is None:
                 continue
             if species.materials[key].leaf_type == "needle":
-                materials = shades(dry, _NEEDLE_SHADES, f"{FALLEN}{name}")
+                things, materials = _needles(shape, name, rng), shades(dry, _NEEDLE_SHADES, f"{FALLEN}{name}")
             else:
-                materials = {f"{FALLEN}{name}-{index}": _aged(dry, age) for index, age in enumerate(_AGES)}
+                length_m = species.tissue.leaf_length_m or float(getattr(shape, "length_m", 0.1))
+                things = _fallen(shape, name, length_m, request.detail(length_m), rng)
+                near = shape if length_m > _TEXTURED * request.pixel_m else None
+                materials = {
+                    f"{FALLEN}{name}-{index}": _aged(lately if age.rise == 1.0 else dry, age, near, f"{name}-{index}")
+                    for index, age in enumerate(_AGES)
+                }
+            cover = 1.0 - (1.0 - keys.cover) ** share
             found.append(
                 Layer(
                     name=f"{FALLEN}{name}",
                     things=things,
                     materials=materials,
-                    cover=1.0 - (1.0 - keys.cover) ** share,
-                    leaf=mean_surface(list(materials.values())),
+                    cover=cover,
+                    leaf=mean_surface(list(materials.values()), _seen(things, list(materials), cover)),
                     trapped=_TRAPPED.get(str(species.materials[key].leaf_type), _TRAPPED_BY_BLADES),
                     spread=Spread(tilt_deg=16.0, depth_m=0.02, size_sigma=_SIZE_SIGMA),
                     patch_m=keys.patch_m,
@@ -121,42 +144,58 @@ class Leaves(GroundLayerKind[LeavesKeys]):
         return found
 
 
-def _fallen(request: Request, name: str, species: Species, key: str, rng: np.random.Generator) -> tuple[Thing, ...]:
-    """Leaves in a few attitudes and shades."""
-    parameters: Any = request.generators[name]
-    shapes = [one for one in parameters.shapes.values() if one.material == key]
-    if not shapes:
-        return ()
-    shape = max(shapes, key=lambda one: getattr(one, "length_m", 0.0))
-    if hasattr(shape, "needle_length_m") or hasattr(shape, "needles"):
-        return _needles(shape, name, rng)
+def _seen(things: Sequence[Thing], materials: Sequence[str], cover: float) -> Floats:
+    """(M,) share of each material in what is seen from above: things of height z below a share F(z) of the others' area
+    are seen by exp(-F(z) t), where all of them hide 1 - exp(-t) of the ground.
+    """
+    area, rise = np.array([[one.hidden_m2, one.rise] for one in things]).T
+    z = rise[:, None] * (np.arange(32) + 0.5) / 32
+    above = np.clip(1.0 - z[..., None] / rise, 0.0, 1.0) @ area / area.sum()
+    seen = area * np.exp(above * np.log1p(-min(cover, 0.999))).mean(axis=1)
+    of = np.array([materials.index(one.organs[0].material) for one in things])
+    return np.bincount(of, seen, minlength=len(materials)).astype(np.float64)
+
+
+def _shape_of(request: Request, name: str, key: str) -> Any:
+    """The largest form of a species' leaves of a material; None: it has none."""
+    shapes = [one for one in request.generators[name].shapes.values() if one.material == key]
+    return max(shapes, key=lambda one: getattr(one, "length_m", 0.0), default=None)
+
+
+def _fallen(shape: Any, name: str, length_m: float, detail: int, rng: np.random.Generator) -> tuple[Thing, ...]:
+    """Leaves of all ages, each in some attitudes."""
     known, things = type(shape).model_fields, []
-    drawn_m = float(getattr(shape, "length_m", 0.1))
-    length_m = species.tissue.leaf_length_m or drawn_m
-    update = {key: value for key, value in (("curl_deg", 0.0), ("fold_deg", 0.0)) if key in known}
+    update: dict[str, float] = {key: 0.0 for key in ("curl_deg", "fold_deg") if key in known}
     if "detail" in known:
-        update["detail"] = request.detail(length_m)
+        update["detail"] = detail
     form: OrganForm = shape.model_copy(update=update)
     flat = join([one.patch for one in form.patches()])
-    flat = flat._replace(points=length_m / drawn_m * flat.points)
-    for index in range(_EACH * len(_AGES)):
-        shaped = sheet(Part.LITTER, f"{FALLEN}{name}-{index % len(_AGES)}", _dried(flat, rng))
-        things.append(Thing(centred([shaped]), length_m))
+    flat = flat._replace(points=length_m / float(getattr(shape, "length_m", 0.1)) * flat.points)
+    for index, age in enumerate(_AGES):
+        for _ in range(age.shapes):
+            shaped = sheet(Part.LITTER, f"{FALLEN}{name}-{index}", _dried(flat, age.rise, rng))
+            things.append(Thing(centred([shaped]), length_m, rise=age.rise))
     return tuple(things)
 
 
-def _dried(leaf: Patch, rng: np.random.Generator) -> Patch:
-    """A flat leaf along y, as it lies: bent, rolled, folded, twisted, wrinkled, some with pieces missing."""
-    curl, roll, twist, fold = np.radians([_CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG]) * rng.normal(size=4)
-    is_down, is_torn = rng.random(2) < (_FACE_DOWN, _TORN)
-    if is_torn and len(leaf.faces) >= _FEWEST_TORN:
-        leaf = worn(leaf, rng, _LARGER_BITES)
+def _dried(leaf: Patch, rise: float, rng: np.random.Generator) -> Patch:
+    """A flat leaf along y, as it lies: bent, rolled, folded, twisted, wrinkled, some with pieces missing.
+
+    `rise`: 1: as on top; 0: as flat as below others.
+    """
+    bends = np.radians([_CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG]) * (_FLATTEST + (1.0 - _FLATTEST) * rise)
+    curl, roll, twist, fold = bends * rng.normal(size=4)
+    is_down, is_torn, is_piece = rng.random(3) < (_FACE_DOWN, _TORN, _IN_PIECES * (1.5 - rise))
+    if len(leaf.faces) >= _FEWEST_TORN and (is_torn or is_piece):
+        leaf = piece(leaf, rng) if is_piece else worn(leaf, rng, _LARGER_BITES)
     points = leaf.points
     half_m, length_m = float(np.abs(points[:, 0]).max()), float(np.ptp(points[:, 1]))
     wave = rng.normal(size=(_WRINKLES, 2)) * 6.0 / length_m
     points = points + [0.0, 0.0, _WRINKLE * length_m] * np.sin(
         points[:, :2] @ wave.T + rng.uniform(0.0, 2.0 * np.pi, _WRINKLES)
     ).sum(axis=1, keepdims=True)
+    phase = 2.0 * np.pi * _WAVES * points[:, 1] / length_m + np.where(points[:, 0] > 0.0, 0.0, 2.0)
+    points[:, 2] += _WAVE * np.abs(points[:, 0]) * np.sin(phase)
     # Both halves about the midrib: |x| goes where `bend` has y.
     side = bend(np.column_stack([points[:, 1], np.abs(points[:, 0]), points[:, 2]]), half_m, roll)
     across = side[:, 1] * np.cos(fold) - side[:, 2] * np.sin(fold)
@@ -170,18 +209,23 @@ def _dried(leaf: Patch, rng: np.random.Generator) -> Patch:
     return leaf._replace(points=turned)
 
 
-def _aged(dry: Material, age: _Age) -> Material:
-    """The surface of a leaf that has lain for some time."""
+def _aged(dry: Material, age: _Age, near: OrganForm | None, name: str) -> Material:
+    """The surface of a leaf that has lain for some time; `near`: its form, of which veins are seen."""
     fresh, passed = dry.reflectance_spectrum, dry.transmittance_spectrum
     assert fresh is not None  # of all layers
     grey = load_spectra("wood/snag")["reflectance"]
-    grid = fresh.wavelength_nm
-    reflected = Spectrum(grid, age.bright * (fresh.value + age.grey * (grey.at(grid) - fresh.value)))
+    grid, bright = fresh.wavelength_nm, age.bright * (1.0 - (1.0 - _IN_DECAY) * age.decayed)
+    deep = fresh.value ** (1.0 + age.deep)
+    reflected = Spectrum(grid, bright * (deep + age.grey * (grey.at(grid) - deep)))
     reflected = wet_spectrum(reflected) if age.is_wet else reflected
     if passed is not None:
-        passed = Spectrum(passed.wavelength_nm, age.bright * (1.0 - age.grey) * passed.value)
+        through = bright * (1.0 - age.grey) * passed.value ** (1.0 + age.deep)
+        passed = Spectrum(passed.wavelength_nm, np.minimum(through, 1.0 - reflected.at(passed.wavelength_nm)))
     gloss, roughness = (_WET_GLOSS, _WET_ROUGHNESS) if age.is_wet else (dry.gloss, dry.roughness)
-    return Material(*colours_of_surface(reflected, passed), roughness, None, gloss, reflected, passed)
+    colours = colours_of_surface(reflected, passed)
+    looks = LeafLooks(_RELIEF, _MOTTLED, age.decayed)
+    texture = None if near is None else leaf_texture(near, colours[0], looks, name)
+    return Material(*colours, roughness, texture, gloss, reflected, passed)
 
 
 def _needles(shape: Any, name: str, rng: np.random.Generator) -> tuple[Thing, ...]:

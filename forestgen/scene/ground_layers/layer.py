@@ -34,6 +34,7 @@ class Thing:
     length_m: float
     closed: bool = False  # its meshes are surfaces of bodies, not sheets
     is_bushy: bool = False  # its sheets lie above one another
+    rise: float = 1.0  # how far it leans and lies up, share of its layer's tilt and depth
 
     @property
     def hidden_m2(self) -> float:

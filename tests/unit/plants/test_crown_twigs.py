@@ -11,7 +11,7 @@ from scipy.spatial.distance import cdist
 
 from forestgen.api.plant_requests import plan_of, request_of
 from forestgen.plants import build, crown_twigs
-from forestgen.plants.crown_twigs import TWIG_ORDER, CrownTwigs, Leaves
+from forestgen.plants.crown_twigs import TWIG_ORDER, CrownTwigs, Leaves, _gathered
 from forestgen.plants.generators.strands import StrandGenerator
 from forestgen.plants.growing import grow_exemplar
 from forestgen.plants.skeleton import Skeleton
@@ -266,3 +266,12 @@ def test_twigs_and_their_leaves_go_together(leaves: dict[str, object]) -> None:
     twigs = {"crown_twigs": {"replaces_below_m": 0.01, "leaves_each": 5}} if leaves else {}
     with pytest.raises(ValueError, match="order 100"):
         StrandGenerator.Parameters.model_validate({**plant, **twigs, "foliage": [rule]})
+
+
+def test_gathered_points_lie_in_flat_groups_and_keep_their_middle():
+    tips = np.random.default_rng(2).random((800, 3)) * [4.0, 4.0, 6.0]
+    gathered = _gathered(tips, 0.8)
+    assert np.abs(gathered.mean(axis=0) - tips.mean(axis=0)).max() < 0.05
+    apart = [np.abs(np.diff(np.sort(one[:, 2]))).max() for one in (tips, gathered)]
+    assert apart[1] > 1.5 * apart[0]  # tiers, with gaps between
+    np.testing.assert_array_equal(_gathered(tips, 0.0), tips)

@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 from scipy.special import gamma
 
 from forestgen.geometry.patches import Patch, area_m2
+from forestgen.plants.leaf_fall import with_leaves
 from forestgen.plants.organs.leaves import CompoundLeaf, LobedBlade, PalmateBlade, SimpleBlade, SimpleLeaf
+from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.recipe.phenology import LeafState
 
 LENGTH_M, WIDTH_M = 0.1, 0.06
 AnyBlade = SimpleBlade | LobedBlade | PalmateBlade
@@ -207,3 +210,19 @@ def test_a_compound_leaf_is_its_leaflets(palmate: bool, leaflets: int) -> None:
     stalk = 0.0 if palmate else 0.12 * 0.001
     [one] = whole.patches()
     assert area_m2(one.patch) == pytest.approx(leaflets * area_m2(leaflet.blade(1)) + stalk, rel=1e-6)
+
+
+def test_dead_leaves_with_a_shape_of_their_own_lie_once_all_are_withered() -> None:
+    upright = np.tile(np.column_stack([np.eye(3)[:, [0, 2, 1]] * [1.0, 1.0, -1.0], np.zeros(3)]), (200, 1, 1))
+    organs = OrganPlacements("frond", 0.7 * upright.astype(np.float32), np.zeros(200, np.int32))
+    skeleton = Skeleton.of([-1], np.zeros((1, 3)), np.ones(1), np.zeros(1), np.zeros(1), organs=(organs,))
+    frond = SimpleLeaf(form="simple", material="frond", length_m=0.7, width_m=0.3)
+    shapes = {"frond": frond, "dead_frond": frond}
+    for withered in (0.5, 1.0):
+        state = LeafState(0.7, spectra=(0.0, 0.0, 1.0 - withered, withered))
+        [left] = with_leaves(skeleton, shapes, state, np.random.default_rng(3)).organs
+        rise = left.frame[:, 2, 1] / np.linalg.norm(left.frame[:, :, 1], axis=1)
+        assert (left.shape, bool(np.all(np.abs(rise) < 0.4))) == (
+            ("dead_frond", True) if withered == 1.0 else ("frond", False)
+        )
+        np.testing.assert_allclose(np.linalg.norm(left.frame[:, :, 1], axis=1), 0.7, rtol=1e-5)

@@ -1,16 +1,19 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
+from forestgen.core.spectrum import Spectrum
 from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe.species import Bark
 from forestgen.render.build import load, origin_of, plants_dict
 from forestgen.render.capture import capture
 from forestgen.render.identity import SceneTracer, trace_identity
-from forestgen.render.surfaces import SpectralBsdfs, surface_bsdf
+from forestgen.render.surfaces import SpectralBsdfs, relief_colour, surface_bsdf, surface_of
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.colour import RGB, Channels
 from forestgen.scene.spec import Material, SceneSpec
@@ -63,11 +66,28 @@ def test_wood_without_uv_has_one_colour():
     np.testing.assert_allclose(seen, np.broadcast_to(REFLECTANCE, seen.shape), rtol=0.06)  # the sampler's noise
 
 
-def test_only_opaque_parts_take_a_texture():
+def test_leaves_and_wood_take_a_texture_where_they_have_uv():
     material = Material(REFLECTANCE, (0.1, 0.1, 0.1), texture=leaning_texture())
-    assert surface_bsdf(Part.LEAF, material, has_uv=True)["type"] == "blendbsdf"
-    assert surface_bsdf(Part.TRUNK, material, has_uv=True)["bsdf"]["type"] == "normalmap"
-    assert surface_bsdf(Part.TRUNK, material)["bsdf"]["type"] == "diffuse"
+    leaf = surface_bsdf(Part.LEAF, material, has_uv=True)
+    assert leaf["type"] == "blendbsdf"
+    for one in (leaf["r"], surface_bsdf(Part.TRUNK, material, has_uv=True)):
+        assert [one[side]["type"] for side in ("side0", "side1")] == ["normalmap"] * 2
+    assert surface_bsdf(Part.TRUNK, material)["side0"]["type"] == "diffuse"
+
+
+def test_a_veined_leaf_reflects_what_its_table_says_and_never_more_than_it_gets():
+    """Also where it is bright: texels that would pass what the leaf does not let through have less contrast."""
+    dark = np.where(np.arange(64)[:, None, None] % 8 < 4, 0.4, 1.6).astype(np.float32)
+    grid = np.array([400.0, 2500.0])
+    for level, through, channels in ((0.2, 0.2, RGB), (0.5, 0.48, Channels((560.0, 833.0, 1614.0)))):
+        reflectance = (level, level, level)
+        texture = replace(leaning_texture(), colour=np.broadcast_to(level * dark, (64, 64, 3)))
+        spectra = (Spectrum(grid, np.full(2, one)) for one in (level, through))
+        material = Material(reflectance, (through,) * 3, 0.5, texture, 0.03, *spectra)
+        surface = surface_of(Part.LEAF, material, channels, has_uv=True)
+        colour = relief_colour(material, surface, channels)
+        np.testing.assert_allclose(colour.mean(axis=(0, 1)), surface.sides.matt, rtol=0.02)
+        assert np.all(colour + surface.sides.through + surface.sides.gloss <= 1.0 + 1e-3)
 
 
 def test_repainted_bark_is_bark_built_anew():

@@ -228,10 +228,32 @@ def test_a_fallen_leaf_is_as_large_as_the_species_file_says() -> None:
     keys = FALLEN.Parameters.model_validate({"what": "fallen_leaves"})
     [layer] = FALLEN.layers(keys, request, np.random.default_rng(1))
     length_m = built.plan.drawn.species["beech"].tissue.leaf_length_m
+    lengths = []
     for thing in layer.things:
         points = np.concatenate([one.mesh.vertices_m for one in thing.organs])
         assert thing.length_m == length_m
-        assert 0.5 * thing.length_m < np.ptp(points[:, 1]) < 1.3 * thing.length_m  # curled, and with its stalk
+        lengths.append(np.ptp(points[:, 1]))
+    assert max(lengths) < 1.3 * length_m  # with its stalk
+    assert min(lengths) > 0.25 * length_m  # a piece
+    assert 0.8 * length_m < np.median(lengths)
+
+
+def test_flat_dark_leaves_lie_below_those_that_are_curled() -> None:
+    built = scene()
+    request = Request(built.plan.drawn, built.plan.plants.generators, {"beech": (1.0, lambda x, y: x)}, 0.001, ())
+    whole, thin = (
+        FALLEN.layers(
+            FALLEN.Parameters.model_validate({"what": "fallen_leaves", "cover": cover}),
+            request,
+            np.random.default_rng(1),
+        )[0]
+        for cover in (0.95, 0.05)
+    )
+    made = tile(whole, 0, seed=1)[0]
+    tops = {one.material: float(one.mesh.vertices_m[:, 2].mean()) for one in made.organs}
+    first, *_, last = sorted(tops)
+    assert tops[last] < 0.6 * tops[first]
+    assert whole.leaf.reflectance[0] > 1.03 * thin.leaf.reflectance[0]  # of what is seen, more lies on top
 
 
 @pytest.mark.parametrize("size_m", [0.3, 1.0, 3.0])

@@ -60,6 +60,22 @@ def test_no_leaf_is_lost_and_each_class_has_a_material():
     ]
 
 
+def test_plants_differ_in_their_stage_of_autumn_and_share_its_mean():
+    made, plants = materials("birch", season="autumn"), np.arange(1, 13)
+
+    def shares(late):
+        coloured = min(max(0.5 - 0.2 * late, 0.0), 1.0)
+        return 0.0, 1.0 - coloured, coloured, 0.0
+
+    found = vary_leaves([tree()] * 12, made, plants, seed=5, stages={"birch": shares})[1]
+    red = np.array([found["birch", f"leaf (middle, {one})"].seasons[2].share for one in plants])
+    assert len(np.unique(red)) == 12
+    assert red.mean() == pytest.approx(0.5, abs=1e-6)
+    assert red.std() == pytest.approx(0.2, rel=1e-3)
+    one = found["birch", "leaf (middle, 1)"]
+    assert sum(kind.share for kind in one.seasons) == pytest.approx(1.0)
+
+
 def test_leaves_without_a_type_stay_as_they_are():
     exemplar, made = tree(), materials("birch")
     made["birch", "leaf"] = replace(made["birch", "leaf"], leaf_type=None)
