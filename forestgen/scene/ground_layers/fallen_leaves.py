@@ -28,7 +28,6 @@ from forestgen.recipe.species import Species
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import (
-    FALLEN,
     GroundLayerKind,
     Layer,
     Request,
@@ -59,6 +58,7 @@ _AGES = (
     _Age(0.1, 0.55, is_wet=True),
     _Age(0.25, 0.6, is_wet=True),
 )
+_FALLEN = "leaves/"  # at the beginning of the names of materials
 _EACH = 2  # shapes of an age
 _CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG = 40.0, 55.0, 25.0, 18.0  # standard deviations
 _FACE_DOWN, _TORN, _LARGER_BITES = 0.5, 0.25, 1.4
@@ -100,12 +100,12 @@ class Leaves(GroundLayerKind[LeavesKeys]):
             if not things:
                 continue
             if species.materials[key].leaf_type == "needle":
-                materials = shades(dry, _NEEDLE_SHADES, f"{FALLEN}{name}")
+                materials = shades(dry, _NEEDLE_SHADES, f"{_FALLEN}{name}")
             else:
-                materials = {f"{FALLEN}{name}-{index}": _aged(dry, age) for index, age in enumerate(_AGES)}
+                materials = {f"{_FALLEN}{name}-{index}": _aged(dry, age) for index, age in enumerate(_AGES)}
             found.append(
                 Layer(
-                    name=f"{FALLEN}{name}",
+                    name=f"{_FALLEN}{name}",
                     things=things,
                     materials=materials,
                     cover=1.0 - (1.0 - keys.cover) ** share,
@@ -138,7 +138,7 @@ def _fallen(request: Request, name: str, species: Species, key: str, rng: np.ran
     flat = join([one.patch for one in form.patches()])
     flat = flat._replace(points=length_m / drawn_m * flat.points)
     for index in range(_EACH * len(_AGES)):
-        shaped = sheet(Part.LITTER, f"{FALLEN}{name}-{index % len(_AGES)}", _dried(flat, rng))
+        shaped = sheet(Part.LITTER, f"{_FALLEN}{name}-{index % len(_AGES)}", _dried(flat, rng))
         things.append(Thing(centred([shaped]), length_m))
     return tuple(things)
 
@@ -179,7 +179,8 @@ def _aged(dry: Material, age: _Age) -> Material:
     if passed is not None:
         passed = Spectrum(passed.wavelength_nm, age.bright * (1.0 - age.grey) * passed.value)
     gloss, roughness = (_WET_GLOSS, _WET_ROUGHNESS) if age.is_wet else (dry.gloss, dry.roughness)
-    return Material(*colours_of_surface(reflected, passed), roughness, None, gloss, reflected, passed)
+    colours = colours_of_surface(reflected, passed)
+    return Material(*colours, roughness, None, gloss, reflected, passed, is_wet=age.is_wet)
 
 
 def _needles(shape: Any, name: str, rng: np.random.Generator) -> tuple[Thing, ...]:
@@ -195,7 +196,7 @@ def _needles(shape: Any, name: str, rng: np.random.Generator) -> tuple[Thing, ..
         across = np.column_stack([-np.sin(turn), np.cos(turn), np.zeros(_IN_ONE)])
         linear = np.stack([across, along, np.cross(across, along)], axis=-1)
         patch = copies(blade, linear, at)
-        things.append(Thing(centred([sheet(Part.LITTER, f"{FALLEN}{name}-{index}", patch)]), length_m))
+        things.append(Thing(centred([sheet(Part.LITTER, f"{_FALLEN}{name}-{index}", patch)]), length_m))
     return tuple(things)
 
 
