@@ -108,6 +108,10 @@ AUTUMN = "2026-10-19"  # half of the beeches' leaves are coloured, most of the b
 OVERCAST = {"kind": "overcast", "sun": {"elevation_deg": 40, "azimuth_deg": 215}}
 ROAD = {"what": "forest_road", "points_m": [[-20, 22], [10, 27.5], [30, 31], [55, 30], [80, 40]]}
 POND = {"what": "pond", "position_m": [31, 20], "radius_m": 9, "depth_m": 1.2}
+SEDGE: Keys = {
+    "from": "grass",
+    "plant": {"shapes": {"blade": {"length_m": 0.8, "width_m": 0.011, "arch_deg": 60, "twist_deg": 30}}},
+}
 LEAF = {"position_m": [30, 26.6, 1.8], "look_at_m": [30, 30, 2.2], "hfov_deg": 40}
 
 VIEWS: Mapping[str, Callable[[], Keys]] = {
@@ -122,8 +126,27 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "beech, winter": lambda: forest(
         BEECH, 26, EAST, plants__season="winter", sky__sun={"elevation_deg": 14, "azimuth_deg": 210}
     ),
-    "pond, overcast": lambda: forest(MIXED, 24, EYE, "spruce", sky=OVERCAST, site__water=[POND]),
-    "rain": lambda: forest(MIXED, 24, EYE, "spruce", sky=OVERCAST, weather=[{"what": "rain", "rate_mm_per_h": 15}]),
+    "pond, overcast": lambda: forest(
+        MIXED,
+        24,
+        EYE,
+        "spruce",
+        sky=OVERCAST,
+        species__sedge=SEDGE,
+        site__water=[POND],
+        site__ground__layers=[*FLOOR, {**GRASS, "species": "sedge", "height_m": 0.8, "cover": 0.6, "on": "shore"}],
+        wind__speed_m_per_s=1,
+    ),
+    "rain": lambda: forest(
+        MIXED,
+        24,
+        EYE,
+        "spruce",
+        sky=OVERCAST,
+        site__paths=[{**ROAD, "points_m": [[-20, 4], [20, 9], [42, 15], [80, 18]]}],
+        wind__speed_m_per_s=2,
+        weather=[{"what": "rain", "rate_mm_per_h": 15}, {"what": "ground_fog", "visibility_m": 600, "depth_m": 40}],
+    ),
     "fog": lambda: forest(
         SPRUCE,
         24,

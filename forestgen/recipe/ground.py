@@ -24,10 +24,10 @@ class GroundLayer(fields.PartSection):
     cover: fields.Number = Field(
         0.5, gt=0, le=DENSEST, description="Share of the ground that it hides, seen from above; mean over the site."
     )
-    on: Literal["ground", "roadside"] = Field(
+    on: Literal["ground", "roadside", "shore"] = Field(
         "ground",
         description="ground: everywhere but in water and on paths. roadside: on the middle strips of forest roads and "
-        "beside them alone.",
+        "beside them alone. shore: in shallow water and beside it alone.",
     )
     patch_m: fields.Positive | None = Field(
         None,

@@ -97,7 +97,13 @@ GROUND_COVERS = Registry(
     },
     contract="forestgen.scene.terrain:GroundCover",
 )
-GROUND_OF = {"path": "soil_moist", "forest_road": "gravel", "strip": "grass", "bed": "soil_wet"}  # by default
+GROUND_OF = {
+    "path": "soil_moist",
+    "forest_road": "gravel",
+    "strip": "grass",
+    "bed": "soil_wet",
+    "rim": "soil_moist",
+}  # by default
 
 _LAYERS = "forestgen.scene.ground_layers"
 GROUND_LAYERS = Registry(

@@ -22,15 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.atmosphere.optical_depth import distance_to_depth, optical_depth
-from forestgen.render.identity.surface import (
-    SAMPLES,
-    Values,
-    albedo,
-    corners_of,
-    shading_normal,
-    sun_visible,
-    unhidden,
-)
+from forestgen.render.identity.interpolation import corners_of, shading_normal
+from forestgen.render.identity.surface import SAMPLES, Values, albedo, sun_visible, unhidden
 from forestgen.render.identity.tracer import LENS_STEPS, Hits, SceneTracer
 from forestgen.render.light import has_sun
 from forestgen.render.paths.fog import Fog

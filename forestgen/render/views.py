@@ -19,7 +19,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Progress
 from forestgen.core.randomness import child_rng, child_seed
 from forestgen.render import sky
@@ -33,6 +32,7 @@ from forestgen.render.paths.scattering import has_water
 from forestgen.render.paths.tracer import PathTracer
 from forestgen.render.variant import SCALAR, using
 from forestgen.scene.colour import Channels
+from forestgen.scene.exact_light import exact_light_error
 from forestgen.scene.motion import poses_at, row_times_s, shutter_s
 from forestgen.scene.projection import rays
 from forestgen.scene.spec import Camera
@@ -49,19 +49,13 @@ Floats = NDArray[np.float64]
 
 def build_view(job: RenderJob, progress: Progress, timer: Timer, tracer: SceneTracer | None = None) -> View:
     """Build the scene of a job; `tracer` is that of its scene, if there is one already."""
-    if job.is_exact and (job.spec.fog or job.spec.snow is not None):
-        problem, expected = "light through the clouds' volume knows no other weather", "clouds far above the plants"
-        hint = "raise the clouds, or leave out the weather"
-        raise RecipeError(problem, where="weather", expected=expected, got="clouds near the plants", hint=hint)
-    if job.is_exact and has_water(job.spec):
-        problem, expected = "light through the clouds' volume knows no water", "clouds far above the plants"
-        hint = "raise the clouds, or leave out site.water"
-        raise RecipeError(problem, where="site.water", expected=expected, got="clouds near the plants", hint=hint)
-    if job.is_exact and job.camera.motion is not None:
-        problem, expected = "light through the clouds' volume knows no camera that moves", "clouds far above the plants"
-        hint = "raise the clouds, or leave out the camera's motion"
-        where = f"cameras.{job.camera.name}.motion"
-        raise RecipeError(problem, where=where, expected=expected, got="clouds near the plants", hint=hint)
+    for found, what, where, leave_out in (
+        (job.spec.fog or job.spec.snow is not None, "other weather", "weather", "the weather"),
+        (has_water(job.spec), "water", "site.water", "site.water"),
+        (job.camera.motion, "camera that moves", f"cameras.{job.camera.name}.motion", "the camera's motion"),
+    ):
+        if job.is_exact and found:
+            raise exact_light_error(what, where, leave_out, chosen=False)
     if job.is_exact:
         from forestgen.render.exact_view import ExactView
 

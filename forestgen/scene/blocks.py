@@ -23,6 +23,7 @@ from forestgen.scene.terrain import HeightField
 WOODS_M, SQUARE_M, SQUARE_VARIANTS, UNEVEN_SEEN = 6000.0, 160.0, 2, 0.004
 MOST_BLOCKS_BEYOND = 10_000  # the nearest, where steep hills would need more
 _PROBES = np.linspace(-0.5, 0.5, 5)  # along a block, where the ground is looked up
+_BARRED_M = 0.8  # between places where it is asked for paths and water
 
 Rows = NDArray[np.intp]
 
@@ -82,6 +83,15 @@ class Lattice:
         plane = np.stack([z @ x / (x @ x), z @ y / (y @ y), z.mean(axis=1)], axis=1)
         miss = np.abs(z - plane @ np.stack([x, y, np.ones(len(x))]))
         return plane, miss.max(axis=1)
+
+    def barred(self, at: Rows) -> Floats:
+        """(B,) share of blocks on which no plant can stand."""
+        if self.height.fine_m2 == 0.0:
+            return np.zeros(len(at))
+        inside = [(np.arange(n) + 0.5) / n for n in np.ceil(self.side_m / _BARRED_M).astype(np.intp)]
+        x, y = (one.ravel() for one in np.meshgrid(*inside))
+        shares = [self.height.barred(*((block + np.column_stack([x, y])) * self.side_m).T).mean() for block in at]
+        return np.array(shares)
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from forestgen.scene.near_foliage import leaves_of, with_near_plants
 from forestgen.scene.phenology import colour_stages, leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, sun_notes, wetness_of
+from forestgen.scene.snow_depth import Circles, FinerGround
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.surfaces import FreshLitter, fresh_litter, infrared_notes, materials_of, surface_of
 from forestgen.scene.surroundings import Layer, SurroundedStand, layers_around, surrounded
@@ -37,10 +38,12 @@ from forestgen.scene.tree_exemplars import instance_scales, tree_sizes_of
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.views import check_trunks, drawn_cameras, next_frame
 from forestgen.scene.water_surface import with_land, with_water
-from forestgen.scene.weather.kind import in_weather, weather_notes
+from forestgen.scene.weather.kind import has_relief, in_weather, weather_notes
 from forestgen.scene.wind import Sway, spec_at, sway_in
 
 Timer = Callable[[str], AbstractContextManager[None]]
+_STEM_BASE_M = 0.5  # height up to which stems stand in snow
+_NO_STEMS = np.zeros((0, 2)), np.zeros(0)
 _MOST_TURN_RAD = np.pi / 3.0  # to either side, of a tree that has a weather side
 
 
@@ -113,7 +116,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         population = replace(population, position_m=around.population.position_m[: len(population)])
         trunks = Trunks(exemplars, around.plants)
         views = drawn_cameras(drawn, trunks)
-        terrain = _terrain(plan, population, around.reach_m)
+        stems = Circles(*(trunks.circles_m(_STEM_BASE_M) if recipe.weather else _NO_STEMS))
+        terrain = _terrain(plan, population, around.reach_m, stems)
         spec = SceneSpec(
             exemplars=around.exemplars,
             materials=around.materials,
@@ -127,7 +131,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         ground = ground_cover(plan, population, spec.cameras)
         spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars), recipe.time_of_year))
         spec = with_water(spec, height, recipe.wind.speed_m_per_s, drawn.image_seed)
-        spec = in_weather(spec, drawn, height)
+        spec = in_weather(spec, drawn, height, stems)
         known = (*simulated.notes, *kept_off, *ground.notes, *weather_notes(drawn))
         notes = [*_notes(plan, known), *check_trunks(drawn, views, trunks)]
         notes += [*plan.views.check_outside_of_buildings(), *infrared_notes(base_materials, plan.views.all_cameras)]
@@ -181,12 +185,16 @@ def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
     return layers_around(population, rows, plan.views.height, rng, plan.views.all_cameras)
 
 
-def _terrain(plan: Plan, population: Population, reach_m: float) -> Terrain:
+def _terrain(plan: Plan, population: Population, reach_m: float, stems: Circles) -> Terrain:
     """The ground. `reach_m`: how far from the site's edge the stand goes on."""
     height, kind, seed = plan.views.height, plan.drawn.recipe.site.ground.kind, plan.drawn.image_seed
     wetness, fresh = wetness_of(plan.community, population), _fresh_litter(plan, population)
-    terrain = build_terrain(height, child_rng(seed, "terrain", "colour"), kind, wetness, reach_m, fresh)
-    return with_land(terrain, height, seed)
+    meshed = height
+    if has_relief(plan.drawn):
+        eyes_m = np.array([camera.position_m for camera in plan.views.all_cameras])
+        meshed = FinerGround(height.size_m, height, stems, eyes_m)
+    terrain = build_terrain(meshed, child_rng(seed, "terrain", "colour"), kind, wetness, reach_m, fresh)
+    return with_land(terrain, height, plan.drawn.recipe.wind.speed_m_per_s, seed)
 
 
 def _fresh_litter(plan: Plan, population: Population) -> FreshLitter | None:

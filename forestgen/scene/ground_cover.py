@@ -127,10 +127,11 @@ def _tiles_of_all(layers: Sequence[Layer], tiles: Sequence[Ints]) -> tuple[Ints,
 
 
 def _placed(layer: Layer, on: str, height: HeightField) -> Layer:
-    """A layer less dense on paths, and nowhere in water; or by roads alone, and painted nowhere."""
+    """A layer less dense on paths, and nowhere in water; or by roads or shores alone, and painted nowhere."""
     if on == "ground" and height.fine_m2 == 0.0:
         return layer
-    where, share = layer.where, height.open_share if on == "ground" else height.roadside
+    share = {"ground": height.open_share, "roadside": height.roadside, "shore": height.shore}[on]
+    where = layer.where
     inside = TILE_M * ((np.arange(_EDGE_POINTS) + 0.5) / _EDGE_POINTS - 0.5)
 
     def density(x: Floats, y: Floats) -> Floats:

@@ -25,21 +25,25 @@ from forestgen.recipe.load import DrawnRecipe, LoadedRecipe
 from forestgen.recipe.registries import DATASET_FORMATS, GROUND_LAYERS, LABEL_CHANNELS
 from forestgen.recipe.schema import Recipe
 from forestgen.recipe.suggestions import did_you_mean
+from forestgen.scene.exact_light import chooses_exact, exact_light_error
 from forestgen.scene.exemplars import MOST_TRIANGLES, check_traits
 from forestgen.scene.ground_view import MOST_TILES
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.site import check_wet_soil, community_site
+from forestgen.scene.snow_depth import FINE_TRIANGLES
 from forestgen.scene.surroundings import most_far_triangles
-from forestgen.scene.terrain import FINE_M
+from forestgen.scene.terrain import FINE_M, TEXTURE_PX
 from forestgen.scene.triangles import exemplar_triangles, near_triangles
 from forestgen.scene.views import Views, place_key
-from forestgen.scene.weather.kind import check_weather
+from forestgen.scene.weather.kind import check_weather, has_relief
 
 # Kept free for the operating system and for what no estimate sees.
 _SHARE_OF_MEMORY = 0.8
 # Measured by tests/system/test_memory.py as the peak resident memory of whole runs.
 _LOADED_SIMULATOR_BYTES = 520_000_000
 _LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture and what it was made from
+# A ground's texture: in the scene, in the labels' tables, as light and as relief in the light paths' tables.
+_BYTES_PER_TEXTURE = 4 * 12 * TEXTURE_PX**2
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
 _BYTES_PER_PIXEL = 800  # radiance sums in double precision, buffers, channels on their way to files
 _BYTES_PER_TRIANGLE = 250  # mesh, the scene with its tree, normals' table; 242 measured on 60 spruces of 18 m
@@ -91,11 +95,13 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         min(math.ceil((side + 40) / plan.views.height.cell_m), _MOST_GROUND_CELLS) + _GROUND_BEYOND
         for side in recipe.site.size_m
     )
-    fine = math.ceil(2.0 * plan.views.height.fine_m2 / FINE_M**2)
+    fine = math.ceil(2.0 * plan.views.height.fine_m2 / FINE_M**2) + has_relief(plan.drawn) * FINE_TRIANGLES
     return {
         "community": community,
         "libraries": _LOADED_RENDERER_BYTES,
-        "ground": (2 * across * along + fine) * per_triangle + _ground_cover_bytes(recipe, per_triangle, per_plant),
+        "ground": (2 * across * along + fine) * per_triangle
+        + _ground_cover_bytes(recipe, per_triangle, per_plant)
+        + _more_textures(plan.drawn) * _BYTES_PER_TEXTURE,
         "images": pixels * (_BYTES_PER_PIXEL + recipe.labels.samples * _BYTES_PER_SAMPLE),
         "exemplars": math.ceil(grown * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle)),
         "plants": plants * per_plant,
@@ -114,6 +120,14 @@ def _highest_m(views: Views) -> float:
 def _ground_cover_bytes(recipe: Recipe, per_triangle: int, per_instance: int) -> int:
     layers = [GROUND_LAYERS.load(keys.what) for keys in recipe.site.ground.layers]
     return sum(int(one.most_triangles) for one in layers) * per_triangle + bool(layers) * MOST_TILES * per_instance
+
+
+def _more_textures(drawn: DrawnRecipe) -> int:
+    """Of other grounds on the site: of paths and beds, shores, between things that lie there, below crowns on snow."""
+    site = drawn.recipe.site
+    grounds = {("path", one.surface) for one in site.paths} | {("bed", one.ground) for one in site.water}
+    strips = any(one.what == "forest_road" for one in site.paths)
+    return len(grounds) + sum(map(bool, (strips, site.water, site.ground.layers, has_relief(drawn))))
 
 
 def own_triangles(plan: Plan) -> int:
@@ -350,15 +364,13 @@ def _check_clouds(views: Views) -> None:
     """
     drawn, source = views.drawn, cloud_source_of(views.drawn)
     source.check(drawn)
-    if drawn.recipe.site.water and drawn.recipe.render.clouds == "exact" and drawn.recipe.sky.clouds.has_clouds:
-        problem, where = "light through the clouds' volume knows no water", drawn.where("site", "water")
-        hint = "leave out site.water, or raise the clouds and leave render.clouds out"
-        raise RecipeError(problem, where=where, expected="render.clouds: farfield or auto", got="exact", hint=hint)
-    for index, section in enumerate(drawn.recipe.cameras):
-        if section.motion is not None and drawn.recipe.render.clouds == "exact" and drawn.recipe.sky.clouds.has_clouds:
-            problem = "light through the clouds' volume knows no camera that moves"
-            where, hint = drawn.where("cameras", index, "motion"), "leave out motion, or leave render.clouds out"
-            raise RecipeError(problem, where=where, expected="render.clouds: farfield or auto", got="exact", hint=hint)
+    if chooses_exact(drawn):
+        if drawn.recipe.site.water:
+            raise exact_light_error("water", drawn.where("site", "water"), "site.water", chosen=True)
+        for index, section in enumerate(drawn.recipe.cameras):
+            if section.motion is not None:
+                where = drawn.where("cameras", index, "motion")
+                raise exact_light_error("camera that moves", where, "the camera's motion", chosen=True)
     base_m = source.known_base_m(drawn)
     if base_m is None or drawn.recipe.render.clouds != "farfield":
         return

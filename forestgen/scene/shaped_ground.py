@@ -15,7 +15,8 @@ beside it within 2 m. Depths vary along them by a third. Numbers are ours. Blade
 `on: roadside`.
 
 Nothing of the community stands on a path and a quarter metre beside it, on a road and 1.5 m beside it, or in water.
-Layers of the ground lie on what paths leave of it, and not in water.
+Layers of the ground lie on what paths leave of it, and not in water; those `on: shore` stand in water that is less than
+0.4 m deep and up to 0.8 m beside it.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ _SHOULDER_M, _FREE_M = {"path": 0.5, "forest_road": 2.0}, {"path": 0.25, "forest
 _VERGE_M = 0.8  # half the width of what grows beside a road
 _BLEND_M = 0.1  # heights over which the ground bends into a bank
 _WET_M = 0.3  # from the shore, where nothing stands
+_BARE_M = 0.8  # from the shore, where layers of the ground are as dense as elsewhere: what lay there floated off
+SHALLOW_M, BESIDE_M = 0.4, 0.8  # depth of the water, and distance from it, where plants of the shore end
 _MOUTH_M = 0.5  # from the shore, as far as water may stand
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
@@ -185,7 +188,10 @@ class ShapedGround(HeightField):
         share = np.ones(len(x_m))
         for track in self.tracks:
             share *= 1.0 - track.share(x_m, y_m) * (1.0 - track.strip(x_m, y_m))
-        return np.where(self._shore_within(x_m, y_m, 0.0), 0.0, share)
+        for body in self.bodies:
+            near = body.near(x_m, y_m)
+            share[near.rows] *= smooth_step(near.shore_m / _BARE_M)
+        return share
 
     def roadside(self, x_m: Floats, y_m: Floats) -> Floats:
         share = np.zeros(len(x_m))
@@ -196,6 +202,17 @@ class ShapedGround(HeightField):
                 share[rows] = np.maximum(share[rows], np.maximum(verge, 0.0))
                 share = np.maximum(share, track.strip(x_m, y_m))
         return np.where(self._shore_within(x_m, y_m, 0.0), 0.0, share)
+
+    def shore(self, x_m: Floats, y_m: Floats) -> Floats:
+        beside = np.full(len(x_m), np.inf)
+        for body in self.bodies:
+            near = body.near(x_m, y_m)
+            beside[near.rows] = np.minimum(beside[near.rows], near.shore_m / BESIDE_M)
+        some = np.flatnonzero(beside < 1.0)
+        deep = (self.level(x_m[some], y_m[some]) - self(x_m[some], y_m[some])) / SHALLOW_M
+        share = np.zeros(len(x_m))
+        share[some] = np.clip(2.0 - 2.0 * np.maximum(deep, np.maximum(beside[some], 0.0)), 0.0, 1.0)
+        return share
 
     def fine(self, x_m: Floats, y_m: Floats, cell_m: Floats) -> Bools:
         found = np.zeros(len(x_m), dtype=np.bool_)

@@ -43,6 +43,7 @@ class Material:
     leaf_type: LeafType | None = None  # as which its leaves vary; None: all are alike
     seasons: tuple[SeasonShare, ...] = ()  # of leaves beside each other, whose mean the spectra are
     absorption: Spectrum | None = None  # 1/m, of the water that this is the surface of; None: it is of no water
+    is_wet: bool = False  # its reflectance is that under a film of water
 
 
 @dataclass(frozen=True)
@@ -226,6 +227,18 @@ class SnowCover:
     share: float  # of level ones
     reflectance: tuple[float, float, float]  # linear Rec. 709
     spectrum: Spectrum  # of which it is the colour
+    windward: tuple[float, float] = (0.0, 0.0)  # unit vector, east and north, to where the wind came from; 0: still air
+
+
+@dataclass(frozen=True, eq=False)
+class WetFilm:
+    """A film of water on surfaces; what is under water or wet by itself is left out."""
+
+    share: float  # how wet: 0 dry, 1 as rain makes it
+    slant: tuple[float, float]  # of the rain: way east and north to a way of 1 down
+    ground: NDArray[np.float32]  # (V,) by vertex of the terrain, share of the ground under a film
+    pool_m: NDArray[np.float32]  # (V,) likewise, depth of the puddle there, below 0 above its level
+    absorption: Spectrum  # of water, 1/m
 
 
 @dataclass(frozen=True)
@@ -300,5 +313,6 @@ class SceneSpec:
     cameras: tuple[Camera, ...]
     fog: tuple[FogLayer, ...] = ()  # what light goes through near the ground
     snow: SnowCover | None = None  # on plants; None: there is none
+    film: WetFilm | None = None  # None: all is dry, or as wet as its materials are
     falling: tuple[Falling, ...] = ()  # what falls before the cameras
     bark_spread: float = 0.0  # of wood's reflectance between plants: scene/bark_tones.py

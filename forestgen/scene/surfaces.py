@@ -42,7 +42,7 @@ from forestgen.scene.spec import Camera, GroundPatch, Material, SeasonShare, Ter
 
 Floats = NDArray[np.float64]
 _INDEX = 1.33
-_WAY_M = 0.0004
+FILM_WAY_M = 0.0004
 _DIRECTIONS = 10_000  # over which Fresnel's mean is taken
 Species = recipe_species.Species
 COLOUR_ENDS_NM = 720.0  # beyond it a surface's colour tells nothing
@@ -64,7 +64,7 @@ def wet_spectrum(dry: Spectrum) -> Spectrum:
     """Reflectance of a ground under a film of water."""
     water = load_table("standards/water")["absorption_per_m"]
     grid = np.union1d(dry.wavelength_nm, water.wavelength_nm)
-    return Spectrum(grid, under_film(np.exp(-water.at(grid) * _WAY_M) * dry.at(grid)))
+    return Spectrum(grid, under_film(np.exp(-water.at(grid) * FILM_WAY_M) * dry.at(grid)))
 
 
 def under_film(dry: Floats) -> Floats:

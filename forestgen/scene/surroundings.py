@@ -12,7 +12,7 @@ long, `MOST_BLOCKS` along a side of the site at most:
 
 - Near, where a block begins within the reach of the site's edge, each plant is an instance with all of its detail, and
   with a plant_id and a row of its own where copies are labelled. A block whose ground is uneven is near up to
-  `UNEVEN_REACHES` times as far.
+  `UNEVEN_REACHES` times as far; one that water or a path crosses always is. None stands in water or on a path.
 - Far, up to `FAR_BLOCKS` blocks or `FAR_M`, a block is one mesh of large triangles (`forestgen.scene.far_mesh`),
   sheared to the ground. It has no plant_id: its pixels are of the part `surroundings`.
 - Beyond, where a camera looks, tall plants go on to the horizon in larger squares (`forestgen.scene.blocks`).
@@ -224,7 +224,8 @@ def _layer(
     own, turn = lattice.drawn(at)
     plane, miss_m = lattice.planes(at, 1)
     uneven = miss_m > max(UNEVEN * top_m, UNEVEN_M)
-    near = apart < np.where(uneven, UNEVEN_REACHES, 1.0) * reach_m - 1e-6
+    barred = lattice.barred(at)
+    near = (apart < np.where(uneven, UNEVEN_REACHES, 1.0) * reach_m - 1e-6) | ((barred > 0) & (barred < 1))
     cell = np.clip((population.position_m[members, :2] / side).astype(np.intp), 0, count - 1)
     blocks = Blocks(members, cell, population.position_m[members, :2] - (cell + 0.5) * side)
     far, source, place = [], [], []
@@ -234,7 +235,8 @@ def _layer(
     every, far_own, far_turn = (
         np.concatenate(pair) for pair in ((at, beyond.at), (own, beyond.own), (turn, beyond.turn))
     )
-    plane, is_far = np.concatenate([plane, beyond.plane]), np.append(~near, np.ones(len(beyond.at), dtype=bool))
+    plane = np.concatenate([plane, beyond.plane])
+    is_far = np.append(~near & (barred < 1), np.ones(len(beyond.at), dtype=bool))
     for index in np.ndindex(*count):
         (plants, from_middle), here = blocks.of(index), (own == index).all(axis=1)
         copies, mine = np.flatnonzero(near & here), np.flatnonzero(is_far & (far_own == index).all(axis=1))

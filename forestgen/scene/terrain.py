@@ -86,6 +86,10 @@ class HeightField:
         """(N,) share of the ground that is a road's middle strip or lies beside a road."""
         return np.zeros(len(x_m))
 
+    def shore(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) share of the ground that is shallow water or lies beside water."""
+        return np.zeros(len(x_m))
+
     def fine(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], cell_m: NDArray[np.float64]
     ) -> NDArray[np.bool_]:

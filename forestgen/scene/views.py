@@ -17,6 +17,7 @@ from forestgen.recipe.cameras import SensorFile
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.species import Building
 from forestgen.recipe.spectra import bands_of, load_bands
+from forestgen.scene.motion import with_their_ways
 from forestgen.scene.projection import check_projection
 from forestgen.scene.rigs.rig import Poses, path_poses
 from forestgen.scene.site import height_field
@@ -100,9 +101,12 @@ class Views:
         return "the water" if in_water else "the snow"
 
     def _below_ground(self) -> list[tuple[int, Camera, float]]:
-        """Number of the entry, camera and height above the ground, or its snow, of cameras that are not above it."""
+        """Number of the entry, camera and height above the ground, or its snow, of cameras that are not above it, those
+        that move at any time of their exposure.
+        """
         found = []
-        for index, cameras in enumerate(self.cameras):
+        for index, entry in enumerate(self.cameras):
+            cameras = with_their_ways(entry)
             at_m = np.array([camera.position_m for camera in cameras], dtype=np.float64)
             is_dry = self.height.level(*at_m[:, :2].T) <= self.height(*at_m[:, :2].T)  # no snow lies on water
             deep = np.where(is_dry, raised_m(self.drawn, at_m[:, :2]), 0.0)

@@ -1,7 +1,7 @@
 """Ponds and streams of a site: where their water stands, the bed under it, and their surfaces.
 
-The ground is carved: the bed is a bowl below the level, or the parabola of a channel; the banks rise from the shore
-until they meet the ground as it was. A pond's level is below all ground around its shore, so that nothing runs out on
+The ground is carved: the bed is a bowl or a channel below the level, as steep at the shore as the bank, which rises
+until it meets the ground as it was. A pond's level is below all ground around its shore, so that nothing runs out on
 a slope. A stream's level falls, or stays, all along to its lower end, and is below the ground beside it: where the
 ground rises on its way it cuts in. A stream that meets a pond of the list before it has that pond's level there.
 Nothing is mirrored or carried by a surface here: render/paths/water.py has the light.
@@ -23,6 +23,7 @@ out: what comes up from deep water is black.
 
 References
 ----------
+CERC (1984): Shore Protection Manual, 4th edition. US Army Coastal Engineering Research Center.
 Cox, C., Munk, W. (1954): Measurement of the roughness of the sea surface from photographs of the sun's glitter. J. Opt.
 Soc. Am. 44, 838-850.
 Markager, S., Vincent, W. (2000): Spectral light attenuation and the absorption of UV and blue light in natural waters.
@@ -57,7 +58,7 @@ WAVES_M, _WAVES_PX = 8.0, 512
 _WAVE_M, _RELIEF_M = (0.002, 1.0), 0.04  # lengths of waves, and the shortest of the relief
 _FREEBOARD_M = 0.08  # of the ground around the shore above the level
 _BESIDE_M = (0.3, 1.0)  # of the shore, where the ground is to be above the level
-_BANK, _BANK_PER_M = 0.35, 0.02  # slope of a bank at the shore, and by how much it grows with the distance, half
+_BANK, _BANK_PER_M = 0.15, 0.06  # slope of a bank at the shore, and by how much it grows with the distance, half
 _BOWL = 0.6  # of a pond's radius, over which it grows deep
 _LOBES = 20  # of a pond's outline
 _LEVELLED_M = 2.0  # of a stream, over which its level is even
@@ -90,7 +91,9 @@ class Body:
     def _near(self, rows: Ints, shore_m: Floats, level_m: Floats, shelf_m: Floats | float) -> Near:
         deep = np.clip(-shore_m / shelf_m, 0.0, 1.0)
         bank = np.maximum(shore_m, 0.0)
-        bed = bank * (_BANK + _BANK_PER_M * bank) - self.keys.depth_m * deep * (2.0 - deep)
+        first = np.minimum(_BANK * shelf_m / self.keys.depth_m, 2.0)  # slope of the bed at the shore, as the bank's
+        shape = deep * (first + deep * (3.0 - 2.0 * first + deep * (first - 2.0)))
+        bed = bank * (_BANK + _BANK_PER_M * bank) - self.keys.depth_m * shape
         return Near(rows, shore_m, level_m, level_m + bed)
 
 
@@ -188,6 +191,12 @@ def absorption(dissolved_per_m: float) -> Spectrum:
 def slope_variance(wind_m_per_s: float) -> float:
     """Of both directions together."""
     return 0.003 + 0.00512 * wind_m_per_s if wind_m_per_s > 0.0 else 0.0
+
+
+def wave_height_m(keys: land.Pond | land.Stream, wind_m_per_s: float) -> float:
+    """Of waves where the wind has blown across the water: 0.0016 U (F / g)^0.5 (CERC 1984, equation 3-33)."""
+    across_m = 2.0 * keys.radius_m if isinstance(keys, land.Pond) else keys.width_m
+    return float(0.0016 * wind_m_per_s * np.sqrt(across_m / 9.81))
 
 
 def water_material(keys: land.Pond | land.Stream, wind_m_per_s: float, rng: np.random.Generator) -> Material:

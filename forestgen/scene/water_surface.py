@@ -19,16 +19,18 @@ from forestgen.scene.ground_layers.layer import GROUND
 from forestgen.scene.shaped_ground import ShapedGround
 from forestgen.scene.spec import GroundPatch, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.terrain import HeightField, smooth_step
-from forestgen.scene.water import WAVES_M, water_material
+from forestgen.scene.water import WAVES_M, water_material, wave_height_m
 
-_MUD_M, _MUDDY_M = 0.3, 0.5  # from the shore, where the bed's ground begins, and within how much it covers all
+# Heights above the water: up to where it stood of late and left mud, and soil draws it; and how soft their ends are.
+_MUD_M, _DRAWN_M, _SOFT_M = 0.08, 0.16, 0.06
+_RUN_UP = 1.5  # of waves, over their height
 
 
-def with_land(terrain: Terrain, ground: HeightField, seed: int) -> Terrain:
-    """The terrain with the grounds of paths and beds."""
+def with_land(terrain: Terrain, ground: HeightField, wind_m_per_s: float, seed: int) -> Terrain:
+    """The terrain with the grounds of paths and beds, and a rim of mud and moist soil around water."""
     if not isinstance(ground, ShapedGround):
         return terrain
-    x, y = terrain.mesh.vertices_m[:, :2].astype(np.float64).T
+    x, y, z = terrain.mesh.vertices_m.astype(np.float64).T
     shares: dict[tuple[str, str], Floats] = {}  # by purpose and ground: beds lie on paths
     for track in ground.tracks:
         key = ("path", track.keys.surface)
@@ -37,10 +39,14 @@ def with_land(terrain: Terrain, ground: HeightField, seed: int) -> Terrain:
     if strip.any():
         shares["strip", GROUND_OF["strip"]] = strip
     for body in ground.bodies:
-        near, share = body.near(x, y), np.zeros(len(x))
-        share[near.rows] = smooth_step((_MUD_M - near.shore_m) / _MUDDY_M)
-        key = ("bed", body.keys.ground)
-        shares[key] = np.maximum(shares.get(key, 0.0), share)
+        near = body.near(x, y)
+        above = z[near.rows] - near.level_m
+        muddy = _MUD_M + _RUN_UP * wave_height_m(body.keys, wind_m_per_s)
+        for key, top in ((("rim", GROUND_OF["rim"]), muddy + _DRAWN_M), (("bed", body.keys.ground), muddy)):
+            share = np.zeros(len(x))
+            share[near.rows] = smooth_step((top - above) / _SOFT_M + 0.5)
+            shares[key] = np.maximum(shares.get(key, 0.0), share)
+    shares = {key: shares[key] for key in sorted(shares, key=lambda key: key[0] == "bed")}
     return replace(terrain, patches=tuple(_patch(name, share, seed) for (_, name), share in shares.items()))
 
 

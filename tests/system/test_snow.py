@@ -13,12 +13,14 @@ from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import sky_map
 from forestgen.render.paths.tracer import PathTracer
 from forestgen.scene.colour import RGB
+from forestgen.scene.snow_depth import Circles, FinerGround, SnowDepth
 from forestgen.scene.spec import SceneSpec, Sky, SnowCover
-from forestgen.scene.terrain import HeightField, build_terrain
-from forestgen.scene.weather.snow_cover import drifted
+from forestgen.scene.terrain import HeightField, build_terrain, terrain_mesh
+from forestgen.scene.weather.snow_cover import raised
 from support.scenes import camera_at, scattered_scene
 
 WHITE = (0.9, 0.9, 0.9)
+NO_STEMS = Circles(np.zeros((0, 2)), np.zeros(0))
 SKY = Sky(40.0, 140.0, 3.0)
 
 
@@ -67,16 +69,60 @@ def test_the_light_meets_the_snow_that_the_labels_know() -> None:
     assert np.median(light[1][snowy] / light[0][snowy]) > 1.5
 
 
-def test_drifts_have_their_mean_depth() -> None:
-    mesh = build_terrain(HeightField((60.0, 60.0)), child_rng(1)).mesh
-    raised = drifted(mesh, 0.2, child_rng(2))
-    near = np.all(np.abs(mesh.vertices_m[:, :2] - 30.0) < 40.0, axis=1)
-    depth = (raised.vertices_m - mesh.vertices_m)[near, 2]
-    assert depth.min() >= 0
-    assert depth.mean() == pytest.approx(0.2, abs=0.02)
-    assert 0.02 < depth.std() < 0.08
-    assert raised.normals is not None
-    assert np.allclose(np.linalg.norm(raised.normals, axis=1), 1.0, atol=1e-5)
+def depth_in(spec: SceneSpec, stems: Circles = NO_STEMS) -> SnowDepth:
+    return SnowDepth.of(0.3, spec, stems, (20.0, 20.0), child_rng(2))
+
+
+def places(step_m: float = 0.1) -> np.ndarray:
+    x, y = np.meshgrid(*[np.arange(0.5 * step_m, 20.0, step_m)] * 2)
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+@pytest.mark.parametrize("trees", [0, 3, 60])
+def test_what_crowns_keep_lies_in_the_open(trees: int) -> None:
+    """The mean over the site is the recipe's; below the middle of a dense crown lies a third of that beside it."""
+    leafy = scattered_scene(max(trees, 1), size_m=20.0, leaves=20_000)
+    spec = replace(leafy, instances=leafy.instances.at(slice(0, trees)))
+    depth, at = depth_in(spec), places()
+    assert depth.at(at).mean() == pytest.approx(0.3, abs=0.01)
+    assert depth.share(at).mean() * depth.scale == pytest.approx(1.0, abs=0.005)
+    if trees == 3:
+        below = depth.share(spec.instances.transform[:, :2, 3])
+        assert depth.share(at).max() == 1.0
+        assert np.all((below > 0.29) & (below < 0.5)), "0.34 by Hardy and Albert"
+
+
+def test_wells_stand_around_stems() -> None:
+    bare = replace(stand(True, None), instances=stand(True, None).instances.at(np.zeros(0, np.intp)))
+    depth = depth_in(bare, Circles(np.array([[10.0, 10.0], [15.0, 5.0]]), np.array([0.2, 0.01])))
+    away = np.array([0.0, 0.3, 0.6, 1.5])
+    thick, thin = (
+        depth.share(np.column_stack([x + radius + away, np.full(4, y)]))
+        for x, y, radius in ((10.0, 10.0, 0.2), (15.0, 5.0, 0.01))
+    )
+    assert thick[0] == pytest.approx(2.0 / 3.0)
+    assert (np.diff(thick) > 0).all()
+    assert thick[-1] > 0.999
+    assert 0.9 < thin[0] < 1.0
+    assert depth.share(places()).mean() * depth.scale == pytest.approx(1.0, abs=0.002)
+
+
+def test_drifts_have_their_mean_depth_and_the_mesh_is_finer_near_cameras() -> None:
+    bare = replace(stand(True, None), instances=stand(True, None).instances.at(np.zeros(0, np.intp)))
+    deep = depth_in(bare).at(places())
+    assert deep.min() >= 0
+    assert 0.2 < deep.std() / 0.3 < 0.3
+    flat = HeightField((60.0, 60.0))
+    stems = Circles(np.array([[30.0, 50.0], [30.0, 5.0]]), np.full(2, 0.2))
+    mesh = terrain_mesh(FinerGround(flat.size_m, flat, stems, np.array([[30.0, 30.0, 1.7]])))
+    found = [np.sum(np.hypot(*(mesh.vertices_m[:, :2] - at).T) < 0.5) for at in ((30, 32), (30, 50), (10, 50))]
+    assert found[0] > 70
+    assert found[1] > 70
+    assert found[2] < 6
+    white = raised(mesh, 0.2 + 0.0 * mesh.vertices_m[:, 0])
+    assert np.allclose(white.vertices_m - mesh.vertices_m, [0.0, 0.0, 0.2], atol=1e-6)
+    assert white.normals is not None
+    assert np.allclose(white.normals, [0.0, 0.0, 1.0], atol=1e-4)
 
 
 def test_snow_is_the_plants_own_wherever_its_row() -> None:

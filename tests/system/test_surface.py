@@ -20,7 +20,7 @@ from forestgen.plants.bark.texture import SurfaceTexture
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.render.build import load, origin_of, to_mesh
 from forestgen.render.identity import camera_rays
-from forestgen.render.identity.surface import bilinear_places, weighted_sum
+from forestgen.render.identity.interpolation import bilinear_places, weighted_sum
 from forestgen.render.surfaces import _bitmap, ground_bsdf
 from forestgen.render.variant import LLVM, drjit, mitsuba
 from forestgen.scene.spec import Camera, Instances, Material, SceneSpec, Sky, WetGround

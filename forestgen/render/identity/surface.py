@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,26 +12,28 @@ from numpy.typing import NDArray
 from forestgen.core.parts import Part
 from forestgen.render.build import origin_of
 from forestgen.render.frame import Identity, Surface
+from forestgen.render.identity.interpolation import (
+    Places,
+    bilinear,
+    corners_of,
+    shading_normal,
+    vertex_uv,
+    weighted_sum,
+)
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, sample_offsets
+from forestgen.render.identity.weather import darkened, film_on, under_snow
 from forestgen.render.skies.model import casts_shadows
-from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import dr, mi
 from forestgen.scene.motion import is_rolling
 from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
 
-Places = list[tuple[Any, Any]]  # weights, Float, and rows of a table, UInt32
 Values = Callable[[Hits], Sequence[Any]]
 SAMPLES = 64  # a pixel, of `pixel_sums`: what the denoiser's guides and the haze need to know of a view
 _RAYS_AT_ONCE, _SUMMED_AT_ONCE = 2_000_000, 1_000_000
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
 # a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
 LIFT = 1e-5
-_SNOW_GROUPS = (10, 7)  # bits of a face's number that are alike for neighbours: of a load on a branch, of a shoot
-# Vertical parts of normals: of the steepest wood that holds snow where all is under it; and of leaves, which together
-# hold it however each one stands.
-_STEEPEST, _LEVEL_LEAF = 0.15, 0.35
-_UNLABELLED = 1 << 31  # added to the row of what is no plant: other numbers than plants'
 
 
 def trace_identity(
@@ -151,33 +153,6 @@ def positions(camera: Camera, rows: slice, distance_m: NDArray[np.float32]) -> N
     return position
 
 
-def corners_of(tracer: SceneTracer, hits: Hits) -> Places:
-    """The triangle's three vertices, counted within the organ's mesh, with their barycentric weights."""
-    weights = 1.0 - hits.uv.x - hits.uv.y, hits.uv.x, hits.uv.y
-    rows = (dr.gather(mi.UInt32, tracer.table.corner, hits.face * 3 + k, hits.valid) for k in range(3))
-    return list(zip(weights, rows, strict=True))
-
-
-def weighted_sum(kind: Any, table: Any, places: Places, active: Any) -> Any:
-    """Rows of a table of a kind of values, each times its weight."""
-    total = kind(0.0)
-    for weight, row in places:
-        total += weight * dr.gather(kind, table, row, active)
-    return total
-
-
-def shading_normal(tracer: SceneTracer, hits: Hits, corners: Places, normal: Any) -> Any:
-    """Vertex normals interpolated, on the side of the geometric `normal`; that one where the mesh has none."""
-    first = dr.gather(mi.UInt32, tracer.table.first_normal, hits.organ, hits.valid)
-    smooth = hits.valid & (first != NONE)
-    rows = [(weight, first + corner) for weight, corner in corners]
-    local = weighted_sum(mi.Vector3f, tracer.table.vertex_normal, rows, smooth)
-    smooth &= dr.squared_norm(local) > 1e-12
-    world = tracer.to_world(local, hits)
-    world = dr.select(dr.dot(world, normal) < 0, -world, world)
-    return dr.select(smooth, world, normal)
-
-
 def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     """Reflectance + transmittance at the hits, textures and the ground's distant colour included; 0 for the sky."""
     mean = dr.gather(mi.Color3f, tracer.table.albedo, hits.organ, hits.valid)
@@ -189,41 +164,12 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     of_ground = tracer.table.far_albedo, tracer.table.film_factor
     patches = patch_colours(tracer.table.patch_texture, tracer.table.texel, u, v, textured & (hits.instance == 0))
     shown = ground_colour(tracer, hits, corners, colour, of_ground, patches)
+    if tracer.spec.film is not None:
+        normal = shading_normal(tracer, hits, corners, tracer.geometric_normal(hits))
+        shown = darkened(shown, film_on(tracer, hits, corners, normal, v).soaked, 1.0)
     if tracer.spec.snow is not None:
-        shown = dr.select(under_snow(tracer, hits).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
+        shown = dr.select(under_snow(tracer, hits, v).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
     return dr.select(hits.valid, shown, 0.0)
-
-
-@dataclass(frozen=True)
-class UnderSnow:
-    """Which hits of plants and things have snow on their upper side."""
-
-    covered: Any  # Bool, wherever the ray comes from
-    seen: Any  # Bool, and the ray sees that side
-
-
-def under_snow(tracer: SceneTracer, hits: Hits) -> UnderSnow:
-    """By the slope of facets, and of leaves by chance, alike for some neighbours: those of a shoot.
-
-    Wood holds snow where its facets' normals rise above 1 - share (1 - _STEEPEST): with more snow on steeper wood.
-    """
-    assert tracer.spec.snow is not None
-    up = tracer.geometric_normal(hits).z
-    part = dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)
-    leaflike = mi.Bool(False)
-    for one in LEAFLIKE:
-        leaflike |= part == int(one)
-    plant = dr.gather(mi.UInt32, tracer.table.plant_id, hits.instance, hits.valid)
-    plant = dr.select(plant > 0, plant, hits.instance + _UNLABELLED)
-    groups = [mi.sample_tea_32(plant, hits.face >> size, 4)[0] for size in _SNOW_GROUPS]
-    luck = sum(mi.Float(one >> 8) * 2.0**-24 for one in groups) / len(groups)
-    # Of the mean of two even numbers, the share below a number (Irwin and Hall's distribution).
-    luck = dr.select(luck < 0.5, 2.0 * luck * luck, 1.0 - 2.0 * dr.square(1.0 - luck))
-    share = dr.opaque(mi.Float, tracer.spec.snow.share)
-    on_leaf = luck < share * dr.minimum(dr.abs(up) / _LEVEL_LEAF, 1.0)
-    on_wood = dr.abs(up) > 1.0 - share * (1.0 - _STEEPEST)
-    covered = hits.valid & (hits.instance > 0) & dr.select(leaflike, on_leaf, on_wood) & (part != int(Part.WATER))
-    return UnderSnow(covered, covered & (up > 0))
 
 
 def patch_colours(texture: Any | None, texel: Any, u: Any, v: Any, active: Any) -> list[Any]:
@@ -270,39 +216,6 @@ def _dimmed(share: Any | None, corners: Places, ground: Any, colour: Any, factor
         return colour
     here = dr.clip(weighted_sum(mi.Float, share, corners, ground), 0.0, 1.0)
     return colour * (1.0 - here * (1.0 - factor))
-
-
-def vertex_uv(tracer: SceneTracer, hits: Hits, corners: Places, textured: Any) -> tuple[Any, Any]:
-    """u and v of hits on textured meshes."""
-    first = dr.gather(mi.UInt32, tracer.table.first_uv, hits.organ, textured)
-    u, v = (
-        weighted_sum(mi.Float, tracer.table.uv, [(w, (first + c) * 2 + axis) for w, c in corners], textured)
-        for axis in range(2)
-    )
-    return u, v
-
-
-def bilinear(texel: Any, first: Any, width: Any, height: Any, u: Any, v: Any, active: Any) -> Any:
-    """Colours of repeating textures as in Mitsuba's `bitmap`: texel centres at (i + 0.5) / width, row 0 at v = 0."""
-    return weighted_sum(mi.Color3f, texel, bilinear_places(first, width, height, u, v), active)
-
-
-def bilinear_places(first: Any, width: Any, height: Any, u: Any, v: Any) -> Places:
-    """Weights and rows of the four texels around a place of a repeating texture."""
-    x, y = ((t - dr.floor(t)) * mi.Float(size) - 0.5 for t, size in ((u, width), (v, height)))
-    left, low = mi.Int32(dr.floor(x)), mi.Int32(dr.floor(y))
-    columns, rows = mi.Int32(width), mi.Int32(height)
-    places = []
-    for i, across in ((0, 1.0 - (x - dr.floor(x))), (1, x - dr.floor(x))):
-        for j, up in ((0, 1.0 - (y - dr.floor(y))), (1, y - dr.floor(y))):
-            column, row = _wrapped(left + i, columns), _wrapped(low + j, rows)
-            places.append((across * up, first + mi.UInt32(row * columns + column)))
-    return places
-
-
-def _wrapped(index: Any, size: Any) -> Any:
-    """Index of -1 to `size`, into a row that repeats."""
-    return dr.select(index < 0, index + size, dr.select(index >= size, index - size, index))
 
 
 def sun_visible(tracer: SceneTracer, camera: Camera, hits: Hits, normal: Any) -> Any:

@@ -60,6 +60,9 @@ class HitTables:
     film_factor: tuple[float, float, float]  # of the wet ground's albedo
     patch_share: NDArray[np.float32] | None  # (K, VG) of the terrain's patches by vertex; None: there are none
     patch_texture: NDArray[np.uint32] | None  # (K, 3) as `texture`
+    soaks: NDArray[np.float32] | None = None  # (1 + O,) share of a film's darkening; -1 of water; None: no rain
+    film_share: NDArray[np.float32] | None = None  # (VG,) of the ground, by vertex
+    pool_m: NDArray[np.float32] | None = None  # (VG,)
 
     @property
     def nbytes(self) -> int:
@@ -135,7 +138,18 @@ def hit_tables(spec: SceneSpec) -> HitTables:
         film_factor=(film_red, film_green, film_blue),
         patch_share=np.stack([one.share for one in terrain.overlays]) if terrain.overlays else None,
         patch_texture=patch_rows(patches, [first_texel[id(one)] for one in patches]),
+        soaks=None if spec.film is None else np.array([1.0, *(_soaks(*organ) for organ in organs)], dtype=np.float32),
+        film_share=None if spec.film is None else spec.film.ground,
+        pool_m=None if spec.film is None else spec.film.pool_m,
     )
+
+
+def _soaks(part: Part, mesh: Mesh, material: Material) -> float:
+    """Living leaves have a skin that water does not get into; litter has none."""
+    if material.absorption is not None:
+        return -1.0
+    has_skin = max(material.transmittance) > 0.0 and part != Part.LITTER
+    return 0.0 if has_skin or material.is_wet else 1.0
 
 
 def patch_rows(images: Sequence[NDArray[np.float32]], first: Sequence[int]) -> NDArray[np.uint32] | None:

@@ -9,23 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Mesh
-from forestgen.render.identity.surface import (
+from forestgen.render.identity.interpolation import (
     bilinear_places,
     corners_of,
-    ground_colour,
-    patch_colours,
     shading_normal,
-    under_snow,
     vertex_uv,
     weighted_sum,
 )
+from forestgen.render.identity.surface import ground_colour, patch_colours
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, organs_of, patch_rows, uploaded
+from forestgen.render.identity.weather import darkened, film_on, under_snow
 from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import dr, mi
 from forestgen.scene.bark_tones import WOOD, bark_tones
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import SceneSpec
-from forestgen.scene.surfaces import film_factor, ground_texture
+from forestgen.scene.surfaces import FILM_WAY_M, film_factor, ground_texture
 
 Array = NDArray[np.float32]
 WATER_INDEX = 1.333
@@ -262,6 +261,8 @@ def visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
     return dr.normalize(mi.Vector3f(width * facet.x, width * facet.y, dr.maximum(facet.z, 1e-6)))
 
 
+_FILM_WIDTH, _POOL_WIDTH = 0.12, 0.02  # of the facets of a film on what it covers, and of puddles
+_FILM_CHANCE, _POOL_CHANCE = 0.3, 0.5  # of paths to meet them
 _SNOW_SMOOTH = 1.0  # how far the normals of snow on leaves and wood turn up: its surface is smoother than what bears it
 
 
@@ -283,6 +284,10 @@ class Surfaces:
         if snow is not None:
             colour = channels.of_surface(snow.reflectance, snow.spectrum)
             self._snow = mi.Color3f(*[dr.opaque(mi.Float, float(value)) for value in colour])
+        film = self._tracer.spec.film
+        if film is not None:
+            kept = np.exp(-FILM_WAY_M * channels.of_absorption(film.absorption))
+            self._kept = mi.Color3f(*[dr.opaque(mi.Float, float(value)) for value in kept])
 
     def at(self, hits: Hits) -> Local:
         """The surfaces at hits; where none is hit, anything."""
@@ -313,8 +318,18 @@ class Surfaces:
         through = dr.gather(mi.Color3f, self._paint.through, hits.organ, valid)
         gloss = dr.gather(mi.Vector3f, self._paint.gloss, hits.organ, valid)
         chance = dr.gather(mi.Vector2f, self._paint.chance, hits.organ, valid)
+        if tracer.spec.film is not None:
+            film = film_on(tracer, hits, corners, normal, v)
+            matt = darkened(matt, film.soaked, self._kept)
+            mirrors = film.share > 0
+            width = _FILM_WIDTH + film.pool * (_POOL_WIDTH - _FILM_WIDTH)
+            gloss = dr.select(mirrors, mi.Vector3f(film.share, width, WATER_INDEX), gloss)
+            chance.y = dr.select(mirrors, _FILM_CHANCE + film.pool * (_POOL_CHANCE - _FILM_CHANCE), chance.y)
+            normal = dr.select(
+                film.pool > 0, dr.normalize(normal + film.pool * (mi.Vector3f(0, 0, 1) - normal)), normal
+            )
         if tracer.spec.snow is not None:
-            snow = under_snow(tracer, hits)
+            snow = under_snow(tracer, hits, v)
             matt, through = dr.select(snow.seen, self._snow, matt), dr.select(snow.covered, 0.0, through)
             gloss.x = dr.select(snow.seen, 0.0, gloss.x)
             chance.x, chance.y = dr.select(snow.covered, 0.0, chance.x), dr.select(snow.seen, 0.0, chance.y)

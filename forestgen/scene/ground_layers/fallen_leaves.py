@@ -30,7 +30,6 @@ from forestgen.recipe.phenology import LeafState, fallen_lately
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import (
-    FALLEN,
     GroundLayerKind,
     Layer,
     Request,
@@ -65,6 +64,7 @@ _AGES = (
     _Age(0.75, 0.3, 0.1, 0.2, 0.15, is_wet=True),
     _Age(0.55, 0.35, 0.2, 0.45, 0.1, is_wet=True, shapes=4),
 )
+_FALLEN = "leaves/"  # at the beginning of the names of materials
 _IN_DECAY = 0.3  # brightness of decayed patches over sound ones, about
 _CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG = 40.0, 45.0, 22.0, 18.0  # standard deviations on top
 _FLATTEST = 0.2  # of these, of leaves below others
@@ -117,19 +117,19 @@ class Leaves(GroundLayerKind[LeavesKeys]):
             if shape is None:
                 continue
             if species.materials[key].leaf_type == "needle":
-                things, materials = _needles(shape, name, rng), shades(dry, _NEEDLE_SHADES, f"{FALLEN}{name}")
+                things, materials = _needles(shape, name, rng), shades(dry, _NEEDLE_SHADES, f"{_FALLEN}{name}")
             else:
                 length_m = species.tissue.leaf_length_m or float(getattr(shape, "length_m", 0.1))
                 things = _fallen(shape, name, length_m, request.detail(length_m), rng)
                 near = shape if length_m > _TEXTURED * request.pixel_m else None
                 materials = {
-                    f"{FALLEN}{name}-{index}": _aged(lately if age.rise == 1.0 else dry, age, near, f"{name}-{index}")
+                    f"{_FALLEN}{name}-{index}": _aged(lately if age.rise == 1.0 else dry, age, near, f"{name}-{index}")
                     for index, age in enumerate(_AGES)
                 }
             cover = 1.0 - (1.0 - keys.cover) ** share
             found.append(
                 Layer(
-                    name=f"{FALLEN}{name}",
+                    name=f"{_FALLEN}{name}",
                     things=things,
                     materials=materials,
                     cover=cover,
@@ -173,7 +173,7 @@ def _fallen(shape: Any, name: str, length_m: float, detail: int, rng: np.random.
     flat = flat._replace(points=length_m / float(getattr(shape, "length_m", 0.1)) * flat.points)
     for index, age in enumerate(_AGES):
         for _ in range(age.shapes):
-            shaped = sheet(Part.LITTER, f"{FALLEN}{name}-{index}", _dried(flat, age.rise, rng))
+            shaped = sheet(Part.LITTER, f"{_FALLEN}{name}-{index}", _dried(flat, age.rise, rng))
             things.append(Thing(centred([shaped]), length_m, rise=age.rise))
     return tuple(things)
 
@@ -225,7 +225,7 @@ def _aged(dry: Material, age: _Age, near: OrganForm | None, name: str) -> Materi
     colours = colours_of_surface(reflected, passed)
     looks = LeafLooks(_RELIEF, _MOTTLED, age.decayed)
     texture = None if near is None else leaf_texture(near, colours[0], looks, name)
-    return Material(*colours, roughness, texture, gloss, reflected, passed)
+    return Material(*colours, roughness, texture, gloss, reflected, passed, is_wet=age.is_wet)
 
 
 def _needles(shape: Any, name: str, rng: np.random.Generator) -> tuple[Thing, ...]:
@@ -241,7 +241,7 @@ def _needles(shape: Any, name: str, rng: np.random.Generator) -> tuple[Thing, ..
         across = np.column_stack([-np.sin(turn), np.cos(turn), np.zeros(_IN_ONE)])
         linear = np.stack([across, along, np.cross(across, along)], axis=-1)
         patch = copies(blade, linear, at)
-        things.append(Thing(centred([sheet(Part.LITTER, f"{FALLEN}{name}-{index}", patch)]), length_m))
+        things.append(Thing(centred([sheet(Part.LITTER, f"{_FALLEN}{name}-{index}", patch)]), length_m))
     return tuple(things)
 
 

@@ -21,7 +21,6 @@ from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Material
 
 GROUND = "(ground)"  # species of the tiles: no species' name has brackets
-FALLEN = "leaves/"  # at the beginning of the names of materials of fallen leaves
 KeysT = TypeVar("KeysT", bound=GroundLayer)
 Places = Callable[[Floats, Floats], Floats]
 
@@ -119,11 +118,6 @@ class GroundLayerKind(Generic[KeysT]):
         Raises `RecipeError`: things that cannot be made.
         """
         raise NotImplementedError
-
-
-def is_litter(species: str, material: str) -> bool:
-    """Whether a material of a species is one of fallen leaves."""
-    return species == GROUND and material.startswith(FALLEN)
 
 
 def sheet(part: Part, material: str, *patches: Patch) -> OrganMesh:

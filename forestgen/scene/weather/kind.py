@@ -6,7 +6,8 @@ change surfaces. Labels come from the scene's geometry, so media and falling thi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -16,12 +17,15 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import WEATHER
 from forestgen.recipe.weather import Weather
-from forestgen.scene.spec import SceneSpec
+from forestgen.scene.exact_light import chooses_exact, exact_light_error
+from forestgen.scene.snow_depth import Circles
+from forestgen.scene.spec import Falling, FogLayer, SceneSpec
 from forestgen.scene.terrain import HeightField
 
 KeysT = TypeVar("KeysT", bound=Weather)
 Place = tuple[str | int, ...]
 Floats = NDArray[np.float64]
+_DEEP_M = 500.0  # of what falls, above the ground
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,7 @@ class WeatherRequest:
 
     drawn: DrawnRecipe
     ground: HeightField
+    stems: Circles  # standing ones, near the ground
     place: Place  # of its section in the recipe
 
     @property
@@ -51,6 +56,10 @@ class WeatherKind(Generic[KeysT]):
         """(N,) by how much it raises the ground at places (N, 2), metres."""
         return np.zeros(len(place_m))
 
+    def is_relief(self, keys: KeysT) -> bool:
+        """Whether it has a relief of its own, for which the ground's mesh is finer near cameras."""
+        return False
+
     def on(self, keys: KeysT, spec: SceneSpec, request: WeatherRequest) -> SceneSpec:
         """The scene in this weather."""
         raise NotImplementedError
@@ -58,6 +67,36 @@ class WeatherKind(Generic[KeysT]):
     def notes(self, keys: KeysT, drawn: DrawnRecipe) -> list[str]:
         """What people should know."""
         return []
+
+
+@dataclass(frozen=True)
+class Shower:
+    """Things that fall: n0 exp(-slope D) of them per m3 and mm of diameter D, and the medium that they are together."""
+
+    n0_per_m3_mm: float
+    slope_per_mm: float
+    least_mm: float  # diameter; smaller ones are left to the medium
+    fall: Callable[[Floats], Floats]  # m/s by mm
+    extinction_per_m: float
+    asymmetry: float
+
+    def on(
+        self,
+        spec: SceneSpec,
+        request: WeatherRequest,
+        shutter_s: float,
+        seen_mm: Callable[[Floats], Floats] | None = None,
+        *,
+        is_white: bool = False,
+    ) -> SceneSpec:
+        """The scene with it; what is left out is as in `Falling`."""
+        layer = FogLayer(self.extinction_per_m, request.ground_m + _DEEP_M, 1.0, self.asymmetry)
+        number = self.n0_per_m3_mm / self.slope_per_mm * float(np.exp(-self.slope_per_mm * self.least_mm))
+        drift = wind_m_per_s(request.drawn)
+        falling = Falling(
+            number, self.least_mm, 1.0 / self.slope_per_mm, drift, shutter_s, self.fall, seen_mm, is_white
+        )
+        return replace(spec, fog=(*spec.fog, layer), falling=(*spec.falling, falling))
 
 
 def wind_m_per_s(drawn: DrawnRecipe) -> tuple[float, float]:
@@ -76,11 +115,16 @@ def check_weather(drawn: DrawnRecipe) -> None:
         WEATHER.load(keys.what).check(keys, drawn, ("weather", index))
 
 
-def in_weather(spec: SceneSpec, drawn: DrawnRecipe, ground: HeightField) -> SceneSpec:
+def in_weather(spec: SceneSpec, drawn: DrawnRecipe, ground: HeightField, stems: Circles) -> SceneSpec:
     """A finished scene in its recipe's weather: parts in the order of their names, so snow covers what rain wetted."""
     for index, keys in sorted(enumerate(drawn.recipe.weather), key=lambda part: part[1].what):
-        spec = WEATHER.load(keys.what).on(keys, spec, WeatherRequest(drawn, ground, ("weather", index)))
+        spec = WEATHER.load(keys.what).on(keys, spec, WeatherRequest(drawn, ground, stems, ("weather", index)))
     return spec
+
+
+def has_relief(drawn: DrawnRecipe) -> bool:
+    """Whether the weather has a relief of its own."""
+    return any(WEATHER.load(keys.what).is_relief(keys) for keys in drawn.recipe.weather)
 
 
 def raised_m(drawn: DrawnRecipe, place_m: Floats) -> Floats:
@@ -96,8 +140,5 @@ def weather_notes(drawn: DrawnRecipe) -> list[str]:
 
 def check_followed(drawn: DrawnRecipe, place: Place) -> None:
     """Raise `RecipeError` where light is traced through the clouds' volume, which knows no other medium."""
-    if drawn.recipe.render.clouds == "exact" and drawn.recipe.sky.clouds.has_clouds:
-        problem, expected = "light through the clouds' volume meets no other weather", "render.clouds: farfield or auto"
-        hint = "raise the clouds far above the plants and leave render.clouds out, or leave out this weather"
-        where = drawn.where(*place, "what")
-        raise RecipeError(problem, where=where, expected=expected, got="exact", hint=hint)
+    if chooses_exact(drawn):
+        raise exact_light_error("other weather", drawn.where(*place, "what"), "this weather", chosen=True)

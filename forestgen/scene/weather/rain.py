@@ -7,8 +7,10 @@
   and covers what it passes by its share of the time. A nearer surface hides it (render/falling.py).
 - All drops are a medium of twice their cross-section, pi N0 / slope³, through which light is followed as in fog; it
   turns by few degrees (Henyey and Greenstein's g = 0.95).
-- Wet surfaces: wood, ground and fallen leaves darken as under a film of water (scene/surfaces.py). Living leaves
-  have a film's mirror, a gloss of 0.04 of smooth water; fallen ones, which soak it up, get as smooth and keep theirs.
+- Wet surfaces: wood, ground and fallen leaves darken as under a film of water (scene/surfaces.py), which mirrors as
+  water does. On stems the film lies in streaks where water runs down, and where rain falls on them, aslant in wind;
+  living leaves have it on top (render/identity/weather.py). Leaves do not sag: labels would change.
+- Puddles stand in hollows of paths and roads, where the ground is trodden (scene/puddles.py), and are seen alone.
 - Streaks are faint: a drop of 2 mm covers a pixel of its streak for 3% of an exposure of 0.01 s.
 - Labels are those without rain. The sky is the recipe's: `sky: {kind: overcast}` suits rain.
 
@@ -34,22 +36,27 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from forestgen.core.spectrum import Spectrum
 from forestgen.recipe.fields import Fraction, Positive
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import SKIES
+from forestgen.recipe.spectra import load_table
 from forestgen.recipe.weather import Weather
-from forestgen.scene.colour import colours_of_surface
-from forestgen.scene.ground_layers.layer import is_litter
-from forestgen.scene.spec import Falling, FogLayer, Material, SceneSpec, Terrain, WetGround
-from forestgen.scene.surfaces import under_film, wet_spectrum
+from forestgen.scene.puddles import puddles_m
+from forestgen.scene.spec import SceneSpec, WetFilm
 from forestgen.scene.terrain import HeightField
-from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed, wind_m_per_s
+from forestgen.scene.weather.kind import (
+    Place,
+    Shower,
+    WeatherKind,
+    WeatherRequest,
+    check_followed,
+    wind_m_per_s,
+)
 
-_N0_PER_M3_MM = 8000.0
+_N0_PER_M3_MM, _LEAST_MM = 8000.0, 0.5
+_MEDIAN_VOLUME = 3.67  # of drops, half of the water is in those above: their diameter times the slope
 _ASYMMETRY = 0.95
-_DEEP_M = 500.0  # of the rain above the ground
-_FILM_GLOSS, _FILM_ROUGHNESS = 0.04, 0.25
+_DRIED_M = 0.1  # of puddles, where all is dry
 
 
 class RainKeys(Weather):
@@ -86,19 +93,10 @@ class Rain(WeatherKind[RainKeys]):
         check_followed(drawn, place)
 
     def on(self, keys: RainKeys, spec: SceneSpec, request: WeatherRequest) -> SceneSpec:
-        layer = FogLayer(extinction_per_m(keys.rate_mm_per_h), request.ground_m + _DEEP_M, 1.0, _ASYMMETRY)
-        least_mm = 0.5
-        slope = slope_per_mm(keys.rate_mm_per_h)
-        falling = Falling(
-            number_per_m3=_N0_PER_M3_MM / slope * float(np.exp(-slope * least_mm)),
-            least_mm=least_mm,
-            mean_excess_mm=1.0 / slope,
-            drift_m_per_s=wind_m_per_s(request.drawn),
-            shutter_s=keys.shutter_s,
-            fall=fall_m_per_s,
-        )
-        spec = replace(spec, fog=(*spec.fog, layer), falling=(*spec.falling, falling))
-        return spec if keys.wet == 0 else wetted(spec, keys.wet, request.ground)
+        slope, extinction = slope_per_mm(keys.rate_mm_per_h), extinction_per_m(keys.rate_mm_per_h)
+        shower = Shower(_N0_PER_M3_MM, slope, _LEAST_MM, fall_m_per_s, extinction, _ASYMMETRY)
+        spec = shower.on(spec, request, keys.shutter_s)
+        return spec if keys.wet == 0 else wetted(spec, keys, wind_m_per_s(request.drawn), request.ground)
 
     def notes(self, keys: RainKeys, drawn: DrawnRecipe) -> list[str]:
         if SKIES.load(drawn.recipe.sky.kind).has_sun and not drawn.recipe.sky.clouds.has_clouds:
@@ -106,46 +104,19 @@ class Rain(WeatherKind[RainKeys]):
         return []
 
 
-def wetted(spec: SceneSpec, share: float, ground: HeightField | None = None) -> SceneSpec:
-    """The scene with a film of water on a share of its surfaces, but for what lies under water."""
-    materials = {key: _wet(one, share, is_litter=is_litter(*key)) for key, one in spec.materials.items()}
-    return replace(spec, materials=materials, terrain=_wet_terrain(spec.terrain, share, ground))
-
-
-def _wet(material: Material, share: float, *, is_litter: bool) -> Material:
-    if material.absorption is not None:  # water
-        return material
-    is_leaf = max(material.transmittance) > 0
-    roughness = material.roughness + share * (min(material.roughness, _FILM_ROUGHNESS) - material.roughness)
-    if is_leaf and not is_litter:  # its skin is smooth, and so is the film
-        return replace(material, gloss=max(material.gloss, share * _FILM_GLOSS), roughness=roughness)
-    texture, dry, spectrum = material.texture, material.reflectance_spectrum, None
-    if dry is None:
-        plain = np.array(material.reflectance)
-        red, green, blue = ((1.0 - share) * plain + share * under_film(plain)).tolist()
-        colour = (red, green, blue)
-    else:
-        film = wet_spectrum(dry)
-        spectrum = Spectrum(film.wavelength_nm, (1.0 - share) * dry.at(film.wavelength_nm) + share * film.value)
-        colour, _ = colours_of_surface(spectrum, None)
-    if texture is not None:
-        factor = np.array(colour) / np.maximum(material.reflectance, 1e-6)
-        texture = replace(texture, colour=(texture.colour * factor).astype(np.float32))
-    made = replace(material, reflectance=colour, reflectance_spectrum=spectrum, texture=texture)
-    return replace(made, roughness=roughness) if is_litter else made
-
-
-def _wet_terrain(terrain: Terrain, share: float, ground: HeightField | None) -> Terrain:
-    if terrain.wet is not None:
-        return terrain
-    x, y, z = terrain.mesh.vertices_m.astype(np.float64).T
-    drowned = False if ground is None else ground.level(x, y) > z
-    wet = np.where(drowned, 0.0, np.full(len(x), share)).astype(np.float32)
-    if terrain.spectrum is None:
-        red, green, blue = under_film(np.array(terrain.mean_colour)).tolist()
-        return replace(terrain, wet=WetGround(wet, (red, green, blue), None))
-    film = wet_spectrum(terrain.spectrum)
-    return replace(terrain, wet=WetGround(wet, colours_of_surface(film, None)[0], film))
+def wetted(spec: SceneSpec, keys: RainKeys, wind_m_per_s: tuple[float, float], ground: HeightField) -> SceneSpec:
+    """The scene with a film of water on its surfaces, but for what lies under water."""
+    x, y, z = spec.terrain.mesh.vertices_m.astype(np.float64).T
+    falls = float(fall_m_per_s(np.array(_MEDIAN_VOLUME / slope_per_mm(keys.rate_mm_per_h))))
+    share = keys.wet * (ground.level(x, y) <= z) * (1.0 - spec.terrain.far_share)
+    film = WetFilm(
+        share=keys.wet,
+        slant=(wind_m_per_s[0] / falls, wind_m_per_s[1] / falls),
+        ground=share.astype(np.float32),
+        pool_m=(puddles_m(ground, x, y) - _DRIED_M * (1.0 - keys.wet)).astype(np.float32),
+        absorption=load_table("standards/water")["absorption_per_m"],
+    )
+    return replace(spec, film=film, terrain=replace(spec.terrain, wet=None))
 
 
 KIND = Rain()

@@ -26,8 +26,6 @@ Locatelli, J. D., Hobbs, P. V. (1974): Fall speeds and masses of solid precipita
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -35,12 +33,11 @@ from pydantic import Field
 from forestgen.recipe.fields import Positive
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.weather import Weather
-from forestgen.scene.spec import Falling, FogLayer, SceneSpec
-from forestgen.scene.weather.kind import Place, WeatherKind, WeatherRequest, check_followed, wind_m_per_s
+from forestgen.scene.spec import SceneSpec
+from forestgen.scene.weather.kind import Place, Shower, WeatherKind, WeatherRequest, check_followed
 
 Floats = NDArray[np.float64]
 _ASYMMETRY = 0.88
-_DEEP_M = 500.0  # of the snowfall above the ground
 _LEAST_MM = 0.3
 
 
@@ -90,19 +87,10 @@ class Snowfall(WeatherKind[SnowfallKeys]):
         check_followed(drawn, place)
 
     def on(self, keys: SnowfallKeys, spec: SceneSpec, request: WeatherRequest) -> SceneSpec:
-        layer = FogLayer(extinction_per_m(keys.rate_mm_per_h), request.ground_m + _DEEP_M, 1.0, _ASYMMETRY)
-        slope = slope_per_mm(keys.rate_mm_per_h)
-        falling = Falling(
-            number_per_m3=number_per_m3_mm(keys.rate_mm_per_h) / slope * float(np.exp(-slope * _LEAST_MM)),
-            least_mm=_LEAST_MM,
-            mean_excess_mm=1.0 / slope,
-            drift_m_per_s=wind_m_per_s(request.drawn),
-            shutter_s=keys.shutter_s,
-            fall=fall_m_per_s,
-            seen_mm=seen_mm,
-            is_white=True,
-        )
-        return replace(spec, fog=(*spec.fog, layer), falling=(*spec.falling, falling))
+        rate = keys.rate_mm_per_h
+        extinction = extinction_per_m(rate)
+        shower = Shower(number_per_m3_mm(rate), slope_per_mm(rate), _LEAST_MM, fall_m_per_s, extinction, _ASYMMETRY)
+        return shower.on(spec, request, keys.shutter_s, seen_mm, is_white=True)
 
 
 KIND = Snowfall()

@@ -14,7 +14,7 @@ from forestgen.recipe.load import load_recipe
 from forestgen.scene.motion import row_poses, still_at
 from forestgen.scene.spec import Camera
 from forestgen.scene.terrain import HeightField
-from forestgen.scene.views import expand
+from forestgen.scene.views import Views, expand
 from support.error_messages import raises_error
 
 
@@ -29,6 +29,19 @@ def camera(**motion: Any) -> Camera:
 
 def test_a_camera_without_velocity_stands_still():
     assert camera(readout_s=0.03).motion is None
+
+
+def test_a_camera_that_sinks_into_the_ground_while_it_exposes_is_told():
+    def check(fall_m_per_s: float) -> None:
+        motion = {"velocity_m_per_s": [0, 0, -fall_m_per_s], "readout_s": 0.2}
+        keys = {"position_m": [20, 5, 0.3], "look_at_m": [20, 50, 2], "exposure": {"shutter_s": 0.02}, "motion": motion}
+        site = {"terrain": "flat"}
+        about = {"species": {"spruce": None}, "community": {"model": "stand"}, "site": site, "cameras": [keys]}
+        Views.of(load_recipe({"forestgen": 1, **about}).draw(0)).check_above_ground()
+
+    check(2.0)
+    with raises_error(RecipeError, place="cameras.0.position_m"):
+        check(3.0)
 
 
 def test_motion_needs_an_exposure():

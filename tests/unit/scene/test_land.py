@@ -12,8 +12,12 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe import land
 from forestgen.recipe.load import load_recipe_data
 from forestgen.scene.fine_cells import cut_grid
-from forestgen.scene.shaped_ground import ShapedGround, shaped
+from forestgen.scene.ground_cover import _placed
+from forestgen.scene.ground_layers.layer import Layer
+from forestgen.scene.ground_view import TILE_M
+from forestgen.scene.shaped_ground import BESIDE_M, SHALLOW_M, ShapedGround, shaped
 from forestgen.scene.site import height_field
+from forestgen.scene.spec import Material
 from forestgen.scene.terrain import HeightField, terrain_mesh
 from forestgen.scene.terrains.rolling import rolling
 from forestgen.scene.water import WAVES_M, slope_variance, water_material, waves
@@ -121,6 +125,21 @@ def test_a_path_is_level_across_and_a_road_has_two_ruts() -> None:
     assert opened[np.abs(np.abs(across) - 0.9) < 0.2].max() < 0.2
     assert opened[np.abs(across) < 0.1].min() > 0.3
     assert opened[np.abs(across) > 2.1].min() > 0.9
+
+
+def test_plants_of_the_shore_stand_in_shallow_water_and_beside_it_alone(ground: ShapedGround) -> None:
+    x, y = grid()
+    share, deep, from_shore = ground.shore(x, y), ground.level(x, y) - ground(x, y), np.full(len(x), np.inf)
+    for body in ground.bodies:
+        near = body.near(x, y)
+        from_shore[near.rows] = np.minimum(from_shore[near.rows], near.shore_m)
+    assert share[(from_shore > BESIDE_M) | (deep > SHALLOW_M + 0.1)].max() == 0.0
+    assert share[np.abs(from_shore) < 0.1].min() > 0.7
+    assert share.max() == 1.0
+    layer = Layer("reed", (), {}, 0.3, Material((0.1, 0.1, 0.1)), 0.0)
+    density = _placed(layer, "shore", ground).where
+    assert density is not None
+    assert density(x, y)[from_shore > BESIDE_M + TILE_M].max() == 0.0  # a tile's corners are less far from its middle
 
 
 def test_micro_relief_has_its_deviation_and_fades_beside_the_site() -> None:

@@ -6,16 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
+from forestgen.recipe import land
 from forestgen.render import falling as render_falling
 from forestgen.render.falling import coverage
-from forestgen.scene.ground_layers.layer import FALLEN, GROUND
 from forestgen.scene.projection import image_circle
-from forestgen.scene.spec import Falling, Material
-from forestgen.scene.surfaces import under_film
+from forestgen.scene.puddles import filled, puddles_m
+from forestgen.scene.shaped_ground import shaped
+from forestgen.scene.spec import Falling
+from forestgen.scene.terrain import HeightField
 from forestgen.scene.weather import snowfall
-from forestgen.scene.weather.rain import extinction_per_m, fall_m_per_s, slope_per_mm, wetted
-from support.scenes import camera_at, plain_ground, scattered_scene
+from forestgen.scene.weather.rain import extinction_per_m, fall_m_per_s, slope_per_mm
+from support.scenes import camera_at
 
 
 def test_drops_are_as_many_as_fall_and_dim_the_air() -> None:
@@ -59,21 +62,30 @@ def test_no_drop_falls_outside_of_a_fisheyes_circle() -> None:
     assert covered[image_circle(camera)].mean() > 0.0
 
 
-def test_what_has_no_spectrum_gets_wet_and_smooth_by_share() -> None:
-    bark, leaf = Material((0.3, 0.2, 0.1)), Material((0.1, 0.2, 0.1), (0.1, 0.2, 0.1), roughness=0.65)
-    keys = ("beech", "bark"), ("beech", "leaf"), (GROUND, f"{FALLEN}beech-0")
-    spec = scattered_scene(1, exemplars=1, leaves=4, terrain=plain_ground(-5.0, 5.0, albedo=0.3))
-    spec = replace(spec, materials=dict(zip(keys, (bark, leaf, leaf), strict=True)))
-    half, all_wet = (list(wetted(spec, share).materials.values()) for share in (0.5, 1.0))
-    for dry, wet, some in zip((bark, leaf), all_wet[::2], half[::2], strict=True):
-        film = under_film(np.array(dry.reflectance))
-        assert wet.reflectance == pytest.approx(film.tolist())
-        assert some.reflectance == pytest.approx((0.5 * (np.array(dry.reflectance) + film)).tolist())
-    assert all_wet[1].reflectance == leaf.reflectance
-    assert half[1].roughness == pytest.approx((0.65 + all_wet[1].roughness) / 2.0)
-    wet = wetted(spec, 0.5).terrain.wet
-    assert wet is not None
-    assert wet.reflectance[0] < 0.3
+def test_puddles_fill_hollows_and_run_off_at_the_edge() -> None:
+    """Brute force: water on a cell stands as high as the lowest pass of any way to the edge."""
+    height = np.random.default_rng(3).random((9, 11))
+    level = np.full(height.shape, np.inf)
+    for cell in np.ndindex(*height.shape):
+        for threshold in np.sort(height.ravel()):
+            pools, _ = label(height <= threshold, np.ones((3, 3)))
+            here = pools[cell]
+            if here and here in np.concatenate([pools[0], pools[-1], pools[:, 0], pools[:, -1]]):
+                level[cell] = threshold
+                break
+    np.testing.assert_array_equal(filled(height), level)
+
+
+def test_puddles_stand_in_ruts_alone() -> None:
+    road = land.Path(what="forest_road", points_m=((-10.0, 20.0), (50.0, 20.0)))
+    ground = shaped(HeightField((40.0, 40.0)), None, (road,), (), 3)
+    x, y = (one.ravel() for one in np.meshgrid(np.arange(0.0, 40.0, 0.1), np.arange(10.0, 30.0, 0.1)))
+    depth = puddles_m(ground, x, y)
+    wet = depth > 0.0
+    assert 0.0 < wet.mean() < 0.1
+    assert (np.abs(np.abs(y[wet] - 20.0) - 0.9) < 0.5).all()
+    assert depth.max() < 0.15
+    assert (puddles_m(HeightField((40.0, 40.0)), x, y) < 0.0).all()
 
 
 def test_a_near_surface_hides_them() -> None:

@@ -11,9 +11,11 @@ from scene_plants import population
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import part_of, surface_area_m2
+from forestgen.recipe import land
 from forestgen.scene.blocks import UNEVEN_SEEN, WOODS_M
 from forestgen.scene.build import place_instances, stand_on
 from forestgen.scene.far_mesh import SPECIES, areas_m2, far_mesh, thinned
+from forestgen.scene.shaped_ground import shaped
 from forestgen.scene.spec import Material
 from forestgen.scene.surroundings import (
     APART,
@@ -204,6 +206,24 @@ def test_a_forest_is_as_dense_as_the_site_and_does_not_repeat_it():
     np.testing.assert_array_equal(found.position_m, again.position_m)
     assert not np.array_equal(found.source[:50], forest(2)[1][0].source[:50])
     assert set(forest(size_m=(60.0, 45.0))[1][0].turn.tolist()) == {0, 2}  # a block must fit in another's place
+
+
+def test_no_tree_around_the_site_stands_in_water_or_on_a_road():
+    """Seen from the plants of all copies and far meshes; beyond the road's end the forest is as dense as ever."""
+    road = land.Path(what="forest_road", points_m=((-55.0, -50.0), (25.0, 20.0), (105.0, 95.0)))
+    pond = land.Pond(what="pond", position_m=(40.0, 30.0), radius_m=60.0)
+    height = shaped(FLAT, None, (road,), (pond,), 3)
+    plants = stand(count=600).population
+    for layer in layers(plants, height, np.random.default_rng(2)):
+        far = [
+            (block.xy_m @ one[:2, :2].T + one[:2, 3])
+            for block in layer.far
+            if not block.wide
+            for one in block.transform
+        ]
+        places = np.concatenate([layer.position_m[:, :2], *far])
+        assert not height.barred(*places.T).any()
+        assert len(places) > 2000
 
 
 def test_a_forest_keeps_stems_apart_at_the_seams_and_closes_them():

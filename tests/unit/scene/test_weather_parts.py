@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.render.cloud_shadow import check_far_clouds
+from forestgen.scene.snow_depth import Circles
 from forestgen.scene.spec import SceneSpec
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.views import Views
@@ -32,15 +31,16 @@ def drawn_in(*weather: object, **sections: object) -> DrawnRecipe:
 
 def scene_in(*weather: object) -> SceneSpec:
     spec = scattered_scene(1, exemplars=1, leaves=4, terrain=plain_ground(-40.0, 80.0, albedo=0.3))
-    normals = np.tile(np.float32([0.0, 0.0, 1.0]), (len(spec.terrain.mesh.vertices_m), 1))
-    spec = replace(spec, terrain=replace(spec.terrain, mesh=replace(spec.terrain.mesh, normals=normals)))
-    return in_weather(spec, drawn_in(*weather), HeightField((40.0, 40.0)))
+    stems = Circles(np.zeros((0, 2)), np.zeros(0))
+    return in_weather(spec, drawn_in(*weather), HeightField((40.0, 40.0)), stems)
 
 
 def test_the_order_of_the_list_is_the_same_scene() -> None:
     """And snow that lies stays dry in rain."""
     one, other = scene_in(FOG, RAIN, SNOW), scene_in(SNOW, RAIN, FOG)
     assert one.fog == other.fog
+    assert one.film is not None
+    assert not one.film.ground.any()
     assert one.terrain.wet is other.terrain.wet is None
     assert np.array_equal(one.terrain.texture, other.terrain.texture)
 
