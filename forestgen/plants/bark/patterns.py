@@ -214,14 +214,14 @@ def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
     furrow = np.clip(plates.border_m / (0.19 * s * width), 0.0, 1.0)
     fading = step(uneven, -0.9, 0.3)
     crack = 1.0 - fading * (1.0 - np.clip(blocks.border_m / (0.08 * s * width), 0.0, 1.0))
-    wall = step(np.minimum(furrow, crack), 0.0, 1.0)
+    wall = step(np.minimum(furrow, crack), 0.1, 0.75)
     scales, fresh, rim = _scales(tile, rng, s, 1.5, (sway[0] + 2 * fray, sway[1] + 2 * fray))
     lean = blocks.values(rng) - 0.5, plates.values(rng) - 0.5
     tilt = 0.16 * (lean[0] * blocks.offset_u - blocks.offset_v * (0.35 + lean[1]))
     grain = tile.noise(rng, (0.06 * s, 0.35 * s), 1.6)
     fine = tile.noise(rng, (0.05 * s, 0.05 * s), 1.2)
     height = wall * (0.62 + 0.22 * scales + 0.05 * rim + tilt) + 0.012 * grain + 0.010 * fine
-    tone = 0.50 + 0.14 * scales + 0.16 * rim + 0.42 * lean[0] + 0.30 * lean[1] + 0.05 * grain + 0.05 * fine
+    tone = 0.48 + 0.20 * scales + 0.20 * rim + 0.42 * lean[0] + 0.30 * lean[1] + 0.08 * grain + 0.09 * fine
     red = np.maximum(marks * fresh, 0.8 * step(wall, 0.95, 0.55)) * step(wall, 0.02, 0.35)
     return Relief(height, wall * (0.25 + 0.75 * wall) * tone, red)
 
