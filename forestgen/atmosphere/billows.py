@@ -48,11 +48,12 @@ _ROUGHNESS = 0.85
 _FLOWS = ((3.0, 0.25), (1.5, 0.12))  # wavelength and displacement (root mean square), in cells
 _EDGE_CONTRAST = (0.5, 0.25)  # of a cell's least neighbour over its largest: inside a cloud above, at its edge below
 _SAMPLES, _WATER_SAMPLES = 4, 10  # places in a cell along each axis, for the shifts and for the water
-_ROUNDS = 10
+_ROUNDS, _COLUMN_ROUNDS = 10, 500
 _MOST_SCALED = 1.5, 4.0  # by which the inside changes for the cells, and for the columns
 _BORDER = 4
 _KEPT_BYTES = 200_000_000
 Floats = NDArray[np.float64]
+Size = tuple[float, float, float]
 
 
 class _Field(NamedTuple):
@@ -110,7 +111,7 @@ _kept: BoundedCache[_Kept] = BoundedCache(_KEPT_BYTES, lambda one: one.depth.nby
 
 
 def detail_of(
-    extinction: NDArray[np.float32], smooth: NDArray[np.bool_], cell_m: tuple[float, float, float], *, periodic: bool
+    extinction: NDArray[np.float32], smooth: NDArray[np.bool_], cell_m: Size, *, periodic: bool
 ) -> tuple[NDArray[np.float32], Detail]:
     """(Z, Y, X) extinction of the inside, and the detail, of a field that is to be kept cell by cell.
 
@@ -134,12 +135,14 @@ def detail_of(
     return kept.inside_per_m, Detail(kept.brick, kept.depth, billow_tile(), kept.octave, kept.unit)
 
 
-def _made(mean: Floats, smooth: NDArray[np.bool_], cell_m: tuple[float, float, float], periodic: bool) -> _Kept:
+def _made(mean: Floats, smooth: NDArray[np.bool_], cell_m: Size, periodic: bool) -> _Kept:
     inside, share, rain = _inside(mean, smooth, periodic)
     field = _field_of(_depth_m(share, cell_m, periodic), cell_m, periodic)
     cells = np.argwhere(_near(np.where(rain, 0.0, share), periodic) & ~rain).astype(np.int64)
     field = _shifted(field, cells, mean, inside, cell_m, periodic)
-    full = (share >= 0.5) | _around(rain, (-1, 0, 1), periodic).any(axis=0)  # rain fades out into the next cell
+    # Rain fades out into the next cell, if no cloud reaches there.
+    beside_rain, cloud = (_around(one, (-1, 0, 1), periodic).any(axis=0) for one in (rain, (inside > 0) & ~rain))
+    full = (share >= 0.5) | (beside_rain & ~cloud)
     detail = _bricks(field, cells, full, cell_m)
     return _Kept(_scaled(mean, inside, detail, periodic), detail.brick, detail.depth, detail.octave, detail.unit)
 
@@ -176,10 +179,12 @@ def _inside(mean: Floats, smooth: NDArray[np.bool_], periodic: bool) -> tuple[Fl
     inside = np.where(rain, 0.0, inside)
     for _ in range(2):
         inside = np.where(inside > 0, inside, _around(inside, (-1, 0, 1), periodic).max(axis=0))
-    return np.where(rain, mean, inside), share, rain
+    # Rain is read between the cells' values as they are: what reaches out of a cloud must not be one of them.
+    beside_rain = _around(rain, (-1, 0, 1), periodic).any(axis=0)
+    return np.where(rain | (beside_rain & (share == 0)), mean, inside), share, rain
 
 
-def _depth_m(share: Floats, cell_m: tuple[float, float, float], periodic: bool) -> Floats:
+def _depth_m(share: Floats, cell_m: Size, periodic: bool) -> Floats:
     """Depth of the cells' centres below the edge."""
     from scipy.ndimage import distance_transform_edt
 
@@ -192,9 +197,8 @@ def _depth_m(share: Floats, cell_m: tuple[float, float, float], periodic: bool) 
     most = 4.0 * max(cell_m)
     within = distance_transform_edt(full, size) if not full.all() else np.full(wide.shape, most)
     out = distance_transform_edt(~full, size) if full.any() else np.full(wide.shape, most)
-    partly = (wide - 0.5) * 2.0 * half
-    depth = np.where(full, within - 2.0 * half, -(out - 2.0 * half))
-    return np.clip(depth + partly, -most, most)[inner]
+    depth = np.where(full, within - 2.0 * half, -(out - 2.0 * half)) + (wide - 0.5) * 2.0 * half
+    return np.clip(depth, -most, most)[inner]
 
 
 def _padded(values: Floats, periodic: bool) -> Floats:
@@ -204,7 +208,7 @@ def _padded(values: Floats, periodic: bool) -> Floats:
     return np.ascontiguousarray(np.pad(up, ((0, 0), side, side), mode="wrap" if periodic else "edge"))
 
 
-def _field_of(depth_m: Floats, cell_m: tuple[float, float, float], periodic: bool) -> _Field:
+def _field_of(depth_m: Floats, cell_m: Size, periodic: bool) -> _Field:
     """Billows grow where the edge does not face down."""
     padded = _padded(depth_m, periodic)
     gradient = np.stack(list(np.gradient(padded, *cell_m[::-1])))
@@ -220,14 +224,14 @@ def _field_of(depth_m: Floats, cell_m: tuple[float, float, float], periodic: boo
     return _Field(padded, billow, flow_tile(), np.array(flows), billow_tile(), octaves)
 
 
-def _scales(shape: tuple[int, ...], cell_m: tuple[float, float, float], length_m: float, number: int) -> list[float]:
+def _scales(shape: tuple[int, ...], cell_m: Size, length_m: float, number: int) -> list[float]:
     """Tile cells a grid cell along x, y, z, and shifts: whole tiles along x and y of the grid."""
     tile_m = length_m * _POINTS
     along = [TILE * max(1, round(n * side / tile_m)) / n for n, side in zip(shape[:0:-1], cell_m[:2], strict=True)]
     return [*along, TILE * cell_m[2] / tile_m, *(child_rng(0, "shift", number).random(3) * TILE)]
 
 
-def _octaves(shape: tuple[int, ...], cell_m: tuple[float, float, float]) -> Floats:
+def _octaves(shape: tuple[int, ...], cell_m: Size) -> Floats:
     """(K, 7) from the longest to the shortest."""
     longest = _LONGEST * max(cell_m)
     count = 1 + max(0, math.ceil(math.log2(longest / _SHORTEST_M)))
@@ -236,7 +240,7 @@ def _octaves(shape: tuple[int, ...], cell_m: tuple[float, float, float]) -> Floa
     return np.array([[*_scales(shape, cell_m, a, n), h] for n, (a, h) in enumerate(zip(lengths, heights, strict=True))])
 
 
-def _finest(cell_m: tuple[float, float, float]) -> int:
+def _finest(cell_m: Size) -> int:
     """Number of the first octave that nodes of the bricks are too far apart for: four in a wavelength."""
     longest = _LONGEST * max(cell_m)
     return max(0, math.floor(math.log2(longest / (4.0 * max(cell_m) / SUB)))) + 1
@@ -250,17 +254,15 @@ def _near(share: Floats, periodic: bool) -> NDArray[np.bool_]:
 
 
 def _shifted(
-    field: _Field, cells: NDArray[np.int64], mean: Floats, inside: Floats, cell_m: tuple[float, float, float],
-    periodic: bool,
-) -> _Field:  # fmt: skip
+    field: _Field, cells: NDArray[np.int64], mean: Floats, inside: Floats, cell_m: Size, periodic: bool
+) -> _Field:
     """The field with the depths at which the cells have their water."""
     rng = child_rng(0, "places")
     corner = np.stack(np.meshgrid(*[np.arange(_SAMPLES)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     places = (corner + rng.random(corner.shape)) / _SAMPLES - 0.5
     given = np.empty((len(cells), len(places), 4), dtype=np.float32)
     _over(cells, lambda a, b: _folds(field, cells, places, a, b, given))
-    z, y, x = cells.T
-    side = min(cell_m)
+    (z, y, x), side = cells.T, min(cell_m)
     core = field.depth_m[(slice(_BORDER, -_BORDER),) * 3].copy()
     found, speed = np.empty(len(cells)), np.zeros(len(cells))
     wanted = mean[z, y, x]
@@ -355,9 +357,7 @@ def _means(depth_m, inside, cells, given, out, first, last):  # type: ignore[no-
         out[n] = total / given.shape[1] * inside[cells[n, 0], cells[n, 1], cells[n, 2]]
 
 
-def _bricks(
-    field: _Field, cells: NDArray[np.int64], full: NDArray[np.bool_], cell_m: tuple[float, float, float]
-) -> Detail:
+def _bricks(field: _Field, cells: NDArray[np.int64], full: NDArray[np.bool_], cell_m: Size) -> Detail:
     """Bricks of the cells that the edge is in."""
     lookup = _finest(cell_m)
     octave = np.ascontiguousarray(field.octave[lookup:])
@@ -402,26 +402,30 @@ def _nodes(field, cells, lookup, unit, reach, depth, kind, first, last):  # type
 
 def _scaled(mean: Floats, inside: Floats, detail: Detail, periodic: bool) -> NDArray[np.float32]:
     """The inside's extinction at which the columns have their water."""
+    from scipy.sparse import coo_array
+
     cells = np.argwhere(detail.brick != EMPTY)
     shares = np.zeros((len(cells), 27))
     _over(cells, lambda a, b: _shares(detail, cells, _WATER_SAMPLES, a, b, shares))
     z, y, x = cells.T
     number = np.arange(mean.size, dtype=np.float64).reshape(mean.shape)
     around = _around(number, (-1, 0, 1), periodic)[:, z, y, x].T.astype(np.int64)
-    column, across = y * mean.shape[2] + x, mean[0].size
-    wanted = mean.sum(axis=0).ravel()
+    most, most_of_column = _MOST_SCALED
     result = inside.copy()
-    for turn in range(8 * _ROUNDS):
+    for _ in range(_ROUNDS):  # first the cells, gently
         found = (shares * result.ravel()[around]).sum(axis=1)
-        if turn < _ROUNDS:  # first the cells, gently
-            factor = np.ones(mean.shape)
-            factor[z, y, x] = (mean[z, y, x] / np.maximum(found, 1e-30)) ** 0.3
-        else:
-            there = np.bincount(column, found, across)
-            factor = np.where(there > 0, wanted / np.maximum(there, 1e-30), 1.0).reshape(1, *mean.shape[1:])
-        limit = _MOST_SCALED[turn >= _ROUNDS]
-        result = np.clip(result * factor, inside / limit**2, inside * limit)
-    total = float((shares * result.ravel()[around]).sum())
+        result[z, y, x] *= (mean[z, y, x] / np.maximum(found, 1e-30)) ** 0.3
+        result = np.clip(result, inside / most**2, inside * most)
+    across = mean[0].size
+    pairs = (np.broadcast_to((y * mean.shape[2] + x)[:, None], around.shape).ravel(), around.ravel() % across)
+    water = coo_array(((shares * result.ravel()[around]).ravel(), pairs), (across, across)).tocsr()
+    wanted, factor = mean.sum(axis=0).ravel(), np.ones(across)
+    for _ in range(_COLUMN_ROUNDS):
+        there = water @ factor
+        factor *= np.where(there > 0, wanted / np.maximum(there, 1e-30), 1.0)
+        factor = np.clip(factor, 1.0 / most_of_column**2, most_of_column)
+    result *= factor.reshape(mean.shape[1:])
+    total = float((shares * result.ravel()[around]).sum())  # with what has come into columns without water
     return np.ascontiguousarray(result * (mean.sum() / max(total, 1e-30)), dtype=np.float32)
 
 

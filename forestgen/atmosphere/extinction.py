@@ -125,7 +125,7 @@ def cloud_grid_of(
     if not detailed:
         return grid
     rainy = rain_extinction(rain[first:last]) > 0.5 * extinction
-    full, detail = detail_of(extinction, rainy, weather.grid.cell_m, periodic=weather.grid.periodic)
+    full, detail = detail_of(extinction, rainy, weather.grid.cell_m, periodic=tiles > 1)
     brick = np.ascontiguousarray(np.tile(detail.brick, copies))
     return replace(grid, full_per_m=np.ascontiguousarray(np.tile(full, copies)), detail=detail._replace(brick=brick))
 

@@ -59,6 +59,12 @@ class CloudGrid:
     phase: PhaseFunction = PhaseFunction()
     full_per_m: NDArray[np.float32] | None = None  # (Z, Y, X) with detail: of the clouds' inside, without the air
     detail: Detail = NO_DETAIL  # within the cells
+    above: CloudGrid | None = None  # another layer, of other particles, higher than all of this one
+
+    @property
+    def layers(self) -> tuple[CloudGrid, ...]:
+        """This one and those above."""
+        return (self,) if self.above is None else (self, *self.above.layers)
 
     @property
     def inside_per_m(self) -> NDArray[np.float32]:

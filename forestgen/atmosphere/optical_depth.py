@@ -31,6 +31,7 @@ from forestgen.core.threads import parallel_for
 
 _OPAQUE = 40.0  # 1 - exp(-40) is 1 in single precision
 _HALVINGS = 14  # of a ray across the box: to a 16,000th
+_EDGES = ((np.min, "low_m"), (np.max, "high_m"))  # of all layers
 
 
 @inlined_exactly
@@ -173,6 +174,8 @@ def optical_depth(
         parallel_for(len(out), lambda first, end: _integrate_detail(detail, *given, first, end, out))
     else:
         parallel_for(len(out), lambda first, end: _integrate(*given, first, end, out))
+    if grid.above is not None:
+        out += optical_depth(grid.above, origin_m, direction, distance_m, enough=enough).ravel()
     return out.reshape(shape)
 
 
@@ -191,8 +194,8 @@ def distance_into(
     grid: CloudGrid, origin_m: NDArray[np.float64], direction: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(...) metres along rays to where half of what clouds take out of them is taken; inf where that is nothing."""
-    size = np.subtract(grid.high_m, grid.low_m)
-    middle = (np.asarray(grid.low_m) + grid.high_m) / 2
+    low_m, high_m = (edge([getattr(one, name) for one in grid.layers], axis=0) for edge, name in _EDGES)
+    size, middle = high_m - low_m, (low_m + high_m) / 2
     far = np.linalg.norm(np.asarray(origin_m) - middle, axis=-1) + np.linalg.norm(size)  # beyond the box
     whole = -np.expm1(-optical_depth(grid, origin_m, direction, np.inf, enough=_OPAQUE))
     low, high = np.zeros(whole.shape), np.broadcast_to(far, whole.shape).astype(np.float64)

@@ -9,7 +9,17 @@ from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Field, SerializeAsAny, field_validator, model_validator
 
-from forestgen.recipe.fields import Fraction, GivenSection, Number, PartSection, Text, shorthand, violation
+from forestgen.recipe.fields import (
+    Fraction,
+    GivenSection,
+    NonNegative,
+    Number,
+    PartSection,
+    Positive,
+    Text,
+    shorthand,
+    violation,
+)
 from forestgen.recipe.map_files import Sha256
 from forestgen.recipe.registries import CLOUD_SOURCES, SKIES
 
@@ -50,6 +60,34 @@ class Clouds(PartSection, GivenSection):
         if data.get("type") is None and isinstance(story, list | tuple) and story and isinstance(story[0], Mapping):
             return story[0].get("type", cls.model_fields["type"].default)
         return super().named_by(data)
+
+
+class CirrusSection(GivenSection):
+    """Thin high clouds of ice."""
+
+    cover: Fraction = Field(0.6, description="Of cirrus: fraction of the sky's area under cloud, 0 to 1.")
+    optical_depth: Positive = Field(
+        0.2, le=3, description="Of cirrus: mean optical depth of the cloudy part; thin cirrus have 0.05 to 0.5."
+    )
+    base_m: Positive = Field(9000.0, le=18000, description="Of cirrus: height of the base above ground, metres.")
+    thickness_m: Positive = Field(900.0, le=4000, description="Of cirrus: height of the layer, metres.")
+    streak_m: NonNegative = Field(
+        4000.0, le=20000, description="Of cirrus: length of the streaks of falling ice, metres."
+    )
+    extent_m: Positive = Field(
+        60000.0,
+        le=100000,
+        description="Of cirrus: side of the square of clouds, metres. Three by three of them are seen: of 60 km each "
+        "and 9 km up, down to 6 degrees above the horizon.",
+    )
+
+
+class CloudsBelowCirrus(Clouds):
+    """Clouds that may have cirrus far above them."""
+
+    cirrus: CirrusSection | None = Field(
+        None, description="Thin high clouds of ice above these, with the keys of type: cirrus. Default: none."
+    )
 
 
 class Sun(GivenSection):

@@ -33,7 +33,7 @@ Steele, G., Lea, D., Flood, C. (2014): Fast splittable pseudorandom number gener
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,12 @@ class CloudField:
     per_m: Floats  # (3,) cells a metre along x, y, z
     scattering: Floats  # (4,) albedo, and the phase function's forward, backward, forward_share
     detail: Detail = NO_DETAIL  # with detail `value` is the extinction of the clouds' inside, and bricks are small
+    above: CloudField | None = None  # a higher layer
+
+    @property
+    def layers(self) -> tuple[CloudField, ...]:
+        """This one and those above."""
+        return (self,) if self.above is None else (self, *self.above.layers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +90,14 @@ class Gathered(NamedTuple):
 
     of_sky: Floats  # (N, 3, C) in the units of the sky's map
     of_sun: Floats  # (N, 3) 1/sr: times the sun's irradiance on a plane that faces it
-    of_aloft: Floats  # (N, 3) what of it clouds have scattered, and not the plain, or nothing
+    of_aloft: Floats  # (N, 3, L) what of it each layer of clouds has scattered last, and not the plain, or nothing
 
     def radiance(self, albedo: Floats, sun: Floats, aloft: Floats | None = None) -> Floats:
-        """(N, C) over a plain of (C,) albedo, under a sun of (C,) irradiance, and another one `aloft` on the clouds."""
+        """(N, C) over a plain of (C,) albedo, under a sun of (C,) irradiance, and those of the layers (L, C)."""
         power = albedo ** np.arange(ORDERS)[:, None]
         light = self.of_sky + self.of_sun[..., None] * sun
         if aloft is not None:
-            light = light + self.of_aloft[..., None] * (aloft - sun)
+            light = light + np.einsum("nol,lc->noc", self.of_aloft, aloft - sun)
         return np.asarray(np.einsum("noc,oc->nc", light, power))
 
 
@@ -111,7 +117,8 @@ def field_of(clouds: CloudGrid) -> CloudField:
     phase = clouds.phase
     scattering = np.array([clouds.albedo, phase.forward, phase.backward, phase.forward_share])
     per_m = np.array(grid.shape[::-1]) / (high - low)
-    return CloudField(np.ascontiguousarray(value), most, low, per_m, scattering, detail)
+    above = None if clouds.above is None else field_of(clouds.above)
+    return CloudField(np.ascontiguousarray(value), most, low, per_m, scattering, detail, above)
 
 
 def gather(
@@ -132,15 +139,14 @@ def gather(
     start = np.empty((count, 3))  # never read-only, which would be a second kernel
     start[:] = np.asarray(origin_m) - field.low_m
     way = np.ascontiguousarray(direction, dtype=np.float64)
-    out = np.zeros((count, ORDERS, channels + 2))
+    out = np.zeros((count, ORDERS, channels + 1 + len(field.layers)))
     sky = np.ascontiguousarray(np.moveaxis(light.sky, 0, -1), dtype=np.float32)
     sun = np.array([*light.to_sun, np.cos(np.radians(light.sun_radius_deg))], dtype=np.float64)
     goes_on = max(light.ground_albedo, _GOES_ON)
     ground = np.array([light.ground_albedo, light.ground_m - field.low_m[2], goes_on])
     rays = max(1, _CALL_PATHS // samples)
-    side = DETAIL_BRICK if field.detail.brick.size else BRICK
-    volume = (field.value, field.most, field.detail, side)
-    given = (volume, field.per_m, field.scattering, sky, sun, ground, start, way, np.uint64(seed))
+    volumes = tuple(_volume_of(one, field.low_m) for one in field.layers)
+    given = (volumes, sky, sun, ground, start, way, np.uint64(seed))
     for begin in range(0, count, rays):
         here = min(rays, count - begin)
 
@@ -150,15 +156,20 @@ def gather(
 
         parallel_for(here * samples, work)
     out /= samples
-    return Gathered(out[..., :-2], out[..., -2], out[..., -1])
+    return Gathered(out[..., :channels], out[..., channels], out[..., channels + 1 :])
+
+
+def _volume_of(field: CloudField, origin_m: Floats) -> tuple[Any, ...]:
+    """A layer as kernels have it; lengths are from a place in the world."""
+    side = DETAIL_BRICK if field.detail.brick.size else BRICK
+    low, per_m, scattering = (tuple(one.tolist()) for one in (field.low_m - origin_m, field.per_m, field.scattering))
+    return field.value, field.most, field.detail, side, low, per_m, scattering
 
 
 @compiled
-def _gather(volume, per_m, scattering, sky, sun, ground, start, way, seed, samples, disc, first, end, out):  # type: ignore[no-untyped-def]
-    """Add the light of rays `first` to `end` to `out` (N, 3, C + 2); lengths are from the grid's low corner."""
-    volume = unowned_view(volume)
-    per_x, per_y, per_z = per_m
-    albedo, forward, backward, share = scattering
+def _gather(volumes, sky, sun, ground, start, way, seed, samples, disc, first, end, out):  # type: ignore[no-untyped-def]
+    """Add the light of rays `first` to `end` to `out` (N, 3, C + 1 + L); lengths are from the first low corner."""
+    volumes = unowned_view(volumes)
     sun_x, sun_y, sun_z, sun_cos = sun
     ground_albedo, ground_m, goes_on = ground
 
@@ -171,7 +182,13 @@ def _gather(volume, per_m, scattering, sky, sun, ground, start, way, seed, sampl
             dx, dy, dz = way[ray, 0], way[ray, 1], way[ray, 2]
             weight, order, reflections = 1.0, 0, 0
             while True:
-                t, _, state = _flight(volume, x, y, z, dx, dy, dz, per_x, per_y, per_z, False, state)
+                # Layers are independent: the first collision with any of them is the next.
+                t, layer = np.inf, 0
+                for n in range(len(volumes)):
+                    own, _, state = _flight(volumes[n], x, y, z, dx, dy, dz, False, state)
+                    if own < t:
+                        t, layer = own, n
+                albedo, forward, backward, share = volumes[layer][6]
                 met = t < np.inf
                 if met:
                     weight *= albedo
@@ -197,10 +214,14 @@ def _gather(volume, per_m, scattering, sky, sun, ground, start, way, seed, sampl
                 sx, sy, sz = _turned(sun_x, sun_y, sun_z, 1.0 - u * (1.0 - sun_cos), v)
                 if sz > 0.0:
                     toward = _phase(dx * sx + dy * sy + dz * sz, forward, backward, share) if met else sz / np.pi
-                    _, seen, state = _flight(volume, x, y, z, sx, sy, sz, per_x, per_y, per_z, True, state)
+                    seen = 1.0
+                    for n in range(len(volumes)):
+                        if seen > 0.0:
+                            _, own, state = _flight(volumes[n], x, y, z, sx, sy, sz, True, state)
+                            seen *= own
                     out[ray, min(reflections, ORDERS - 1), channels] += weight * toward * seen
                     if met:
-                        out[ray, min(reflections, ORDERS - 1), channels + 1] += weight * toward * seen
+                        out[ray, min(reflections, ORDERS - 1), channels + 1 + layer] += weight * toward * seen
                 state, u = _draw(state)
                 state, v = _draw(state)
                 if met:
@@ -225,9 +246,10 @@ def _gather(volume, per_m, scattering, sky, sun, ground, start, way, seed, sampl
 
 
 @compiled
-def _flight(volume, x, y, z, dx, dy, dz, per_x, per_y, per_z, ratio, state):  # type: ignore[no-untyped-def]
+def _flight(volume, x, y, z, dx, dy, dz, ratio, state):  # type: ignore[no-untyped-def]
     """Distance to the next collision, inf for none; or, by `ratio`, an estimate of the transmittance of all the way."""
-    value, most, detail, side = volume
+    value, most, detail, side, (low_x, low_y, low_z), (per_x, per_y, per_z), _ = volume
+    x, y, z = x - low_x, y - low_y, z - low_z
     x, y, z = x * per_x - 0.5, y * per_y - 0.5, z * per_z - 0.5  # in cells, from the first one's centre
     dx, dy, dz = dx * per_x, dy * per_y, dz * per_z
     start, step = (x, y, z), (dx, dy, dz)

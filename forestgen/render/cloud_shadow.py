@@ -157,9 +157,12 @@ def cloud_transport_of(
     near = _too_near(spec, tops_of(cameras), [ray_corners_m(one) for one in cameras])
     if near is None:
         return "farfield"
+    expected, got = near
+    if spec.clouds is not None and spec.clouds.above is not None:
+        problem, hint = "cirrus need the clouds below them to be far above the scene", "leave out sky.clouds.cirrus"
+        raise RecipeError(problem, where="sky.clouds", expected=expected, got=got, hint=hint)
     if asked == "auto":
         return "exact"
-    expected, got = near
     problem = "the clouds are too near for light from afar"
     hint = "set render.clouds to auto or exact, or raise the clouds"
     raise RecipeError(problem, where=where, expected=expected, got=f"farfield, and {got}", hint=hint)
@@ -216,7 +219,8 @@ def content_key(clouds: CloudGrid) -> str:
         digest.update(np.ascontiguousarray(table).data)
     shape = clouds.extinction_per_m.shape
     digest.update(repr((shape, clouds.low_m, clouds.high_m, clouds.albedo, clouds.phase)).encode())
-    return digest.hexdigest()
+    above = "" if clouds.above is None else content_key(clouds.above)
+    return digest.hexdigest() + above
 
 
 def plane_edges(clouds: CloudGrid, to_sun: Floats, base_m: float) -> tuple[Floats, Floats]:

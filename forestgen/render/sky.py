@@ -55,7 +55,7 @@ _NODES, _NODE_PATHS = 33, 512  # along a side of the irradiance's map, and paths
 _NEAREST_NODE = 0.15  # distance of the nodes around the middle, in heights of the clouds' base
 _BLUR_NODES = 1.4  # standard deviation
 _HATS = np.eye(len(_BAKED_NM))
-_PARTS = 3 + len(_BAKED_NM) + 2  # of baked light
+_SKIES = 3 + len(_BAKED_NM)  # parts of baked light that are the sky's
 _KEPT_BYTES = 100_000_000
 
 
@@ -82,11 +82,11 @@ class TracedClouds:
     far_share: float  # of the plain that has the colour of the distance
     ground_m: float  # world height of the plain
     key: str  # hash of all that a baked sky depends on
-    aloft_m: float = 0.0  # mean height of the clouds over the plain
+    aloft_m: tuple[float, ...] = (0.0,)  # mean height of each layer of clouds over the plain
 
     def sun_aloft(self, channels: Channels) -> Floats:
-        """(3,) irradiance of the sun that the clouds scatter."""
-        return sun_irradiance(self.sky, channels, self.aloft_m)
+        """(L, 3) irradiance of the sun that each layer of clouds scatters."""
+        return np.stack([sun_irradiance(self.sky, channels, one) for one in self.aloft_m])
 
     @cached_property
     def _near_colour(self) -> tuple[float, float, float]:
@@ -120,7 +120,7 @@ def traced_clouds_of(spec: SceneSpec) -> TracedClouds:
     heights = [0.0, float(spec.terrain.mesh.vertices_m[:, 2].min()), *(camera.position_m[2] for camera in spec.cameras)]
     ground_m = float(np.floor(min(heights))) - 1.0
     share = _far_share(spec.terrain, np.asarray(spec.clouds.low_m), np.asarray(spec.clouds.high_m))
-    aloft_m = max(height_of(spec.clouds) - ground_m, 0.0)
+    aloft_m = tuple(max(height_of(one) - ground_m, 0.0) for one in spec.clouds.layers)
     result = TracedClouds(field_of(spec.clouds), spec.sky, spec.terrain, share, ground_m, "", aloft_m)
     parts = (content_key(spec.clouds), spec.sky, ground_m, result.under(np.zeros((1, 1, 3), np.float32)).ground_albedo)
     return replace(result, key=hashlib.blake2b(repr(parts).encode(), digest_size=16).hexdigest())
@@ -158,12 +158,12 @@ def site_middle(spec: SceneSpec) -> Floats:
 class Baked:
     """Light at places, by reflections on the plain, for whatever channels.
 
-    Of eleven parts three are the sky's light in colour, six the same at wavelengths, of a sky that gives 1 on a level
-    plane, and one is the sun's, of a sun that gives 1 on a plane that faces it. The last is what of that clouds have
-    scattered, and not the plain: it is of the sunlight at their height.
+    Three parts are the sky's light in colour, six the same at wavelengths, of a sky that gives 1 on a level plane, and
+    one is the sun's, of a sun that gives 1 on a plane that faces it. The last ones are what of that each layer of
+    clouds has scattered, and not the plain: it is of the sunlight at their height.
     """
 
-    parts: NDArray[np.float32]  # (3, _PARTS, *S)
+    parts: NDArray[np.float32]  # (3, _SKIES + 1 + L, *S)
 
     def of(self, clouds: TracedClouds, channels: Channels) -> Floats:
         """(*S, 3) in the channels."""
@@ -177,7 +177,7 @@ class Baked:
             else:
                 share = [0.0] * 3 + [np.interp(channels.wavelength_nm[k], _BAKED_NM, one) for one in _HATS]
             weight = np.outer(
-                albedo[k] ** np.arange(ORDERS), np.array([*(level[k] * np.array(share)), sun[k], aloft[k]])
+                albedo[k] ** np.arange(ORDERS), np.array([*(level[k] * np.array(share)), sun[k], *aloft[:, k]])
             )
             result.append(np.tensordot(weight, self.parts, 2))
         return np.stack(result, axis=-1)
@@ -270,7 +270,8 @@ def _bake(clouds: TracedClouds, place_m: Floats) -> Baked:
     light = clouds.under(_all_channels(clouds.sky))
     rng, seed = child_rng(0, "sky"), child_seed(0, "sky")
     step = np.pi / (MAP_ROWS - 1)
-    parts = np.zeros((ORDERS, _PARTS, MAP_ROWS, MAP_COLUMNS), dtype=np.float32)
+    count = _SKIES + 1 + len(clouds.field.layers)
+    parts = np.zeros((ORDERS, count, MAP_ROWS, MAP_COLUMNS), dtype=np.float32)
     for row in range(MAP_ROWS // 2 + 1):
         paths = max(_LEAST_PATHS, round(_PATHS * np.sin(row * step)))
         shape = (MAP_COLUMNS, paths)
@@ -279,7 +280,7 @@ def _bake(clouds: TracedClouds, place_m: Floats) -> Baked:
         turn = np.arange(MAP_COLUMNS)[:, None] + rng.permuted((np.arange(paths) + rng.random(shape)) / paths, axis=1)
         direction = _directions(up, turn * (2 * np.pi / MAP_COLUMNS)).reshape(-1, 3)
         found = _joined(gather(clouds.field, light, place_m, direction, seed=seed + row, disc=False))
-        parts[:, :, row] = np.moveaxis(found.reshape(*shape, ORDERS, _PARTS).mean(axis=1), 0, -1)
+        parts[:, :, row] = np.moveaxis(found.reshape(*shape, ORDERS, count).mean(axis=1), 0, -1)
     return Baked(parts)
 
 
@@ -291,20 +292,21 @@ def _bake_land(clouds: TracedClouds, place_m: Floats, offset_m: Floats) -> Baked
     rng, seed = child_rng(0, "land"), child_seed(0, "land")
     north, east = np.meshgrid(offset_m, offset_m, indexing="ij")
     nodes = np.stack([east, north, np.zeros_like(east)], axis=-1).reshape(-1, 3) + place_m
-    total = np.zeros((len(nodes), ORDERS, _PARTS))
+    count = _SKIES + 1 + len(clouds.field.layers)
+    total = np.zeros((len(nodes), ORDERS, count))
     shift, golden = rng.random((2, len(nodes))), np.pi * (3.0 - np.sqrt(5.0))
     for number in range(_NODE_PATHS):
         up = np.sqrt((number + shift[0]) / _NODE_PATHS)  # its density is the cosine's that irradiance asks for
         way = _directions(up, number * golden + 2 * np.pi * shift[1])
         total += _joined(gather(clouds.field, light, nodes, way, seed=seed + number, disc=False))
-    parts = np.moveaxis((np.pi / _NODE_PATHS * total).reshape(_NODES, _NODES, ORDERS, _PARTS), (0, 1), (2, 3))
+    parts = np.moveaxis((np.pi / _NODE_PATHS * total).reshape(_NODES, _NODES, ORDERS, count), (0, 1), (2, 3))
     smooth = gaussian_filter(parts, (0, 0, _BLUR_NODES, _BLUR_NODES), mode="nearest")
     return Baked(smooth.astype(np.float32))
 
 
 def _joined(found: Gathered) -> Floats:
-    """(N, 3, C + 2)"""
-    return np.concatenate([found.of_sky, found.of_sun[..., None], found.of_aloft[..., None]], axis=-1)
+    """(N, 3, C + 1 + L)"""
+    return np.concatenate([found.of_sky, found.of_sun[..., None], found.of_aloft], axis=-1)
 
 
 def _spread(farthest_m: float, nearest_m: float) -> Floats:

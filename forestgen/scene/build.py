@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.atmosphere.clouds.cirrus import below_cirrus
 from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.community.population import Population
 from forestgen.core.errors import RecipeError
@@ -94,7 +95,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         chosen = choose_exemplars(plan, population, plan.views.all_cameras, layers)
         exemplars = grow_planned(plan, chosen, progress, population)
     with timer("clouds"):
-        clouds = cloud_source_of(drawn).grid(CloudRequest(drawn, plan.views.lowest_m, progress, stand, simulated))
+        request = CloudRequest(drawn, plan.views.lowest_m, progress, stand, simulated)
+        clouds = below_cirrus(request, cloud_source_of(drawn).grid(request))
     with timer("scene"):
         lying = lying_plants(population)
         instances = place_instances(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from forestgen.atmosphere.clouds.cirrus import CIRRUS_BYTES, check_cirrus_above, cirrus_above
 from forestgen.atmosphere.clouds.source import GAP_OF_SITE, LEAST_GAP_M, cloud_source_of
 from forestgen.community.capabilities import HasObstacles, OwnSkeletons, PlanChecks, capability, models_with
 from forestgen.community.disturbance import Ground
@@ -107,7 +108,8 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "plants": plants * per_plant,
         "surroundings": recipe.site.surroundings.kind != "open"
         and most_far_triangles(stand.site.size_m) * per_triangle,
-        "clouds": source.estimate_bytes(plan.drawn, stand.model, stand.parameters),
+        "clouds": source.estimate_bytes(plan.drawn, stand.model, stand.parameters)
+        + (cirrus_above(plan.drawn) is not None) * CIRRUS_BYTES,
     }
 
 
@@ -364,6 +366,7 @@ def _check_clouds(views: Views) -> None:
     """
     drawn, source = views.drawn, cloud_source_of(views.drawn)
     source.check(drawn)
+    check_cirrus_above(drawn)
     if chooses_exact(drawn):
         if drawn.recipe.site.water:
             raise exact_light_error("water", drawn.where("site", "water"), "site.water", chosen=True)

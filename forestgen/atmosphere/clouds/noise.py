@@ -29,14 +29,14 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.fields import Fraction, Positive
 from forestgen.recipe.load import DrawnRecipe
-from forestgen.recipe.sky import Clouds
+from forestgen.recipe.sky import CloudsBelowCirrus
 
 _DROPLET_UM = 10.0  # effective radius
 _MOST_OPTICAL_DEPTH = 200.0  # straight up
 _BYTES_PER_CELL = 60
 
 
-class NoiseKeys(Clouds):
+class NoiseKeys(CloudsBelowCirrus):
     """Keys of `clouds: {type: noise}`."""
 
     cover: Fraction = Field(0.35, description="Of noise: fraction of the sky's area under cloud, 0 to 1.")
@@ -92,13 +92,21 @@ def _spectral_noise(
     """Periodic Gaussian noise of unit variance with power ~ k^-slope between two wavelengths."""
     import scipy.fft
 
-    white = rng.standard_normal(shape, dtype=np.float32)
     axes = [scipy.fft.fftfreq(n, d) for n, d in zip(shape[:-1], cell_m[:-1], strict=True)]
     axes.append(scipy.fft.rfftfreq(shape[-1], cell_m[-1]))
     k = np.sqrt(sum(np.square(axis) for axis in np.meshgrid(*axes, indexing="ij", sparse=True)))
     low, high = 1.0 / longest_m, 1.0 / shortest_m
-    amplitude = np.where((k >= low) & (k <= high), np.maximum(k, low) ** (-slope / 2.0), 0.0).astype(np.float32)
-    field = scipy.fft.irfftn(scipy.fft.rfftn(white) * amplitude, s=shape).astype(np.float32)
+    return shaped_noise(np.where((k >= low) & (k <= high), np.maximum(k, low) ** (-slope / 2.0), 0.0), shape, rng)
+
+
+def shaped_noise(
+    amplitude: NDArray[np.float64], shape: tuple[int, ...], rng: np.random.Generator
+) -> NDArray[np.float32]:
+    """Periodic Gaussian noise of unit variance with the amplitudes of its waves, in the order of `rfftn`."""
+    import scipy.fft
+
+    white = scipy.fft.rfftn(rng.standard_normal(shape, dtype=np.float32))
+    field = scipy.fft.irfftn(white * amplitude.astype(np.float32), s=shape).astype(np.float32)
     return np.asarray((field - field.mean()) / field.std(), dtype=np.float32)
 
 

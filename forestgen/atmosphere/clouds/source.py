@@ -26,7 +26,7 @@ from forestgen.core.progress import Progress
 from forestgen.recipe.fields import Flag, Number, Positive
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.registries import CLOUD_SOURCES
-from forestgen.recipe.sky import Clouds
+from forestgen.recipe.sky import Clouds, CloudsBelowCirrus
 
 CLOUDY = 1e-5  # kg/kg
 _LOW_PERCENT, _HIGH_PERCENT = 10.0, 99.0
@@ -88,7 +88,7 @@ def cloud_statistics(weather: Weather, *, droplet_radius_um: float = 10.0) -> Cl
     )
 
 
-class AirKeys(Clouds):
+class AirKeys(CloudsBelowCirrus):
     """Keys of sources whose clouds are those of a state of the air."""
 
     droplet_radius_um: Positive | None = Field(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from forestgen.atmosphere.clouds.cirrus import below_cirrus, check_cirrus_above
 from forestgen.atmosphere.clouds.source import CloudRequest, cloud_source_of
 from forestgen.atmosphere.conditions import Layers
 from forestgen.atmosphere.extinction import droplet_phase
@@ -323,3 +325,28 @@ def test_memory_for_a_saved_field_follows_its_cells_and_not_its_compressed_size(
     assert cloud_bytes(drawn("{type: file, file: sky.vol}", recipe=recipe)) >= 4 * 5 * 6 * 16
     (tmp_path / "sky.nc").write_bytes(b"no")
     assert cloud_bytes(drawn("{type: file, file: sky.nc}", recipe=recipe)) == 0
+
+
+def test_cirrus_lie_above_other_clouds_and_reach_far_down() -> None:
+    noise = "{type: noise, cirrus: {cover: 0.5, optical_depth: 0.3}"
+    one = drawn(noise + "}")
+    request = CloudRequest(one, 100.0, Silent())
+    low = cloud_source_of(one).grid(request)
+    both = below_cirrus(request, low)
+    assert low is not None
+    assert both is not None
+    assert both.above is not None
+    assert both.above.low_m[2] == 9100.0
+    np.testing.assert_array_equal(both.extinction_per_m, low.extinction_per_m)
+    assert below_cirrus(request, None) is not None  # where there are no others
+    # In the middle they have what was asked for; at the edge there is no step.
+    depth = both.above.extinction_per_m.sum(axis=0) * both.above.cell_m[2]
+    middle, row = slice(448, 896), depth[672]
+    assert depth[middle, middle].mean() == pytest.approx(0.15, rel=0.05)
+    assert np.maximum(row[0], row[-1]) < 0.01
+    with raises_error(RecipeError):
+        below_cirrus(request, replace(low, high_m=(*low.high_m[:2], 9200.0)))
+    with raises_error(RecipeError):
+        check_cirrus_above(drawn(noise + "}", "render.clouds=exact"))
+    with raises_error(RecipeError):
+        drawn("{type: cirrus, cirrus: {cover: 0.5}}")

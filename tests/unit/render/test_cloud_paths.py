@@ -66,6 +66,23 @@ def test_the_share_that_no_drop_meets_is_the_transmittance() -> None:
     assert np.sqrt((z**2).mean()) == pytest.approx(1.0, abs=0.35)
 
 
+def test_clouds_in_two_layers_give_the_light_of_one_field_of_both() -> None:
+    """Collisions with two layers are independent; and the optical depth is the sum."""
+    whole, seen = patchy(albedo=0.98), []
+    part = np.random.default_rng(2).random(whole.extinction_per_m.shape).astype(np.float32)
+    own, other = (replace(whole, extinction_per_m=whole.extinction_per_m * one) for one in (part, 1.0 - part))
+    both, way = replace(own, above=other), upward(400)
+    depth = [optical_depth(one, np.zeros(3), way, np.array(np.inf)) for one in (whole, both)]
+    np.testing.assert_allclose(depth[0], depth[1], rtol=1e-4, atol=1e-6)
+    for seed, grid in enumerate((whole, both)):
+        found = gather(field_of(grid), light(), np.zeros(3), way, seed=seed, samples=400)
+        assert found.of_aloft.shape == (400, 3, 1 + (grid is both))
+        aloft = found.of_aloft.sum(axis=(1, 2))
+        seen.append([found.of_sky[:, 0, 0].mean(), found.of_sun[:, 1:].sum(axis=1).mean(), aloft.mean()])
+    np.testing.assert_allclose(seen[0], seen[1], rtol=0.02)
+    assert content_key(both) != content_key(own)
+
+
 def test_the_key_of_clouds_is_of_all_their_detail() -> None:
     mean = np.ones((2, 2, 2), np.float32)
     grid = CloudGrid(mean, (-1.0, -1.0, 0.0), (1.0, 1.0, 1.0))
