@@ -13,7 +13,6 @@ from test_exact_light import ALBEDO, COLOURED, GREY, bare_ground, loaded, path, 
 from test_exact_light import stand as leafy_stand
 from test_leaf import LEAVES, PASSES
 
-from forestgen.core.frames import look_at
 from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
 from forestgen.core.spectrum import Spectrum
@@ -401,35 +400,6 @@ def test_wood_has_the_tone_of_its_plant():
     assert abs(tone - 1.0) > 0.05
     plain, toned = (radiance(one, 16, seed=1).mean for one in (spec, replace(spec, bark_spread=spread)))
     np.testing.assert_allclose(toned.mean() / plain.mean(), tone, rtol=0.02)
-
-
-def leaf_post(height_m: float, leaf: Material) -> SceneSpec:
-    """The post as a leaf: from above its upper end its inner side is seen, the leaf's lower side."""
-    spec, eye = post_scene(leaf, part=Part.LEAF), (0.0, -6.0, height_m)
-    view = replace(spec.cameras[0], position_m=eye, world_from_camera=look_at(eye, (0.0, 0.0, 1.0)))
-    return replace(spec, sky=Sky(30.0, 200.0, 3.0), cameras=(view,))
-
-
-@pytest.mark.parametrize("height_m", [1.0, 6.0])
-@pytest.mark.slow
-def test_veins_of_leaves_are_lit_as_mitsuba_lights_them_from_both_sides(height_m):
-    leaf = Material(REFLECTANCE, roughness=0.4, texture=leaning_texture((0.4, 0.3)), gloss=0.03)
-    spec = leaf_post(height_m, leaf)
-    assert_same(images_of(spec, 10, 64), by_mitsuba(spec, 10, 64))
-
-
-@pytest.mark.slow
-def test_the_relief_of_leaves_keeps_their_light():
-    """Under a white sky, whatever they let through."""
-    for height_m in (1.0, 6.0):
-        means = []
-        for lean in ((0.0, 0.0), (0.4, 0.3)):
-            leaf = Material(REFLECTANCE, (0.4, 0.3, 0.2), 0.4, leaning_texture(lean), gloss=0.03)
-            lit = white_sky(leaf_post(height_m, leaf))
-            lit.show(RGB)
-            found = lit.take(256, seed=1)
-            means.append((found.by_sky + found.beyond).mean(axis=(0, 1)))
-        np.testing.assert_allclose(means[1], means[0], rtol=0.01)
 
 
 def test_an_image_is_the_same_with_any_threads_and_blocks(monkeypatch):

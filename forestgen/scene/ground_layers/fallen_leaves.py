@@ -2,7 +2,7 @@
 
 Each species' lie where its crowns are: their share of the ground follows that of the leaf area above within some
 metres. Leaves are those of the species file, as they dried: curled along and across, folded, twisted, wavy, every
-second one face down, every third one with pieces missing, a few in pieces. Their colours go from the dry leaf's, in
+second one face down, every fifth one with bites, a few in pieces. Their colours go from the dry leaf's, in
 autumn with that of leaves that fell lately, to deeper browns and the grey of weathered wood; older ones are flat, wet,
 and dark in patches (`_AGES`; shares are ours). Near a camera they show veins (`plants/organs/leaf_texture.py`).
 
@@ -68,7 +68,7 @@ _FALLEN = "leaves/"  # at the beginning of the names of materials
 _IN_DECAY = 0.3  # brightness of decayed patches over sound ones, about
 _CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG = 40.0, 45.0, 22.0, 18.0  # standard deviations on top
 _FLATTEST = 0.2  # of these, of leaves below others
-_FACE_DOWN, _TORN, _IN_PIECES, _LARGER_BITES = 0.5, 0.25, 0.15, 1.4
+_FACE_DOWN, _TORN, _IN_PIECES, _LARGER_BITES = 0.5, 0.2, 0.15, 1.4
 _WRINKLES, _WRINKLE = 5, 0.012  # number, height over the length
 _WAVES, _WAVE = 6.0, 0.05  # of the margin, height over the half-width
 _RELIEF, _MOTTLED = 0.28, 0.16  # of veins of dry leaves, and of their tone
