@@ -229,8 +229,8 @@ def box_of(organs: tuple[OrganMesh, ...], species_name: str) -> tuple[np.ndarray
     if not organs:
         where, hint = f"species {species_name}: plant", "thicker stems or larger organs"
         raise RecipeError("nothing of the plant is large enough to be seen", where=where, hint=hint)
-    low = np.min([organ.mesh.vertices_m.min(axis=0) for organ in organs], axis=0)
-    return low, np.max([organ.mesh.vertices_m.max(axis=0) for organ in organs], axis=0)
+    columns = [np.ascontiguousarray(organ.mesh.vertices_m.T) for organ in organs]  # several times as fast as rows
+    return np.min([one.min(axis=1) for one in columns], axis=0), np.max([one.max(axis=1) for one in columns], axis=0)
 
 
 def _check_fitted(species_name: str, how: Fit, made_m: float, wanted_m: float) -> None:

@@ -81,6 +81,7 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     along = unit(along * [1.0, 1.0, 1.0 - 0.999 * rule.light])
     radius = np.minimum(skeleton.radius_m[node].astype(np.float64), _DEEPEST_SEAT_M)
     seat = along - np.sum(along * tangent, axis=1, keepdims=True) * tangent
+    seat[np.linalg.norm(seat, axis=1) < 1e-9] = 0.0  # those that go on along the axis are seated on it
     foot = foot + 0.7 * radius[:, None] * unit(seat)
     size = growth * evaluate(rule.size, share) * np.clip(1 + rule.size_jitter * rng.normal(size=len(axis)), 0.4, 1.6)
     roll = np.radians(rule.roll_jitter_deg) * rng.normal(size=len(axis))

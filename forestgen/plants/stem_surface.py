@@ -172,17 +172,24 @@ def split(organ: OrganMesh, field: Field, edge_m: float, material: str) -> list[
     for _ in range(_ROUNDS):
         corners = mesh.faces.astype(np.int64)
         most_m = edge_m * (1.0 + np.maximum(mesh.vertices_m[corners[:, 0], 2], 0.0) / _COARSER_M)
-        coarse = _near(mesh, value, field.near) & (edge_lengths_m(mesh, corners).max(axis=1) > most_m)
+        coarse = _near(mesh, value, field.near)
+        coarse[coarse] = edge_lengths_m(mesh, corners[coarse]).max(axis=1) > most_m[coarse]
         if not coarse.any():
             break
         mesh, of = bisected(mesh, coarse)
         origin = origin[of]
-        value = field.at(mesh)
+        value = np.append(value, field.at(_vertices_from(mesh, len(value))))
     (outside, outer), (inside, inner) = cut(mesh, value)
     if not inside.triangles:
         return [organ]
     made = [(outside, origin[outer], organ.material), (inside, origin[inner], material)]
     return [_piece(organ, one, faces, name) for one, faces, name in made if one.triangles]
+
+
+def _vertices_from(mesh: Mesh, first: int) -> Mesh:
+    """The last vertices of a mesh, without faces."""
+    assert mesh.normals is not None  # wood has
+    return Mesh(mesh.vertices_m[first:], mesh.faces[:0], mesh.normals[first:])
 
 
 def _piece(organ: OrganMesh, mesh: Mesh, faces: Ints, material: str) -> OrganMesh:
@@ -207,5 +214,5 @@ def _tiled(organ: OrganMesh, old_m: tuple[float, float], new_m: tuple[float, flo
 
 def _near(mesh: Mesh, value: Floats, within: float) -> Bools:
     """(F,) faces that a contour may pass through."""
-    of = value[mesh.faces]
-    return np.asarray((of.min(axis=1) < within) & (of.max(axis=1) > -within))
+    of = value[mesh.faces.T]
+    return np.asarray((of.min(axis=0) < within) & (of.max(axis=0) > -within))

@@ -286,12 +286,13 @@ def stretch_to(
     reach = max(float(np.hypot(*np.concatenate([nodes, feet])[:, :2].T).max()), 1e-6)
     stretch = Stretch(wide, 0.0, reach, knee, base, raw_top, size.height_m, _stem_below(skeleton, knee))
     stretch = _filled(stretch, nodes, feet, area, fullness)
-    span = max(_mean_width(stretch.points(nodes), stretch.points(feet), stretch.points(feet)) / wide, 1e-6)
+    wood, organs = (replace(stretch, wide=1.0).points(one)[:, :2] for one in (nodes, feet))
+    span = max(_mean_width(wood, organs, organs), 1e-6)
     for _ in range(_ROUNDS):
         at = stretch.heights(feet[:, 2])
         top = max(float((at + high[:, 2]).max()), float(stretch.heights(nodes[:, 2]).max()))
-        wood, organs = stretch.points(nodes), stretch.points(feet)
-        width = _mean_width(wood, organs + low, organs + high)
+        now = stretch.wide * organs
+        width = _mean_width(stretch.wide * wood, now + low[:, :2], now + high[:, :2])
         wide = stretch.wide + (size.crown_width_m - width) / span
         if found is not None:
             made = _low_quantile(at + middle, area)
@@ -340,10 +341,11 @@ def organ_boxes(organs: Sequence[OrganPlacements], templates: Mapping[str, Mesh]
     """Feet of all organs and the corners of their boxes, relative to them, each (1 + M, 3); the first is the origin."""
     feet, low, high = [np.zeros((1, 3))], [np.zeros((1, 3))], [np.zeros((1, 3))]
     for placement in organs:
-        reach = templates[placement.shape].vertices_m @ placement.frame[:, :, :3].transpose(0, 2, 1)
+        points = templates[placement.shape].vertices_m.T
+        reach = [placement.frame[:, k, :3] @ points for k in range(3)]  # axis by axis: contiguous, so faster
         feet.append(placement.frame[:, :, 3].astype(np.float64))
-        low.append(reach.min(axis=1).astype(np.float64))
-        high.append(reach.max(axis=1).astype(np.float64))
+        low.append(np.stack([one.min(axis=1) for one in reach], axis=1).astype(np.float64))
+        high.append(np.stack([one.max(axis=1) for one in reach], axis=1).astype(np.float64))
     return np.concatenate(feet), np.concatenate(low), np.concatenate(high)
 
 

@@ -1,8 +1,9 @@
 """Forms of needles, in bundles and on twigs.
 
 A needle covers 0.8 of its length times its width, whatever the number of its triangles. A twig's shape may draw fewer
-needles than it bears: each one drawn then stands for several, longer by the power 0.4 of their number and wider by the
-power 0.6, so that the area stays.
+needles than it bears: each one drawn then stands for several, longer by the power 0.4 of their number, up to `longest`
+times, and wider by the rest, so that the area stays. Needles no longer than true ones keep the shoot as thick, and its
+needles shade one another as true ones do.
 """
 
 from __future__ import annotations
@@ -23,10 +24,9 @@ MOST_NEEDLES = 2000
 _COVER = 0.8  # area of a needle over its length times its width
 _LENGTH_POWER = 0.4
 _STRIP_LENGTH = 1.0  # over the step between pairs of crossed strips
-_LEVEL_SHARE = 0.88  # of the area, in strips that lie in the plane of the twig's two sides
+_LEVEL_SHARE = 0.89  # of the area, in strips that lie in the plane of the twig's two sides
 _STRIP_ROLL = 0.5  # radians, at most
 _BEYOND = 0.1  # of a strip beyond the twig's tip
-_LONGEST = 3.2  # a needle that stands for many is at most so many times as long
 
 
 class Fascicle(OrganForm):
@@ -74,6 +74,9 @@ class NeedleTwig(OrganForm):
     fascicle: Annotated[int, Field(ge=1, le=8)] = Field(
         1, description="needles in a bundle where a camera is near, as 2 of Scots pine"
     )
+    longest: Annotated[float, Field(ge=1, le=10)] = Field(
+        3.2, description="a needle that stands for many is at most so many times as long"
+    )
     twig_material: str | None = Field(None, description="of the twig, whose label is a branch's; the needles' own")
     detail: Detail = 0
 
@@ -112,7 +115,7 @@ class NeedleTwig(OrganForm):
         if self.crossed and self.drawn is not None:
             return self._strips(needles, max(drawn // 2, 1))
         stands_for = max(needles / drawn, 1.0)
-        longer = min(stands_for**_LENGTH_POWER, _LONGEST)
+        longer = min(stands_for**_LENGTH_POWER, self.longest)
         width_m = self.needle_width_m * stands_for / longer
         one = needle_patch(self.needle_length_m * longer, width_m, np.radians(self.curl_deg), self.detail)
         k = np.arange(drawn)

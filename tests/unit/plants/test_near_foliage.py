@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections import defaultdict
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from silhouette_area import drawn
 
 from forestgen.api.plant_requests import plan_of, request_of
 from forestgen.core.parts import Part
@@ -139,6 +141,24 @@ def test_a_pines_needles_stand_all_around_its_shoots() -> None:
     assert len(np.unique(np.round(foot[:, 1], 5))) == pytest.approx(60, abs=3)  # in pairs
 
 
+def test_a_pines_shoots_shade_themselves_as_measured() -> None:
+    """Silhouette over all of the needles' surface, mean of directions: 0.146, 0.079 to 0.308 (Stenberg et al. 1994)."""
+    form = grown("pine")[0].parameters.shapes["tuft"]
+    number = round(form.per_m * form.length_m)
+    near = needle_spray(form, Needles(form.needle_length_m, number, 1, 0), form.length_m, 0).leaves
+    ratio = []
+    for mesh in (form.template(), near):
+        shoot = SimpleNamespace(organs=[SimpleNamespace(mesh=mesh)], bounds_m=lambda: np.zeros((2, 3)))
+        height = 1.0 - (2.0 * np.arange(12) + 1.0) / 12.0  # even over the sphere
+        ways = np.stack([np.sqrt(1.0 - height**2), 0.0 * height, height], axis=1)
+        turned = [(np.cos(2.4 * k) * x, np.sin(2.4 * k) * x, z) for k, (x, _, z) in enumerate(ways)]
+        covered_m2 = np.mean([drawn(shoot, way, 0.001).sum() for way in turned]) * 0.001**2  # type: ignore[arg-type]
+        ratio.append(covered_m2 / (2.0 * surface_area_m2(mesh)))
+    far, close = ratio
+    assert close == pytest.approx(0.146, rel=0.15)
+    assert 0.146 < far < 0.2  # fewer and longer needles
+
+
 @pytest.mark.parametrize(("name", "shape", "needle_m"), [("spruce", "young_shoot", 0.016), ("pine", "tuft", 0.055)])
 def test_needles_are_as_level_as_those_of_the_coarse_shoot(name: str, shape: str, needle_m: float) -> None:
     form = grown(name)[0].parameters.shapes[shape]
@@ -163,7 +183,7 @@ def test_the_same_plant_is_made_again(name: str) -> None:
 def test_only_organs_that_a_camera_sees_change(name: str) -> None:
     request, exemplar = grown(name)
     shapes, leaf_m = request.parameters.shapes, request.species.tissue.leaf_length_m
-    [placed] = exemplar.foliage
+    *leader, placed = exemplar.foliage
     pixel_m = np.full(len(placed.node), np.inf)
     assert not near_organs(shapes[placed.shape], leaf_m, organ_sizes(placed.frame), pixel_m).drawn.any()  # type: ignore[union-attr]
     high = placed.frame[:, 2, 3] > 3.5
@@ -171,7 +191,7 @@ def test_only_organs_that_a_camera_sees_change(name: str) -> None:
     one = near_organs(shapes[placed.shape], leaf_m, organ_sizes(placed.frame), pixel_m)
     assert one is not None
     np.testing.assert_array_equal(one.drawn, high)
-    made = with_near_foliage(exemplar, shapes, leaf_m, (one,))
+    made = with_near_foliage(exemplar, shapes, leaf_m, (*[None] * len(leader), one))
     assert {organ.part for organ in made.organs} == {organ.part for organ in exemplar.organs}
     materials = {organ.material.removesuffix(VEINED) for organ in made.organs}
     assert materials == {organ.material for organ in exemplar.organs}
@@ -190,7 +210,7 @@ def test_far_away_no_organ_changes(name: str) -> None:
 
 def test_a_spruces_needles_stand_along_the_twigs_that_bear_its_shoots() -> None:
     _, exemplar = grown("spruce")
-    [placed] = exemplar.foliage
+    placed = exemplar.foliage[-1]
     assert placed.twigs is not None
     low, high = placed.twigs.ends_m.astype(float).transpose(1, 0, 2)
     foot = placed.frame[:, :, 3].astype(float)
