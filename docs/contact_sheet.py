@@ -135,7 +135,6 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         species__sedge=SEDGE,
         site__water=[POND],
         site__ground__layers=[*FLOOR, {**GRASS, "species": "sedge", "height_m": 0.8, "cover": 0.6, "on": "shore"}],
-        wind__speed_m_per_s=1,
     ),
     "rain": lambda: forest(
         MIXED,
@@ -143,7 +142,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         EYE,
         "spruce",
         sky=OVERCAST,
-        site__paths=[{**ROAD, "points_m": [[-20, 4], [20, 9], [42, 15], [80, 18]]}],
+        site__paths=[{**ROAD, "ground": "soil_moist", "points_m": [[-20, 4], [20, 9], [42, 15], [80, 18]]}],
         wind__speed_m_per_s=2,
         weather=[{"what": "rain", "rate_mm_per_h": 15}, {"what": "ground_fog", "visibility_m": 600, "depth_m": 40}],
     ),
@@ -160,7 +159,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         EYE,
         plants__season="winter",
         sky=OVERCAST,
-        weather=[{"what": "snow_cover", "depth_m": 0.2, "on_plants": 0.6}],
+        weather=[{"what": "snow_cover", "depth_m": 0.35, "on_plants": 0.6}],
     ),
     "dusk": lambda: forest(PINE, 22, {**DRONE, "position_m": [30, -60, 40]}, sky__sun={"elevation_deg": -4}),
     "moonlit night": lambda: forest(

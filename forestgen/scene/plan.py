@@ -43,8 +43,9 @@ _SHARE_OF_MEMORY = 0.8
 # Measured by tests/system/test_memory.py as the peak resident memory of whole runs.
 _LOADED_SIMULATOR_BYTES = 520_000_000
 _LOADED_RENDERER_BYTES = 900_000_000  # libraries, kernels, the ground's texture and what it was made from
-# A ground's texture: in the scene, in the labels' tables, as light and as relief in the light paths' tables.
-_BYTES_PER_TEXTURE = 4 * 12 * TEXTURE_PX**2
+# A ground's texture: in the scene, in the labels' tables, as light and as relief in the light paths' tables, and once
+# while these are made; 146 MB each measured with five.
+_BYTES_PER_TEXTURE = 5 * 12 * TEXTURE_PX**2
 _BYTES_PER_SAMPLE = 5 + 16  # an identity sample, and the sorting of it
 _BYTES_PER_PIXEL = 800  # radiance sums in double precision, buffers, channels on their way to files
 _BYTES_PER_TRIANGLE = 250  # mesh, the scene with its tree, normals' table; 242 measured on 60 spruces of 18 m

@@ -19,7 +19,7 @@ from forestgen.scene.courses import STEP_M
 from forestgen.scene.shaped_ground import ShapedGround
 from forestgen.scene.terrain import HeightField
 
-_DRAINED_M = 0.02
+_DRAINED_M = 0.01
 _BESIDE_M = 0.5  # of a path's edge, where water runs off
 _NONE_M = -1.0
 

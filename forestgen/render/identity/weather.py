@@ -2,8 +2,8 @@
 
 A film darkens what it soaks (scene/surfaces.py) and mirrors as water. Leaves and litter have it on their upper side. On
 wood and stones it lies where rain falls on them, aslant in wind, and runs down stems in streaks: bands around the
-stem, other ones on each plant, that wander slowly along it and get `_RUNNING` of a stem wet in still air. Bark beside
-them is damp. Bands and their share are numbers of ours. Water stands in hollows of the ground, level and smooth.
+stem, other ones on each plant, that wander slowly along it and get 60% of a stem wet in still air. Bark beside them is
+damp. Bands and their share are numbers of ours. Water stands in hollows of the ground, level and smooth.
 
 Snow is carried by shoots and branches, as loads of some neighbouring facets together. A load is a cushion: from above
 and from the side it hides what bears it, from below it does not. On stems it sticks to the windward side, in strips.
@@ -25,12 +25,13 @@ from forestgen.scene.surfaces import film_reflectances
 
 _BANDS = (2, 3, 5, 9)  # of water, around a stem
 _WANDER, _WANDER_PER_TILE = 1.2, 1.7  # radians, and how fast along the bark's texture
-_RUNNING, _EDGE = 0.6, 0.5  # share of a stem under streaks; half the width of their edges, standard deviations of bands
+# In standard deviations of bands: streaks are above this, 60% of a normal distribution, with edges of half this width.
+_ABOVE, _EDGE = -0.25, 0.5
 _ASLANT, _UPPER = 6.0, 3.0  # how much surer rain that falls on a surface wets it than streaks do
-_DAMP, _RELIEF = 0.2, 0.6  # share of the darkening beside streaks; share of wet wood that mirrors, for bark is uneven
+_DAMP, _RELIEF = 0.2, 0.6  # share of the darkening beside streaks; share of what soaks that mirrors
 _ROUGH = 0.15  # share of painted ground that mirrors: what lies there is too uneven for more
 _POOL_EDGE_M = 0.004  # depth below which grains stand out of a puddle
-_SNOW_GROUPS = (10, 7)  # bits of a face's number that are alike for neighbours: of a load on a branch, of a shoot
+_SNOW_GROUPS = (12, 9)  # bits of a face's number that are alike for neighbours: of a load on a branch, of a shoot
 # Vertical parts of normals: of the steepest wood that holds snow where all is under it; and of leaves, which together
 # hold it however each one stands.
 _STEEPEST, _LEVEL_LEAF = 0.15, 0.35
@@ -71,18 +72,14 @@ def film_on(tracer: SceneTracer, hits: Hits, corners: Places, normal: Any, along
     part = dr.gather(mi.UInt32, table.part, hits.organ, hits.valid)
     running = _bands(dr.atan2(normal.y, normal.x), along, _plant_of(tracer, hits))
     running += _ASLANT * aslant + _UPPER * up
-    # Bands have about a normal distribution: a share _RUNNING of it lies above -0.25.
-    running = _smooth_step((running + dr.opaque(mi.Float, _ABOVE) + _EDGE) / (2.0 * _EDGE))
+    running = _smooth_step((running - _ABOVE + _EDGE) / (2.0 * _EDGE))
     leaflike = _is_leaflike(part)
-    film = dr.select(leaflike, dr.clip(5.0 * up, 0.0, 1.0), _RELIEF * running) * share
+    film = dr.select(leaflike, dr.clip(5.0 * up, 0.0, 1.0), running) * dr.select(soaks > 0, _RELIEF, 1.0) * share
     soaked = dr.select(leaflike, 1.0, _DAMP + (1.0 - _DAMP) * running) * share
     soaked = dr.select(ground, dr.maximum(wet, pool), soaked)
     film = dr.select(ground, dr.maximum(_ROUGH * wet, pool), film)
     none = ~hits.valid | (soaks < 0)
     return Film(dr.select(none, 0.0, film), dr.select(none, 0.0, soaked * soaks), dr.select(ground, pool, 0.0))
-
-
-_ABOVE = 0.2533  # of a normal distribution, 60% lies above minus this: `_RUNNING`
 
 
 def darkened(colour: Any, soaked: Any, kept: Any) -> Any:
@@ -147,7 +144,7 @@ def under_snow(tracer: SceneTracer, hits: Hits, along: Any) -> UnderSnow:
     windward = sum(
         dr.opaque(mi.Float, one) * axis for one, axis in zip(snow.windward, (normal.x, normal.y), strict=True)
     )
-    strip = windward > 1.0 - _STRIP * share + _STRIP_EDGE * _bands(4.0 * along, along, plant)
+    strip = windward > 1.0 - _STRIP * share + _STRIP_EDGE * _bands(along, along, plant)
     on_wood = (up > least) | ((part == int(Part.TRUNK)) & strip)
     held, leaflike = hits.valid & (hits.instance > 0) & (part != int(Part.WATER)), _is_leaflike(part)
     return UnderSnow(held & dr.select(leaflike, leaf_covered, on_wood), held & dr.select(leaflike, leaf_seen, on_wood))
