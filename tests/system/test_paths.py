@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from shots import need_cuda, radiance
 from test_exact_light import ALBEDO, COLOURED, GREY, bare_ground, loaded, path, regions, two_lights, white_forest
 from test_exact_light import stand as leafy_stand
@@ -21,7 +22,7 @@ from forestgen.plants.bark.texture import bark_texture
 from forestgen.recipe.species import Bark
 from forestgen.render.capture import capture
 from forestgen.render.cloud_shadow import ShadowPlane
-from forestgen.render.identity import SceneTracer
+from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import along, sky_map
 from forestgen.render.paths.scattering import Local, face_tangents, paint_of
 from forestgen.render.paths.sun import Sun
@@ -392,6 +393,13 @@ def test_relief_of_bark_is_lit_as_mitsuba_lights_it(turn_deg):
         assert_same(images_of(spec, 10, 64), by_mitsuba(spec, 10, 64))
 
 
+def seen_albedo(spec: SceneSpec) -> NDArray[np.float32]:
+    """Label of the pixels on wood."""
+    tracer = SceneTracer(spec, Timings())
+    _, surface = trace_identity(tracer, spec.cameras[0], samples=1, timer=Timings(), advance=lambda rows: None)
+    return surface.albedo[surface.part == Part.TRUNK]
+
+
 def test_wood_has_the_tone_of_its_plant():
     """A convex post: all of its light but what it sends to itself by the ground goes with its reflectance."""
     spec = replace(post_scene(Material(REFLECTANCE, texture=leaning_texture())), sky=Sky(30.0, 200.0, 3.0))
@@ -400,6 +408,8 @@ def test_wood_has_the_tone_of_its_plant():
     assert abs(tone - 1.0) > 0.05
     plain, toned = (radiance(one, 16, seed=1).mean for one in (spec, replace(spec, bark_spread=spread)))
     np.testing.assert_allclose(toned.mean() / plain.mean(), tone, rtol=0.02)
+    plain, toned = (seen_albedo(one) for one in (spec, replace(spec, bark_spread=spread)))
+    np.testing.assert_allclose(toned / plain, tone, rtol=1e-5)
 
 
 def test_an_image_is_the_same_with_any_threads_and_blocks(monkeypatch):

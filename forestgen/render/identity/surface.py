@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import reduce
+from operator import or_
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,7 @@ from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, sample_off
 from forestgen.render.identity.weather import darkened, film_on, under_snow
 from forestgen.render.skies.model import casts_shadows
 from forestgen.render.variant import dr, mi
+from forestgen.scene.bark_tones import WOOD
 from forestgen.scene.motion import is_rolling
 from forestgen.scene.projection import projection_of, world_rays
 from forestgen.scene.spec import Camera
@@ -161,6 +164,7 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     u, v = vertex_uv(tracer, hits, corners, textured)
     offset, width, height = (dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + k, textured) for k in range(3))
     colour = dr.select(textured, bilinear(tracer.table.texel, offset, width, height, u, v, textured), mean)
+    colour = with_wood_tone(tracer, hits, colour, textured)
     of_ground = tracer.table.far_albedo, tracer.table.film_factor
     patches = patch_colours(tracer.table.patch_texture, tracer.table.texel, u, v, textured & (hits.instance == 0))
     shown = ground_colour(tracer, hits, corners, colour, of_ground, patches)
@@ -170,6 +174,16 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
     if tracer.spec.snow is not None:
         shown = dr.select(under_snow(tracer, hits, v).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
     return dr.select(hits.valid, shown, 0.0)
+
+
+def with_wood_tone(tracer: SceneTracer, hits: Hits, colour: Any, textured: Any) -> Any:
+    """The colours of textured wood with the tone of its plant; at most 1."""
+    if tracer.table.wood_tone is None:
+        return colour
+    part = dr.gather(mi.UInt32, tracer.table.part, hits.organ, textured)
+    is_wood = textured & reduce(or_, (part == int(one) for one in WOOD))
+    tone = dr.gather(mi.Float, tracer.table.wood_tone, hits.instance, is_wood)
+    return dr.select(is_wood, dr.minimum(colour * tone, 1.0), colour)
 
 
 def patch_colours(texture: Any | None, texel: Any, u: Any, v: Any, active: Any) -> list[Any]:

@@ -20,6 +20,7 @@ from forestgen.geometry.mesh import Mesh
 from forestgen.render.build import load, origin_of, plants_dict, to_mesh
 from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import LLVM, dr, mi, on_device, require, tracing_variant, using
+from forestgen.scene.bark_tones import bark_tones
 from forestgen.scene.colour import RGB
 from forestgen.scene.motion import is_rolling, row_poses, shutter_s
 from forestgen.scene.projection import DeviceRays, Projection, Rays, projection_of
@@ -38,9 +39,7 @@ class HitTables:
     """Everything that turns a hit into labels."""
 
     plant_id: NDArray[np.uint32]  # (1 + N,) by instance
-    exemplar: NDArray[
-        np.uint32
-    ]  # (1 + N,) index into SceneSpec.exemplars + 1; 0 for the terrain and without a plant_id
+    exemplar: NDArray[np.uint32]  # (1 + N,) 1 + index into SceneSpec.exemplars; 0: the terrain, or no plant_id
     rotation: NDArray[np.float32]  # (1 + N, 9) row-major inverse transpose of the instance's linear part
     first_organ: NDArray[np.uint32]  # (1 + N,) first organ of the instance's exemplar
     part: NDArray[np.uint8]  # (1 + O,) by organ
@@ -60,6 +59,7 @@ class HitTables:
     film_factor: tuple[float, float, float]  # of the wet ground's albedo
     patch_share: NDArray[np.float32] | None  # (K, VG) of the terrain's patches by vertex; None: there are none
     patch_texture: NDArray[np.uint32] | None  # (K, 3) as `texture`
+    wood_tone: NDArray[np.float32] | None  # (1 + N,) by instance: of textured wood; None: no plant differs
     soaks: NDArray[np.float32] | None = None  # (1 + O,) share of a film's darkening; -1 of water; None: no rain
     film_share: NDArray[np.float32] | None = None  # (VG,) of the ground, by vertex
     pool_m: NDArray[np.float32] | None = None  # (VG,)
@@ -138,10 +138,15 @@ def hit_tables(spec: SceneSpec) -> HitTables:
         film_factor=(film_red, film_green, film_blue),
         patch_share=np.stack([one.share for one in terrain.overlays]) if terrain.overlays else None,
         patch_texture=patch_rows(patches, [first_texel[id(one)] for one in patches]),
+        wood_tone=_wood_tone(spec) if spec.bark_spread else None,
         soaks=None if spec.film is None else np.array([1.0, *(_soaks(*organ) for organ in organs)], dtype=np.float32),
         film_share=None if spec.film is None else spec.film.ground,
         pool_m=None if spec.film is None else spec.film.pool_m,
     )
+
+
+def _wood_tone(spec: SceneSpec) -> NDArray[np.float32]:
+    return np.append(np.float32(1.0), bark_tones(spec.instances.plant_id, spec.bark_spread))
 
 
 def _soaks(part: Part, mesh: Mesh, material: Material) -> float:

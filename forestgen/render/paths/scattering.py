@@ -16,12 +16,11 @@ from forestgen.render.identity.interpolation import (
     vertex_uv,
     weighted_sum,
 )
-from forestgen.render.identity.surface import ground_colour, patch_colours
+from forestgen.render.identity.surface import ground_colour, patch_colours, with_wood_tone
 from forestgen.render.identity.tracer import NONE, Hits, SceneTracer, organs_of, patch_rows, uploaded
 from forestgen.render.identity.weather import darkened, film_on, under_snow
 from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import dr, mi
-from forestgen.scene.bark_tones import WOOD, bark_tones
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import SceneSpec
 from forestgen.scene.surfaces import FILM_WAY_M, film_factor, ground_texture
@@ -148,20 +147,6 @@ def paint_of(spec: SceneSpec, channels: Channels) -> Paint:
 
 
 @dataclass(frozen=True)
-class _Tones:
-    """How bright the wood of plants is."""
-
-    is_wood: NDArray[np.uint32]  # (1 + O,) by organ
-    tone: Array  # (1 + N,) by instance
-
-
-def _tones(spec: SceneSpec) -> _Tones:
-    is_wood = [False, *(part in WOOD for part, _, _ in organs_of(spec))]
-    tone = bark_tones(spec.instances.plant_id, spec.bark_spread)
-    return _Tones(np.asarray(is_wood, np.uint32), np.concatenate([[1.0], tone]).astype(np.float32))
-
-
-@dataclass(frozen=True)
 class Local:
     """A surface at P points, its normals on the side that the paths came from."""
 
@@ -271,7 +256,6 @@ class Surfaces:
 
     def __init__(self, tracer: SceneTracer) -> None:
         self._tracer, self._relief = tracer, uploaded(relief_tables(tracer.spec))
-        self._tone = None if tracer.spec.bark_spread == 0.0 else uploaded(_tones(tracer.spec))
 
     def absorption(self, water: Any) -> Any:
         """Color3f, 1/m, of the water below surfaces of organs (UInt32); 0 of others."""
@@ -311,10 +295,7 @@ class Surfaces:
         patches = patch_colours(self._relief.patch_texture, self._paint.texel, u, v, textured & (hits.instance == 0))
         colour = ground_colour(tracer, hits, corners, colour, of_ground, patches)
         matt = dr.select(textured, colour, matt)
-        if self._tone is not None:
-            is_wood = dr.gather(mi.UInt32, self._tone.is_wood, hits.organ, textured) > 0
-            tone = dr.gather(mi.Float, self._tone.tone, hits.instance, is_wood)
-            matt = dr.select(is_wood, dr.minimum(matt * tone, 1.0), matt)
+        matt = with_wood_tone(tracer, hits, matt, textured)
         through = dr.gather(mi.Color3f, self._paint.through, hits.organ, valid)
         gloss = dr.gather(mi.Vector3f, self._paint.gloss, hits.organ, valid)
         chance = dr.gather(mi.Vector2f, self._paint.chance, hits.organ, valid)
