@@ -190,7 +190,7 @@ class _Branches:
         out = bark[:, None] + np.cumsum(way * step_m[:, None, None], axis=1)
         thick = 0.5 * law.thickness * whole_m[:, None]
         radius = thick * (1.0 - _TAPER * share * (left_m / whole_m).clip(0.0, 1.0)[:, None])
-        radius[:, 1:] *= np.exp(rng.normal(0.0, _UNEVEN, kink.shape)) * (1.0 - _LOST) ** (np.cumsum(kink, 1) - 1)
+        radius[:, 1:] *= np.exp(rng.normal(0.0, _UNEVEN, kink.shape)) * (1.0 - _LOST) ** np.cumsum(kink, 1)
         radius = np.minimum(np.concatenate([radius[:, :1], radius, radius[:, -1:]], axis=1), 0.7 * bearer_m[:, None])
         across = unit(np.cross(way[:, -1], rng.normal(size=(count, 3))))
         splinter = out[:, -1] + radius[:, -1:] * (_SPLINTER[0] * way[:, -1] + _SPLINTER[1] * across)

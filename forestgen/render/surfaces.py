@@ -221,14 +221,14 @@ class Surface:
     textured: bool  # reflects `relief_colour` in place of the matt colour, by facets that lean as the texture's normals
 
 
-def is_textured(part: Part, material: Material, *, has_uv: bool) -> bool:
+def is_textured(material: Material, *, has_uv: bool) -> bool:
     """Whether an organ shows its material's texture, which needs a mesh with uv."""
     return material.texture is not None and has_uv
 
 
 def surface_of(part: Part, material: Material, channels: Channels, *, has_uv: bool) -> Surface:
     """The surface of an organ. Wood lets no light through."""
-    textured = is_textured(part, material, has_uv=has_uv)
+    textured = is_textured(material, has_uv=has_uv)
     if part not in LEAFLIKE:
         material = replace(material, transmittance=(0.0, 0.0, 0.0), transmittance_spectrum=None)
     is_glossy = (part in LEAFLIKE or not textured) and gloss_share(material) > 0

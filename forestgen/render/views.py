@@ -52,7 +52,7 @@ def build_view(job: RenderJob, progress: Progress, timer: Timer, tracer: SceneTr
     for found, what, where, leave_out in (
         (job.spec.fog or job.spec.snow is not None, "other weather", "weather", "the weather"),
         (has_water(job.spec), "water", "site.water", "site.water"),
-        (job.camera.motion, "camera that moves", f"cameras.{job.camera.name}.motion", "the camera's motion"),
+        (job.camera.motion, "a camera that moves", f"cameras.{job.camera.name}.motion", "the camera's motion"),
     ):
         if job.is_exact and found:
             raise exact_light_error(what, where, leave_out, chosen=False)

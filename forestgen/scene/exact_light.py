@@ -1,4 +1,4 @@
-"""What light that is traced through the clouds' volume does not know."""
+"""What cannot be combined with light that is traced through the clouds' volume."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ def chooses_exact(drawn: DrawnRecipe) -> bool:
 
 
 def exact_light_error(what: str, where: str, leave_out: str, *, chosen: bool) -> RecipeError:
-    """That it knows no `what`. `chosen`: by the recipe; else clouds came near the plants."""
+    """That it cannot be combined with `what`. `chosen`: by the recipe; else clouds came near the plants."""
     expected, got = "clouds far above the plants", "clouds near the plants"
     hint = f"leave out {leave_out}, or raise the clouds"
     if chosen:
         expected, got, hint = "render.clouds: farfield or auto", "exact", f"{hint} and leave render.clouds out"
-    problem = f"light through the clouds' volume knows no {what}"
+    problem = f"light through the clouds' volume cannot be combined with {what}"
     return RecipeError(problem, where=where, expected=expected, got=got, hint=hint)

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -166,7 +167,7 @@ def _laid(
         lay = _lay_singly if mean < _FEWEST else _lay_tiles
         found = [lay(layer, at[near], height, seed)]
         if layer.heaped_m > 0.0:
-            found.append(heaps(layer, at[near], *stems, height, seed))
+            found.append(heaps(layer, at[near], partial(local_cover, layer, seed=seed), *stems, height, seed))
         for made, index, transform in found:
             which.append(index + len(exemplars))
             places.append(transform)

@@ -50,14 +50,15 @@ def leaf_class_of_plant(drawn: DrawnRecipe, population: Population) -> NDArray[n
 def colour_stages(drawn: DrawnRecipe) -> dict[str, Callable[[float], tuple[float, ...]]]:
     """By species, shares of `SEASONS` in the leaves of a plant that is some standard deviations late in autumn.
 
-    Of species whose plants are in one class; others are early or late as plants.
+    Of species whose plants are in one class, and whose materials have no season of their own; in more classes plants
+    are early or late.
     """
     if drawn.recipe.plants.phenology_classes > 1:
         return {}
     return {
         name: partial(_colours, one.phenology, drawn.recipe.time_of_year)
         for name, one in drawn.species.items()
-        if one.phenology is not None
+        if one.phenology is not None and all(leaf.season is None for leaf in one.materials.values())
     }
 
 

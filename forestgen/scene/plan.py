@@ -374,9 +374,10 @@ def _check_clouds(views: Views) -> None:
         for index, section in enumerate(drawn.recipe.cameras):
             if section.motion is not None:
                 where = drawn.where("cameras", index, "motion")
-                raise exact_light_error("camera that moves", where, "the camera's motion", chosen=True)
+                raise exact_light_error("a camera that moves", where, "the camera's motion", chosen=True)
     base_m = source.known_base_m(drawn)
-    if base_m is None or drawn.recipe.render.clouds != "farfield":
+    cirrus = cirrus_above(drawn)
+    if base_m is None or (drawn.recipe.render.clouds != "farfield" and cirrus is None):
         return
     for index, (section, cameras) in enumerate(zip(drawn.recipe.cameras, views.cameras, strict=True)):
         highest_m = max(camera.position_m[2] for camera in cameras)
@@ -385,7 +386,8 @@ def _check_clouds(views: Views) -> None:
             key = place_key(section, path=later)
             problem, where = "the camera stands in or above the clouds", drawn.where("cameras", index, *key)
             expected = f"a height below sky.clouds.base_m = {base_m:g} m"
-            hint = "set render.clouds to exact; or lower the camera, raise base_m, or set sky.clouds to none"
+            instead = "set render.clouds to exact" if cirrus is None else "leave out sky.clouds.cirrus"
+            hint = f"{instead}; or lower the camera, raise base_m, or set sky.clouds to none"
             raise RecipeError(problem, where=where, expected=expected, got=f"{highest_m:g} m", hint=hint)
 
 

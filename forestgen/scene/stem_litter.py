@@ -33,6 +33,7 @@ _UPHILL = 2.5  # growth of the height on the upper side, over the slope
 _STEP_M = 0.15  # on which the slope is taken
 
 Ints = NDArray[np.intp]
+Cover = Callable[[Floats], Floats]
 Height = Callable[[Floats, Floats], Floats]
 
 
@@ -62,11 +63,11 @@ def foot_factors(plants: Mapping[str, Any], names: Sequence[str]) -> Floats:
 
 
 def heaps(
-    layer: Layer, at: Ints, population: Population, foot: Floats, height: Height, seed: int
+    layer: Layer, at: Ints, cover: Cover, population: Population, foot: Floats, height: Height, seed: int
 ) -> tuple[list[Exemplar], Ints, Floats]:
     """Exemplars, (K,) which, and (K, 3, 4) where: around the stems that stand on tiles (T, 2) that have the layer.
 
-    `foot`: (S,) see `foot_factors`.
+    `cover`: of places (K, 2), the layer's share of the ground. `foot`: (S,) see `foot_factors`.
     """
     dbh_m = np.nan_to_num(population.columns.get("dbh_m", np.zeros(len(population))))
     stands = (dbh_m > _LEAST_DBH_M) & (population.status != Status.DEAD)
@@ -74,24 +75,27 @@ def heaps(
     known = set(map(tuple, at.tolist()))
     stems = [k for k in np.flatnonzero(stands).tolist() if tuple(tile[k].tolist()) in known]
     factor = foot[population.species]
-    made = [_around(population, k, float(dbh_m[k]), float(factor[k]), layer, height, seed) for k in stems]
-    if not made:
+    if not stems:
         return [], np.zeros(0, np.intp), np.zeros((0, 3, 4))
+    share = (1.0 - _MISSING) * cover(population.position_m[stems, :2])
+    made = [
+        _around(population, k, float(dbh_m[k]), float(factor[k]), float(most), layer.name, height, seed)
+        for k, most in zip(stems, share, strict=True)
+    ]
     transform = np.concatenate(made)
     return [heap(layer, k, seed) for k in range(VARIANTS)], np.arange(len(transform)) % VARIANTS, transform
 
 
 def _around(
-    population: Population, row: int, dbh_m: float, factor: float, layer: Layer, height: Height, seed: int
+    population: Population, row: int, dbh_m: float, factor: float, share: float, name: str, height: Height, seed: int
 ) -> Floats:
-    """(K, 3, 4) of the heaps of one stem."""
-    rng = child_rng(seed, "heaps", layer.name, int(population.plant_id[row]))
+    """(K, 3, 4) of the heaps of one stem, of a share of the places around it."""
+    rng = child_rng(seed, "heaps", name, int(population.plant_id[row]))
     radius_m = 0.5 * factor * dbh_m
     count = int(np.ceil(2.0 * np.pi * radius_m / (0.6 * _WIDE_M)))
     angle = 2.0 * np.pi * (np.arange(count) + rng.uniform(-0.35, 0.35, count) + rng.random()) / count
     foot = population.position_m[row, :2]
-    cover = layer.cover * (1.0 if layer.where is None else float(layer.where(*foot[:, None])[0]))
-    angle = angle[rng.random(count) < (1.0 - _MISSING) * cover]
+    angle = angle[rng.random(count) < share]
     out = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     place = foot + out * radius_m
     ground, beyond = height(*place.T), height(*(place + _STEP_M * out).T)

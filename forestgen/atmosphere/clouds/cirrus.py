@@ -93,7 +93,7 @@ def cirrus_above(drawn: DrawnRecipe) -> CirrusSection | None:
 def check_cirrus_above(drawn: DrawnRecipe) -> None:
     """Raise `RecipeError` for cirrus that light cannot reach."""
     if drawn.recipe.render.clouds == "exact" and cirrus_above(drawn) is not None:
-        problem = "light through the clouds' volume knows no cirrus above"
+        problem = "light through the clouds' volume cannot be combined with cirrus above them"
         where, hint = drawn.where("sky", "clouds", "cirrus"), "leave out the cirrus, or leave render.clouds out"
         raise RecipeError(problem, where=where, expected="render.clouds: farfield or auto", got="exact", hint=hint)
 

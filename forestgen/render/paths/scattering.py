@@ -61,8 +61,8 @@ def relief_tables(spec: SceneSpec) -> ReliefTables:
     whole = (0, ground.shape[1], ground.shape[0]) if spec.terrain.mesh.uv is not None else (0, 0, 0)
     texture, first_tangent, tangents = [whole], [NONE], []
     texels, faces, known = len(normals[0]), 0, dict[int, int]()
-    for part, mesh, material in organs_of(spec):
-        if not is_textured(part, material, has_uv=mesh.uv is not None):
+    for _, mesh, material in organs_of(spec):
+        if not is_textured(material, has_uv=mesh.uv is not None):
             texture.append((0, 0, 0))
             first_tangent.append(NONE)
             continue

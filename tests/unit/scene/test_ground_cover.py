@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -101,7 +102,9 @@ def test_litter_is_heaped_against_stems() -> None:
     found = replace(found, columns={"dbh_m": np.where(np.arange(40) % 2, dbh_m, 0.0)})
     tiles = np.stack(np.meshgrid(np.arange(50), np.arange(50)), axis=-1).reshape(-1, 2)
     foot = np.array([1.5])
-    made, which, transform = heaps(layer, tiles, found, foot, lambda x, y: 0.3 * x + 0.0 * y, 3)
+    made, which, transform = heaps(
+        layer, tiles, partial(local_cover, layer, seed=3), found, foot, lambda x, y: 0.3 * x + 0.0 * y, 3
+    )
     stems = found.position_m[1::2, :2]
     away = transform[:, None, :2, 3] - stems
     apart = np.linalg.norm(away, axis=2)
@@ -111,7 +114,7 @@ def test_litter_is_heaped_against_stems() -> None:
     np.testing.assert_allclose(transform[:, 2, 3], 0.3 * transform[:, 0, 3])
     uphill = away[np.arange(len(apart)), nearest, 0] > 0.0
     assert transform[uphill, 2, 2].mean() > 1.5 * transform[~uphill, 2, 2].mean()
-    assert not len(heaps(layer, tiles[:0], found, foot, lambda x, y: x, 3)[2])
+    assert not len(heaps(layer, tiles[:0], partial(local_cover, layer, seed=3), found, foot, lambda x, y: x, 3)[2])
     points = np.concatenate([one.mesh.vertices_m for k in set(which.tolist()) for one in made[k].organs])
     near, far = points[points[:, 0] < 0.04, 2], points[points[:, 0] > 0.2, 2]
     assert np.percentile(near, 90) > 2.0 * np.percentile(far, 90)
