@@ -49,7 +49,7 @@ _MOST_SIDES = 5
 _THIN_M = 0.004  # radius: thinner branches have every other node, no collar and no splinter
 _CROOKED_DEG, _KINK_DEG = 7.0, 26.0  # standard deviation of the turn from node to node, and at a kink
 _KINKS = 0.3  # share of the nodes
-_LOST = 0.12  # of the radius, at a kink
+_LOST = 0.12  # of the radius, at a kink; `thickness` is that beyond the first
 _UNEVEN = 0.15  # standard deviation of the logarithm of the radius
 _UPTURN_DEG = 40.0  # of a whole branch's tip
 _SPLINTER = (2.4, 0.8)  # ahead and aside, over the radius at the break
@@ -190,7 +190,7 @@ class _Branches:
         out = bark[:, None] + np.cumsum(way * step_m[:, None, None], axis=1)
         thick = 0.5 * law.thickness * whole_m[:, None]
         radius = thick * (1.0 - _TAPER * share * (left_m / whole_m).clip(0.0, 1.0)[:, None])
-        radius[:, 1:] *= np.exp(rng.normal(0.0, _UNEVEN, kink.shape)) * (1.0 - _LOST) ** np.cumsum(kink, 1)
+        radius[:, 1:] *= np.exp(rng.normal(0.0, _UNEVEN, kink.shape)) * (1.0 - _LOST) ** (np.cumsum(kink, 1) - 1)
         radius = np.minimum(np.concatenate([radius[:, :1], radius, radius[:, -1:]], axis=1), 0.7 * bearer_m[:, None])
         across = unit(np.cross(way[:, -1], rng.normal(size=(count, 3))))
         splinter = out[:, -1] + radius[:, -1:] * (_SPLINTER[0] * way[:, -1] + _SPLINTER[1] * across)

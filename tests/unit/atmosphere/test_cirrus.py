@@ -17,7 +17,7 @@ def depth_of(wind: tuple[float, float], seed: int = 1, **keys: float) -> np.ndar
 
 
 def test_the_cloudy_part_has_the_optical_depth_asked_for() -> None:
-    depth = depth_of((1.0, 0.0), cover=0.5, optical_depth=0.3)
+    depth = depth_of((1.0, 0.0), cover=0.5, optical_depth=0.3, extent_m=45000.0)
     assert depth.mean() == pytest.approx(0.15, rel=0.01)
     assert 0.4 < (depth > 0.01).mean() < 0.8  # streaks reach out of their patches
     assert depth.max() < 5.0
