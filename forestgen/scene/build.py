@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.phenology import SUMMER, fallen_lately
 from forestgen.scene import bark_tones
 from forestgen.scene.building import building_materials
-from forestgen.scene.exemplar_plan import TREE_SIZES
+from forestgen.scene.exemplar_plan import TREE_SIZES, ExemplarPlan
 from forestgen.scene.exemplars import SizeError
 from forestgen.scene.ground_cover import ground_cover
 from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_planned, species_seen
@@ -39,7 +40,7 @@ from forestgen.scene.tree_exemplars import instance_scales, tree_sizes_of
 from forestgen.scene.trunks import Trunks
 from forestgen.scene.views import check_trunks, drawn_cameras, next_frame
 from forestgen.scene.water_surface import with_land, with_water
-from forestgen.scene.weather.kind import has_relief, in_weather, weather_notes
+from forestgen.scene.weather.kind import has_relief, in_weather, laid_m, weather_notes
 from forestgen.scene.wind import Sway, spec_at, sway_in
 
 Timer = Callable[[str], AbstractContextManager[None]]
@@ -99,15 +100,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         clouds = below_cirrus(request, cloud_source_of(drawn).grid(request))
     with timer("scene"):
         lying = lying_plants(population)
-        instances = place_instances(
-            stand.obstacles.turned(population),
-            chosen.exemplar_of_plant,
-            exemplars,
-            drawn.image_seed,
-            stands_for_m=np.where(chosen.dead > 0, chosen.tree[:, 0], chosen.stands_for(population.height_m)),
-            tree=chosen.tree,
-            is_unique=chosen.is_unique,
-        )
+        instances = _instances(plan, population, chosen, exemplars)
         plant = chosen.first_plant(population.plant_id)
         base_materials = _materials(plan, population)
         varied = vary_leaves(exemplars, base_materials, plant, drawn.image_seed, colour_stages(drawn))
@@ -119,7 +112,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         trunks = Trunks(exemplars, around.plants)
         views = drawn_cameras(drawn, trunks)
         stems = Circles(*(trunks.circles_m(_STEM_BASE_M) if recipe.weather else _NO_STEMS))
-        terrain = _terrain(plan, population, around.reach_m, stems)
+        terrain = _terrain(plan, population, around.reach_m, stems, views)
         spec = SceneSpec(
             exemplars=around.exemplars,
             materials=around.materials,
@@ -133,14 +126,37 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         ground = ground_cover(plan, population, spec.cameras)
         spec = ground.on(with_near_plants(spec, leaves_of(plan, chosen, exemplars), recipe.time_of_year))
         spec = with_water(spec, height, recipe.wind.speed_m_per_s, drawn.image_seed)
-        spec = in_weather(spec, drawn, height, stems)
+        spec, in_snow = _in_weather(plan, spec, stems, views)
         known = (*simulated.notes, *kept_off, *ground.notes, *weather_notes(drawn))
-        notes = [*_notes(plan, known), *check_trunks(drawn, views, trunks)]
+        notes = [*_notes(plan, known), *check_trunks(drawn, views, trunks), *in_snow]
         notes += [*plan.views.check_outside_of_buildings(), *infrared_notes(base_materials, plan.views.all_cameras)]
         sway = _sway(drawn, instances, exemplars, around)
     errors = errors_of_sizes(plan, population, chosen, exemplars)
     repeated = around.source[: len(around.plants)] if recipe.site.surroundings.kind == "repeat" else None
     return BuiltScene(plan, spec, population, errors, sway, tuple(dict.fromkeys(notes)), around.population, repeated)
+
+
+def _instances(plan: Plan, population: Population, chosen: ExemplarPlan, exemplars: Sequence[Exemplar]) -> Instances:
+    """The plants of the site."""
+    return place_instances(
+        plan.community.obstacles.turned(population),
+        chosen.exemplar_of_plant,
+        exemplars,
+        plan.drawn.image_seed,
+        stands_for_m=np.where(chosen.dead > 0, chosen.tree[:, 0], chosen.stands_for(population.height_m)),
+        tree=chosen.tree,
+        is_unique=chosen.is_unique,
+    )
+
+
+def _in_weather(plan: Plan, spec: SceneSpec, stems: Circles, views: list[list[Camera]]) -> tuple[SceneSpec, list[str]]:
+    """The scene in its weather, and notes on cameras in snow that lies. Raises `RecipeError` for those."""
+    drawn, height = plan.drawn, plan.views.height
+    notes = []
+    if has_relief(drawn):
+        laid = partial(laid_m, spec, drawn, height, stems)
+        notes = replace(plan.views, cameras=views, laid_m=laid).check_above_ground()
+    return in_weather(spec, drawn, height, stems), notes
 
 
 def _notes(plan: Plan, known: Sequence[str]) -> list[str]:
@@ -187,13 +203,15 @@ def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
     return layers_around(population, rows, plan.views.height, rng, plan.views.all_cameras)
 
 
-def _terrain(plan: Plan, population: Population, reach_m: float, stems: Circles) -> Terrain:
-    """The ground. `reach_m`: how far from the site's edge the stand goes on."""
+def _terrain(
+    plan: Plan, population: Population, reach_m: float, stems: Circles, views: Sequence[Sequence[Camera]]
+) -> Terrain:
+    """The ground. `reach_m`: how far from the site's edge the stand goes on. `views`: cameras, on their ways."""
     height, kind, seed = plan.views.height, plan.drawn.recipe.site.ground.kind, plan.drawn.image_seed
     wetness, fresh = wetness_of(plan.community, population), _fresh_litter(plan, population)
     meshed = height
     if has_relief(plan.drawn):
-        eyes_m = np.array([camera.position_m for camera in plan.views.all_cameras])
+        eyes_m = np.array([camera.position_m for entry in views for camera in entry])
         meshed = FinerGround(height.size_m, height, stems, eyes_m)
     terrain = build_terrain(meshed, child_rng(seed, "terrain", "colour"), kind, wetness, reach_m, fresh)
     return with_land(terrain, height, plan.drawn.recipe.wind.speed_m_per_s, seed)

@@ -3,11 +3,12 @@
 Crowns. Under a spruce lay 34% of the snow beside it (Hardy and Albert 1995). Here crowns keep a share `_MOST_KEPT`
 (1 - exp(-L / 2)) of it, L being the leaf area over a place, whose crowns are parabolas: about that much below the
 middle of one spruce, and nothing below bare trees. Large spruces so stand in bowls (Sturm 1992). Mean depths over the
-site are the recipe's: what lies in the open lies there instead of under crowns, and what crowns carry comes on top.
+site are the recipe's: what lies in the open lies there instead of under crowns, and what crowns carry comes on top. But
+no open place has more than `_MOST_OPEN` of the mean, drifts and mounds left out: in dense stands more is below crowns.
 
 Wells. Around a stem it is a third less deep at the bark, and by e less so a `_WELL_M` away: as far as wind and warmth
 of stems work. Thin stems have shallow ones. Mounds stand over low plants and stumps. Drifts are waves. The numbers of
-wells, mounds and drifts are ours.
+wells, mounds and drifts are ours, and so are those of bark around stems and of where the mesh is fine.
 
 References
 ----------
@@ -18,7 +19,7 @@ Sturm, M. (1992): Snow distribution and heat flow in the taiga. Arctic and Alpin
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,10 @@ from forestgen.scene.spec import SceneSpec
 from forestgen.scene.terrain import FINE_M, SITE_CELL_M, HeightField
 
 _MOST_KEPT = 0.7  # by dense crowns
-_CELL_M, _BEYOND_M = 0.25, 20.0  # of the map of crowns, and how far from the site it goes
+_MOST_OPEN = 1.0 / 0.6  # depth in the open over the mean
+# Of the map of crowns: cells, how far from the site it goes, and the last of it, where it fades into its border's mean.
+_CELL_M, _BEYOND_M, _FADE_M = 0.25, 20.0, 8.0
+_MOST_POINTS, _AT_ONCE, _ROUNDS = 200_000, 50_000, 12  # of the site, for the mean; and towards it
 _WELL, _WELL_M, _THIN_M = 1.0 / 3.0, 0.3, 0.06  # depth, width, and the radius of stems with the whole depth
 _BARK_M = 0.6  # around stems, where bark and twigs lie
 _LOW_M, _MOUND, _MOUND_M = 1.0, 0.6, 0.3  # height of what has a mound, the mound's over it, and its least radius
@@ -74,7 +78,7 @@ class SnowDepth:
     low: Circles  # low plants and stumps
     low_m: Floats  # their heights
     waves: Waves
-    scale: float = 1.0  # of the depth between stems and crowns over the mean
+    scale: float = 1.0  # of the depth between stems and crowns over the mean, where it is not too deep
 
     @classmethod
     def of(
@@ -82,17 +86,28 @@ class SnowDepth:
     ) -> SnowDepth:
         """Of a scene's plants. `stems`: standing ones."""
         leaf, low, low_m = _plants(spec)
-        first = cls(depth_m, _kept_by(leaf, size_m), stems, low, low_m, Waves.of(rng))
-        x, y = np.meshgrid(*((np.arange(int(side / _CELL_M)) + 0.5) * _CELL_M for side in size_m))
-        share = first.share(np.column_stack([x.ravel(), y.ravel()]))
-        return cls(depth_m, first.kept, stems, low, low_m, first.waves, 1.0 / max(float(share.mean()), 1e-3))
+        first = cls(depth_m, _faded(_kept_by(leaf, size_m)), stems, low, low_m, Waves.of(rng))
+        return replace(first, scale=first._scale(size_m))
+
+    def _scale(self, size_m: tuple[float, float]) -> float:
+        """With which the mean is 1 over a grid of at most about `_MOST_POINTS` points of the site."""
+        step_m = max(_CELL_M, float(np.sqrt(size_m[0] * size_m[1] / _MOST_POINTS)))
+        sides = [(np.arange(n) + 0.5) * side / n for side in size_m for n in [max(int(side / step_m), 1)]]
+        places = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+        parts = [places[k : k + _AT_ONCE] for k in range(0, len(places), _AT_ONCE)]
+        crowns = np.concatenate([self._between_crowns(part) for part in parts])
+        stems = np.concatenate([self._between_stems(part) for part in parts])
+        scale = 1.0
+        for _ in range(_ROUNDS):
+            scale /= float(np.mean(np.minimum(scale * crowns, _MOST_OPEN) * stems))
+        return scale
 
     def below_crowns(self, place_m: Floats) -> Floats:
         """(K,) share of the snow that crowns keep, over the most."""
         from scipy.ndimage import map_coordinates
 
         at = (place_m[:, ::-1].T + _BEYOND_M) / _CELL_M - 0.5
-        return np.asarray(map_coordinates(self.kept, at, order=1, mode="nearest")) / _MOST_KEPT
+        return np.asarray(map_coordinates(self.kept, at, order=1, mode="constant", cval=self.kept[0, 0])) / _MOST_KEPT
 
     def wells(self, place_m: Floats, width_m: float = _WELL_M) -> Floats:
         """(K, _NEAREST) how far places lie in wells of such a width, 1 at the bark of stems that are not thin."""
@@ -105,12 +120,18 @@ class SnowDepth:
 
     def share(self, place_m: Floats) -> Floats:
         """(K,) depth at places over that in the open, without drifts and mounds."""
-        between = np.prod(1.0 - _WELL * self.wells(place_m), axis=1)
-        return np.asarray(between * (1.0 - _MOST_KEPT * self.below_crowns(place_m)))
+        return self._between_stems(place_m) * self._between_crowns(place_m)
+
+    def _between_stems(self, place_m: Floats) -> Floats:
+        return np.asarray(np.prod(1.0 - _WELL * self.wells(place_m), axis=1))
+
+    def _between_crowns(self, place_m: Floats) -> Floats:
+        return 1.0 - _MOST_KEPT * self.below_crowns(place_m)
 
     def at(self, place_m: Floats) -> Floats:
         """(K,) metres."""
-        deep = self.depth_m * self.scale * self.share(place_m) + drifts(place_m, self.depth_m, self.waves)
+        crowns = np.minimum(self.scale * self._between_crowns(place_m), _MOST_OPEN)
+        deep = self.depth_m * crowns * self._between_stems(place_m) + drifts(place_m, self.depth_m, self.waves)
         most = 1.5 * self.depth_m  # higher ones stick out
         width_m = np.maximum(0.7 * self.low.radius_m, _MOUND_M)
         middles = Circles(self.low.place_m, np.zeros(len(width_m)))
@@ -132,6 +153,7 @@ class FinerGround(HeightField):
 
     @property
     def fine_m2(self) -> float:
+        """Above 0, so that the mesh asks for fine cells; estimates count them apart, by `FINE_TRIANGLES`."""
         return self.base.fine_m2 + 1.0
 
     def _height(self, x_m: Floats, y_m: Floats) -> Floats:
@@ -207,3 +229,10 @@ def _kept_by(leaves: _Leaves, size_m: tuple[float, float]) -> Floats:
         near = 1.0 - (east**2 + north[:, None] ** 2) / radius**2
         part += 2.0 * area / (np.pi * radius**2) * np.maximum(near, 0.0)
     return _MOST_KEPT * (1.0 - np.exp(-0.5 * index))
+
+
+def _faded(kept: Floats) -> Floats:
+    """A map of crowns that ends in one number, its border's mean."""
+    border = np.concatenate([kept[0], kept[-1], kept[:, 0], kept[:, -1]]).mean()
+    row, column = (np.minimum(np.arange(n), np.arange(n)[::-1]) * _CELL_M / _FADE_M for n in kept.shape)
+    return np.asarray(border + np.clip(np.minimum(row[:, None], column), 0.0, 1.0) * (kept - border))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,11 +62,12 @@ def _bands(drawn: DrawnRecipe) -> dict[SensorFile, tuple[Band, ...]]:
 
 @dataclass(frozen=True)
 class Views:
-    """The cameras of a drawn recipe above its ground; walks go straight, for no trunks are known yet."""
+    """The cameras of a drawn recipe above its ground; by `of`, walks go straight, for no trunks are known yet."""
 
     drawn: DrawnRecipe
     height: HeightField
     cameras: list[list[Camera]]  # of each entry
+    laid_m: Callable[[Floats], Floats] | None = None  # by how much weather raises the ground; None: plants are unknown
 
     @classmethod
     def of(cls, drawn: DrawnRecipe) -> Views:
@@ -109,18 +110,24 @@ class Views:
             cameras = with_their_ways(entry)
             at_m = np.array([camera.position_m for camera in cameras], dtype=np.float64)
             is_dry = self.height.level(*at_m[:, :2].T) <= self.height(*at_m[:, :2].T)  # no snow lies on water
-            deep = np.where(is_dry, raised_m(self.drawn, at_m[:, :2]), 0.0)
+            laid = raised_m(self.drawn, at_m[:, :2]) if self.laid_m is None else self.laid_m(at_m[:, :2])
+            deep = np.where(is_dry, laid, 0.0)
             above = at_m[:, 2] - self.height.surface(*at_m[:, :2].T) - deep
             found += [(index, cameras[k], float(above[k])) for k in np.flatnonzero(above < LEAST_ABOVE_GROUND_M)]
         return found
 
-    def check_above_ground(self) -> None:
-        """Raise `RecipeError` for a camera below the ground or its snow, unless its entry's `obstructed` is a note."""
+    def check_above_ground(self) -> list[str]:
+        """Notes on cameras below the ground or its snow, of entries whose `obstructed` is a note.
+
+        Raises `RecipeError`: a camera of another entry, with its line.
+        """
+        notes = []
         for index, camera, above_m in self._below_ground():
             surface, way_out = self._lowest(camera), "raise it"
             problem = f"the camera {camera.name} stands below {surface}"
             expected = f"at least {LEAST_ABOVE_GROUND_M * 100:g} cm above {surface}"
-            _note_or_error(self.drawn, index, problem, expected, f"{above_m:.3g} m", way_out)
+            notes.append(_note_or_error(self.drawn, index, problem, expected, f"{above_m:.3g} m", way_out))
+        return notes
 
     def check_outside_of_buildings(self) -> list[str]:
         """Notes on cameras inside of buildings, which see dark walls, of entries whose `obstructed` is a note.

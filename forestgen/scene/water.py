@@ -4,7 +4,7 @@ The ground is carved: the bed is a bowl or a channel below the level, as steep a
 until it meets the ground as it was. A pond's level is below all ground around its shore, so that nothing runs out on
 a slope. A stream's level falls, or stays, all along to its lower end, and is below the ground beside it: where the
 ground rises on its way it cuts in. A stream that meets a pond of the list before it has that pond's level there.
-Nothing is mirrored or carried by a surface here: render/paths/water.py has the light.
+Nothing is mirrored or carried by a surface here: render/paths/water.py has the light. Slopes of banks are ours.
 
 Waves
 -----

@@ -1,4 +1,7 @@
-"""Surfaces of water and other grounds of a shaped ground as the renderer takes them."""
+"""Surfaces of water and other grounds of a shaped ground as the renderer takes them.
+
+The numbers of rims of mud and moist soil are ours.
+"""
 
 from __future__ import annotations
 

@@ -9,12 +9,16 @@ import pytest
 
 from forestgen.core.progress import Timings
 from forestgen.core.randomness import child_rng
+from forestgen.recipe.spectra import load_table
 from forestgen.render.identity import SceneTracer, trace_identity
 from forestgen.render.light import sky_map
+from forestgen.render.paths.scattering import Surfaces, fresnel
 from forestgen.render.paths.tracer import PathTracer
+from forestgen.render.variant import dr, mi
+from forestgen.scene import snow_depth
 from forestgen.scene.colour import RGB
 from forestgen.scene.snow_depth import Circles, FinerGround, SnowDepth
-from forestgen.scene.spec import SceneSpec, Sky, SnowCover
+from forestgen.scene.spec import Material, SceneSpec, Sky, SnowCover, WetFilm
 from forestgen.scene.terrain import HeightField, build_terrain, terrain_mesh
 from forestgen.scene.weather.snow_cover import raised
 from support.scenes import camera_at, scattered_scene
@@ -69,6 +73,33 @@ def test_the_light_meets_the_snow_that_the_labels_know() -> None:
     assert np.median(light[1][snowy] / light[0][snowy]) > 1.5
 
 
+@pytest.mark.parametrize("wet", [None, 0.05, 1.0])
+def test_no_leaf_in_snow_or_rain_makes_light(wet: float | None) -> None:
+    """Pale leaves in all positions, seen from the side: what comes back and goes through is at most 1."""
+    spec = stand(True, 0.8 if wet is None else None)
+    leaf = Material((0.49, 0.49, 0.49), (0.47, 0.47, 0.47), gloss=0.03, roughness=0.3)
+    camera = camera_at((10.0, -6.0, 6.0), (10.0, 10.0, 6.0), (96, 64), 50.0)
+    spec = replace(spec, materials=dict.fromkeys(spec.materials, leaf), cameras=(camera,))
+    if wet is not None:
+        none = np.zeros(len(spec.terrain.mesh.vertices_m), np.float32)
+        water = load_table("standards/water")["absorption_per_m"]
+        spec = replace(spec, film=WetFilm(wet, (0.0, 0.0), none, none - 1.0, water))
+    tracer = SceneTracer(spec, Timings())
+    surfaces = Surfaces(tracer)
+    for _, hits in tracer.by_rows(camera, np.array([0.5, 0.5]), 10_000):
+        surfaces.show(RGB)
+        local = surfaces.at(hits)
+        mirrored = local.gloss.x * fresnel(mi.Float(1.0), local.gloss.z)
+        total = np.array(local.matt.x + local.through.x + dr.select(local.gloss.x > 0, mirrored, 0.0))
+        seen, passes = np.array(local.matt.x) == np.float32(WHITE[0]), np.array(local.chance.x) > 0
+        assert total.max() < 1.001
+        assert not (seen & passes).any()
+        assert seen.any() == (wet is None)
+        if wet == 0.05:
+            shines = np.array(mirrored)[passes]
+            assert shines.min() > 0.95 * shines.max() > 0.02, "hardly duller than a dry leaf"
+
+
 def depth_in(spec: SceneSpec, stems: Circles = NO_STEMS) -> SnowDepth:
     return SnowDepth.of(0.3, spec, stems, (20.0, 20.0), child_rng(2))
 
@@ -85,7 +116,7 @@ def test_what_crowns_keep_lies_in_the_open(trees: int) -> None:
     spec = replace(leafy, instances=leafy.instances.at(slice(0, trees)))
     depth, at = depth_in(spec), places()
     assert depth.at(at).mean() == pytest.approx(0.3, abs=0.01)
-    assert depth.share(at).mean() * depth.scale == pytest.approx(1.0, abs=0.005)
+    assert (depth.share(at).mean() * depth.scale == pytest.approx(1.0, abs=0.005)) == (trees < 60), "is capped"
     if trees == 3:
         below = depth.share(spec.instances.transform[:, :2, 3])
         assert depth.share(at).max() == 1.0
@@ -105,6 +136,30 @@ def test_wells_stand_around_stems() -> None:
     assert thick[-1] > 0.999
     assert 0.9 < thin[0] < 1.0
     assert depth.share(places()).mean() * depth.scale == pytest.approx(1.0, abs=0.002)
+
+
+def test_snow_in_the_open_around_a_dense_stand_is_not_deep_and_the_map_has_no_stripes() -> None:
+    leafy = scattered_scene(200, size_m=20.0, leaves=60_000, exemplars=3)
+    depth = depth_in(leafy)
+    still = replace(
+        depth, waves=replace(depth.waves, phase=0.0 * depth.waves.phase, wave_per_m=0.0 * depth.waves.wave_per_m)
+    )
+    assert depth.scale > 1.7
+    away = still.at(np.array([[-15.0, 10.0], [-500.0, 3.0], [400.0, 700.0]]))
+    assert np.allclose(away, 0.3 / 0.6, atol=1e-3)
+    shifted = replace(leafy.instances, transform=leafy.instances.transform + np.array([0, 0, 0, -18.0]))
+    border = depth_in(replace(leafy, instances=shifted))
+    ways = np.column_stack([np.full(200, -19.0), np.linspace(-19.0, 39.0, 200)])
+    assert np.ptp(border.below_crowns(ways)) > 0.02
+    assert np.ptp(border.below_crowns(ways - [1.2, 0.0])) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_mean_needs_few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    leafy = scattered_scene(60, size_m=20.0, leaves=20_000)
+    whole = depth_in(leafy).scale
+    monkeypatch.setattr(snow_depth, "_MOST_POINTS", 900)
+    monkeypatch.setattr(snow_depth, "_AT_ONCE", 64)
+    assert depth_in(leafy).scale == pytest.approx(whole, rel=0.03)
 
 
 def test_drifts_have_their_mean_depth_and_the_mesh_is_finer_near_cameras() -> None:

@@ -3,10 +3,12 @@
 A film darkens what it soaks (scene/surfaces.py) and mirrors as water. Leaves and litter have it on their upper side. On
 wood and stones it lies where rain falls on them, aslant in wind, and runs down stems in streaks: bands around the
 stem, other ones on each plant, that wander slowly along it and get 60% of a stem wet in still air. Bark beside them is
-damp. Bands and their share are numbers of ours. Water stands in hollows of the ground, level and smooth.
+damp. Water stands in hollows of the ground, level and smooth.
 
 Snow is carried by shoots and branches, as loads of some neighbouring facets together. A load is a cushion: from above
 and from the side it hides what bears it, from below it does not. On stems it sticks to the windward side, in strips.
+
+All numbers below, of bands, shares, slopes, cushions and strips, are ours.
 """
 
 from __future__ import annotations
@@ -52,9 +54,12 @@ class Film:
 
 @dataclass(frozen=True)
 class UnderSnow:
-    """Which hits of plants and things have snow on their upper side."""
+    """Which hits of plants and things have snow on their upper side.
 
-    covered: Any  # Bool, so that no light goes through
+    Snow may be seen on a leaf too steep to be covered, for loads are cushions: light goes through neither.
+    """
+
+    covered: Any  # Bool, whatever side the ray comes from
     seen: Any  # Bool, from where the ray comes
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from forestgen.core.parts import Part
 from forestgen.geometry.mesh import Mesh
 from forestgen.render.identity.interpolation import (
     bilinear_places,
@@ -23,7 +24,7 @@ from forestgen.render.surfaces import is_textured, relief_colour, surface_of
 from forestgen.render.variant import dr, mi
 from forestgen.scene.colour import Channels
 from forestgen.scene.spec import SceneSpec
-from forestgen.scene.surfaces import FILM_WAY_M, film_factor, ground_texture
+from forestgen.scene.surfaces import FILM_WAY_M, film_factor, film_reflectances, ground_texture
 
 Array = NDArray[np.float32]
 WATER_INDEX = 1.333
@@ -246,9 +247,22 @@ def visible_facet(view: Any, width: Any, first: Any, second: Any) -> Any:
     return dr.normalize(mi.Vector3f(width * facet.x, width * facet.y, dr.maximum(facet.z, 1e-6)))
 
 
-_FILM_WIDTH, _POOL_WIDTH = 0.12, 0.02  # of the facets of a film on what it covers, and of puddles
+# Numbers of ours. Widths of the facets of a film on what it covers, and of puddles.
+_FILM_WIDTH, _POOL_WIDTH = 0.12, 0.02
 _FILM_CHANCE, _POOL_CHANCE = 0.3, 0.5  # of paths to meet them
 _SNOW_SMOOTH = 1.0  # how far the normals of snow on leaves and wood turn up: its surface is smoother than what bears it
+
+
+def _with_film(gloss: Any, share: Any, width: Any) -> Any:
+    """Vector3f: the gloss of a surface of which a share mirrors as water, by facets of a width.
+
+    One lobe, which reflects what both together do, from straight ahead and grazing.
+    """
+    scale = gloss.x + share * (1.0 - gloss.x)
+    film = share / dr.maximum(scale, 1e-6)
+    own, water = dr.square((gloss.z - 1.0) / (gloss.z + 1.0)), ((WATER_INDEX - 1.0) / (WATER_INDEX + 1.0)) ** 2
+    root = dr.sqrt(own + film * (water - own))
+    return mi.Vector3f(scale, gloss.y + film * (width - gloss.y), (1.0 + root) / (1.0 - dr.minimum(root, 0.999)))
 
 
 class Surfaces:
@@ -303,17 +317,21 @@ class Surfaces:
             film = film_on(tracer, hits, corners, normal, v)
             matt = darkened(matt, film.soaked, self._kept)
             mirrors = film.share > 0
+            part = dr.gather(mi.UInt32, tracer.table.part, hits.organ, valid)
+            skin = (film.soaked == 0) & (part != int(Part.LITTER))  # of living leaves: other colours are darkened
+            matt = dr.select(skin, matt * (1.0 - film.share * film_reflectances()[0]), matt)
             width = _FILM_WIDTH + film.pool * (_POOL_WIDTH - _FILM_WIDTH)
-            gloss = dr.select(mirrors, mi.Vector3f(film.share, width, WATER_INDEX), gloss)
+            gloss = dr.select(mirrors, _with_film(gloss, film.share, width), gloss)
             chance.y = dr.select(mirrors, _FILM_CHANCE + film.pool * (_POOL_CHANCE - _FILM_CHANCE), chance.y)
             normal = dr.select(
                 film.pool > 0, dr.normalize(normal + film.pool * (mi.Vector3f(0, 0, 1) - normal)), normal
             )
         if tracer.spec.snow is not None:
             snow = under_snow(tracer, hits, v)
-            matt, through = dr.select(snow.seen, self._snow, matt), dr.select(snow.covered, 0.0, through)
+            dark = snow.covered | snow.seen
+            matt, through = dr.select(snow.seen, self._snow, matt), dr.select(dark, 0.0, through)
             gloss.x = dr.select(snow.seen, 0.0, gloss.x)
-            chance.x, chance.y = dr.select(snow.covered, 0.0, chance.x), dr.select(snow.seen, 0.0, chance.y)
+            chance.x, chance.y = dr.select(dark, 0.0, chance.x), dr.select(snow.seen, 0.0, chance.y)
             smooth = dr.normalize(normal + _SNOW_SMOOTH * mi.Vector3f(0.0, 0.0, 1.0))
             normal = dr.select(snow.seen & (dr.dot(smooth, towards) > 0), smooth, normal)
             textured &= ~snow.seen

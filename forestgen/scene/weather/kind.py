@@ -53,8 +53,12 @@ class WeatherKind(Generic[KeysT]):
         """Raise `RecipeError`, before the simulation, for what the recipe cannot have."""
 
     def raised_m(self, keys: KeysT, drawn: DrawnRecipe, place_m: Floats) -> Floats:
-        """(N,) by how much it raises the ground at places (N, 2), metres."""
+        """(N,) by about how much it raises the ground at places (N, 2), metres, before plants are known."""
         return np.zeros(len(place_m))
+
+    def laid_m(self, keys: KeysT, spec: SceneSpec, request: WeatherRequest, place_m: Floats) -> Floats:
+        """(N,) by how much it raises the ground of a scene at places (N, 2), metres."""
+        return self.raised_m(keys, request.drawn, place_m)
 
     def is_relief(self, keys: KeysT) -> bool:
         """Whether it has a relief of its own, for which the ground's mesh is finer near cameras."""
@@ -128,9 +132,18 @@ def has_relief(drawn: DrawnRecipe) -> bool:
 
 
 def raised_m(drawn: DrawnRecipe, place_m: Floats) -> Floats:
-    """(N,) by how much the weather raises the ground at places (N, 2), metres."""
+    """(N,) by about how much the weather raises the ground at places (N, 2), metres, before plants are known."""
     kinds = [(WEATHER.load(keys.what), keys) for keys in drawn.recipe.weather]
     return sum((kind.raised_m(keys, drawn, place_m) for kind, keys in kinds), np.zeros(len(place_m)))
+
+
+def laid_m(spec: SceneSpec, drawn: DrawnRecipe, ground: HeightField, stems: Circles, place_m: Floats) -> Floats:
+    """(N,) by how much the weather raises the ground of a scene at places (N, 2), metres."""
+    parts = [
+        WEATHER.load(keys.what).laid_m(keys, spec, WeatherRequest(drawn, ground, stems, ("weather", index)), place_m)
+        for index, keys in enumerate(drawn.recipe.weather)
+    ]
+    return sum(parts, np.zeros(len(place_m)))
 
 
 def weather_notes(drawn: DrawnRecipe) -> list[str]:

@@ -105,10 +105,13 @@ class Rain(WeatherKind[RainKeys]):
 
 
 def wetted(spec: SceneSpec, keys: RainKeys, wind_m_per_s: tuple[float, float], ground: HeightField) -> SceneSpec:
-    """The scene with a film of water on its surfaces, but for what lies under water."""
+    """The scene with a film of water on its surfaces, but for what lies under water. Soil that was wet stays so."""
     x, y, z = spec.terrain.mesh.vertices_m.astype(np.float64).T
     falls = float(fall_m_per_s(np.array(_MEDIAN_VOLUME / slope_per_mm(keys.rate_mm_per_h))))
-    share = keys.wet * (ground.level(x, y) <= z) * (1.0 - spec.terrain.far_share)
+    near = 1.0 - spec.terrain.far_share
+    share = keys.wet * (ground.level(x, y) <= z) * near
+    if spec.terrain.wet is not None:
+        share = np.maximum(share, spec.terrain.wet.share * near)
     film = WetFilm(
         share=keys.wet,
         slant=(wind_m_per_s[0] / falls, wind_m_per_s[1] / falls),

@@ -4,7 +4,7 @@
   mounds over low plants (scene/snow_depth.py). The ground rises by it, and what is lower is hidden. Needles and bits of
   bark lie on it, most below crowns. Ponds and streams stay open. It has the reflectance of `ground/snow`: fresh dry
   snow, computed by Kokhanovsky and Zege (2004) from the absorption of ice (Warren and Brandt 2008). 40% of the land
-  around lies under it.
+  around lies under it. Sizes and shares of what fell on it are numbers of ours.
 - On plants it lies on sides that face up: on level wood, stones and roofs, and on a share of the leaves and needles,
   load by load. The more of it lies, the steeper is the wood that holds it. Loads look like cushions: white from above
   and from the side, dark from below. On stems it sticks in strips to the side of `site.wind_from_deg`. It takes all
@@ -70,6 +70,9 @@ class Snow(WeatherKind[SnowKeys]):
     def raised_m(self, keys: SnowKeys, drawn: DrawnRecipe, place_m: Floats) -> Floats:
         return np.maximum(keys.depth_m + drifts(place_m, keys.depth_m, Waves.of(_rng(drawn))), 0.0)
 
+    def laid_m(self, keys: SnowKeys, spec: SceneSpec, request: WeatherRequest, place_m: Floats) -> Floats:
+        return _depth(keys, spec, request).at(place_m) if keys.depth_m > 0 else np.zeros(len(place_m))
+
     def is_relief(self, keys: SnowKeys) -> bool:
         return keys.depth_m > 0
 
@@ -84,7 +87,7 @@ class Snow(WeatherKind[SnowKeys]):
             return spec
         vertices = spec.terrain.mesh.vertices_m.astype(np.float64)
         wet = request.ground.level(*vertices[:, :2].T) > vertices[:, 2]
-        depth = SnowDepth.of(keys.depth_m, spec, request.stems, request.ground.size_m, _rng(request.drawn))
+        depth = _depth(keys, spec, request)
         rng = child_rng(request.drawn.image_seed, "snow_cover", "colour")
         texture = with_mean(SNOW.pattern(rng), colour)
         littered = _littered(texture, colour, np.where(wet, 0.0, depth.littered(vertices[:, :2])), rng)
@@ -127,6 +130,10 @@ def _littered(
     mixture = GroundMixture((np.float32(1.0) - bits)[..., None] * snow, colour, spectrum, (part,))
     cover = (_EVERYWHERE + (1.0 - _EVERYWHERE) * littered).astype(np.float32)
     return GroundPatch(cover, mixture.image(), colours_of_surface(mean, None)[0], mean, mixture)
+
+
+def _depth(keys: SnowKeys, spec: SceneSpec, request: WeatherRequest) -> SnowDepth:
+    return SnowDepth.of(keys.depth_m, spec, request.stems, request.ground.size_m, _rng(request.drawn))
 
 
 def _rng(drawn: DrawnRecipe) -> np.random.Generator:

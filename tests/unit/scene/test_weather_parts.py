@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -9,10 +12,10 @@ from forestgen.core.errors import RecipeError
 from forestgen.recipe.load import DrawnRecipe, load_recipe_data
 from forestgen.render.cloud_shadow import check_far_clouds
 from forestgen.scene.snow_depth import Circles
-from forestgen.scene.spec import SceneSpec
+from forestgen.scene.spec import SceneSpec, WetGround
 from forestgen.scene.terrain import HeightField
 from forestgen.scene.views import Views
-from forestgen.scene.weather.kind import check_weather, in_weather
+from forestgen.scene.weather.kind import check_weather, in_weather, laid_m, raised_m
 from support.error_messages import raises_error
 from support.scenes import plain_ground, scattered_scene
 
@@ -45,6 +48,17 @@ def test_the_order_of_the_list_is_the_same_scene() -> None:
     assert np.array_equal(one.terrain.texture, other.terrain.texture)
 
 
+def test_light_rain_leaves_wet_soil_wet() -> None:
+    terrain = plain_ground(-40.0, 80.0, 2, albedo=0.3)
+    share = np.linspace(0.0, 1.0, len(terrain.mesh.vertices_m), dtype=np.float32)
+    moist = replace(terrain, wet=WetGround(share, (0.1, 0.1, 0.1), None))
+    spec = scattered_scene(1, exemplars=1, leaves=4, terrain=moist)
+    stems = Circles(np.zeros((0, 2)), np.zeros(0))
+    rainy = in_weather(spec, drawn_in({**RAIN, "wet": 0.3}), HeightField((40.0, 40.0)), stems)
+    assert rainy.film is not None
+    np.testing.assert_allclose(rainy.film.ground, np.maximum(share, 0.3), rtol=1e-6)
+
+
 def test_a_kind_twice_is_refused() -> None:
     with raises_error(RecipeError, place="weather.2.what"):
         check_weather(drawn_in(RAIN, FOG, RAIN))
@@ -58,6 +72,24 @@ def test_a_camera_in_the_snow_is_told() -> None:
     noted.check_above_ground()
     assert noted.below_ground == {"mole": "the snow"}
     Views.of(drawn_in({**SNOW, "depth_m": 0.3}, cameras=[camera])).check_above_ground()
+
+
+def test_a_camera_in_the_snow_that_crowns_leave_to_the_open_is_told() -> None:
+    """Its depth is known with the scene alone."""
+    leafy = scattered_scene(200, size_m=40.0, leaves=60_000, exemplars=3)
+    stems, ground = Circles(np.zeros((0, 2)), np.zeros(0)), HeightField((40.0, 40.0))
+    over_m = 0.5 + float(raised_m(drawn_in(SNOW), np.array([[-15.0, 20.0]]))[0])
+    for obstructed in ("error", "note"):
+        camera = {"position_m": [-15, 20, over_m], "look_at_m": [20, 30, 2], "name": "mole", "obstructed": obstructed}
+        drawn = drawn_in(SNOW, cameras=[camera])
+        early = Views.of(drawn)
+        assert early.check_above_ground() == []
+        late = replace(early, laid_m=partial(laid_m, leafy, drawn, ground, stems))
+        if obstructed == "note":
+            assert late.check_above_ground() == ["the camera mole stands below the snow"]
+        else:
+            with raises_error(RecipeError):
+                late.check_above_ground()
 
 
 @pytest.mark.parametrize("weather", [FOG, RAIN, SNOW])
