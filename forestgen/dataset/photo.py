@@ -74,15 +74,19 @@ def photo_of(raw: Raw, jpeg: Jpeg) -> Photo:
     """The picture of a raw image of three colours."""
     light = linear_colours(raw)
     kelvin = _D65_K if jpeg.white_balance == "daylight" else grey_temperature(light)
-    white_rgb, luminance = daylight_rgb(kelvin), np.array(LUMINANCE)
-    gain = _GAIN * (luminance @ white_rgb) / white_rgb
+    white_rgb = daylight_rgb(kelvin)
+    gain = _GAIN * (np.array(LUMINANCE) @ white_rgb) / white_rgb
     white = float(gain.min())
     exposed = np.minimum(light * gain, white)  # saturation is white in all channels
-    grey = (exposed @ luminance)[..., None]
-    exposed = grey + jpeg.saturation * (exposed - grey)
-    picture = filmic(exposed.clip(0.0).astype(np.float32), white, jpeg.contrast)
+    picture = filmic(saturated(exposed, jpeg.saturation).astype(np.float32), white, jpeg.contrast)
     facts = {"file": NAME, "temperature_k": kelvin, **jpeg.model_dump()}
     return Photo(picture, _encoded(picture, jpeg.quality, raw.facts), facts)
+
+
+def saturated(light: Floats, share: float) -> Floats:
+    """(H, W, 3) with another share of each pixel's difference from its luminance, not below 0."""
+    grey = (light @ np.array(LUMINANCE))[..., None]
+    return np.asarray((grey + share * (light - grey)).clip(0.0))
 
 
 def with_photo(folder: Path, raw: Raw, exposure: Exposure) -> Raw:

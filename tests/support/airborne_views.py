@@ -13,6 +13,7 @@ from PIL import Image, ImageDraw
 
 import forestgen as fg
 from forestgen.core.spectrum import LUMINANCE
+from forestgen.dataset.photo import saturated
 from forestgen.dataset.tonemap import CONTRAST, filmic
 from support.airborne import Box, Floats, Mask, Picture, boxes_of, crowns_and_ground, encoded, linear, sunlit
 
@@ -108,8 +109,7 @@ def developed(folder: Path) -> Floats:
         light = np.maximum(counts - facts["black_level"], 0.0) * facts["radiance_per_dn"][name]
         planes.append(np.pi * light / white[name])
     rgb = np.stack(planes, axis=-1) @ np.array(facts["colour_matrix"]).T
-    grey = (rgb @ LUMINANCE)[..., None]
-    return np.asarray(np.maximum(grey + facts["photo"]["saturation"] * (rgb - grey), 0.0))
+    return saturated(rgb, facts["photo"]["saturation"])
 
 
 def contrast_of(folder: Path) -> float:
