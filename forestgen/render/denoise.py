@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from forestgen.atmosphere.optical_depth import distance_to_depth, optical_depth
 from forestgen.render.identity.interpolation import corners_of, shading_normal
-from forestgen.render.identity.surface import SAMPLES, Values, albedo, sun_visible, unhidden
+from forestgen.render.identity.surface import SAMPLES, Values, albedo, spread_rank, sun_visible, unhidden
 from forestgen.render.identity.tracer import LENS_STEPS, Hits, SceneTracer
 from forestgen.render.light import has_sun
 from forestgen.render.paths.fog import Fog
@@ -39,7 +39,6 @@ Floats = NDArray[np.float64]
 _SHADE = 0.15  # light in the open shade, by that of a surface that faces the sun
 _HIDDEN, _HIDDEN_BY_DAY = 0.2, 0.5  # shade where the sky is hidden, by that in the open; more beside sunlit leaves
 _SHADE_EVERY = 4  # samples of which one is tried in the shade beside the sun's light, for the time that it takes
-_PLACES = 37  # of the sky, between one sample's and the next one's; it has no divisor in common with `SAMPLES`
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
         smooth = shading_normal(tracer, hits, corners, facing)
         sunlit = sun_visible(tracer, camera, hits, facing)
         every, hidden = (_SHADE_EVERY, _HIDDEN_BY_DAY) if casts_shadows(tracer.spec.sky) else (1, _HIDDEN)
-        number = dr.arange(mi.UInt32, dr.width(hits.distance_m)) % SAMPLES
+        number = dr.arange(mi.UInt32, dr.width(hits.distance_m))
         to_sky = _sky_place(number)
         is_open = unhidden(tracer, camera, hits, facing, to_sky, hits.valid & ~sunlit & (number % every == 0))
         # Of all places over level ground the mean cosine is a half.
@@ -108,8 +107,8 @@ def with_clouds(guides: Guides, spec: SceneSpec, camera: Camera, sky: Floats) ->
 
 def _sky_place(number: Any) -> Any:
     """Unit direction upwards of a pixel's sample: even over the half sphere."""
-    up = (mi.Float(number * _PLACES % SAMPLES) + 0.5) / SAMPLES
-    sine, cosine = dr.sincos(2 * np.pi * mi.Float(number * LENS_STEPS[1] >> 8) * 2.0**-24)
+    up = (mi.Float(spread_rank(number)) + 0.5) / SAMPLES
+    sine, cosine = dr.sincos(2 * np.pi * mi.Float(number % SAMPLES * LENS_STEPS[1] >> 8) * 2.0**-24)
     level = dr.sqrt(1.0 - up * up)
     return mi.Vector3f(level * cosine, level * sine, up)
 

@@ -20,9 +20,10 @@ are taken to be equally bright. K is known under a clear or overcast sky; with c
 that see nothing but sky.
 
 Haze in shadow, as between the stems of a forest, shines less: the sun's part of the airlight counts by the share of the
-haze before a surface that the sun shines on, the rest by the share of the sky's upper half that is open there. Each of
-the identity pass' rays asks at one place, chosen by what the haze there adds, one way. Light that surfaces nearby send
-into shaded haze is left out.
+haze before a surface that the sun shines on, the rest by the share of the sky's upper half that is open there. Of the
+identity pass' rays some ask at one place, chosen by what the haze there adds, one way: one in eight where the haze is
+thin, all of them where it scatters 5% of the light or more. Light that surfaces nearby send into shaded haze is left
+out.
 
 Valid while the haze is thin over the scene: light on its way to a plant is not dimmed, and blur is left out. Beyond an
 optical depth of about 1 to the farthest plants, fog should be simulated (`sky.clouds`); `haze_notes` in
@@ -67,7 +68,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
 from forestgen.render.cloud_shadow import base_of, shadow_of
 from forestgen.render.frame import Radiance
-from forestgen.render.identity.surface import SAMPLES, Values
+from forestgen.render.identity.surface import SAMPLES, Values, spread_rank
 from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.light import along, sky_map, sun_irradiance
 from forestgen.render.paths.fog import Fog
@@ -90,6 +91,7 @@ _DARK_AIR_DEG = 1.0  # below the horizon: the sun shines on no air nearby
 _LEVEL_SINE = 0.17  # of the elevation at which airlight has nearly left the horizon's colour
 _CLOUD_BLUR_PX = 3.0
 _THIN = 1e-3  # of an optical depth, which is then the share that is scattered
+_LEAST_ASKED, _ALL_ASK = 1 / 8, 0.05  # share of the rays that ask; share of light scattered from which on all do
 _SCALE_HEIGHT_M = 1500.0  # of the haze on the way to clouds
 
 
@@ -301,9 +303,9 @@ def seen_values(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats) -
         ray = dr.zeros(mi.Float, dr.width(hits.distance_m))
         through = [dr.exp(-dr.opaque(mi.Float, float(value)) * hits.distance_m) for value in extinction_per_m]
         seen = [dr.select(good, 1.0, 0.0) + ray, dr.select(surface, 1.0, 0.0) + ray]
-        scattered, to_sun, comes = _light_between(tracer, camera, hits, fog, dr.opaque(mi.Float, mean_per_m))
-        scattered = dr.select(hits.valid, scattered, dr.select(surface, 1.0, 0.0)) + ray
-        light = [dr.select(asks, scattered, 0.0) for asks in (~to_sun, to_sun)]
+        weight, to_sun, comes = _light_between(tracer, camera, hits, fog, dr.opaque(mi.Float, mean_per_m))
+        weight = dr.select(hits.valid, weight, dr.select(surface, 1.0, 0.0)) + ray
+        light = [dr.select(asks, weight, 0.0) for asks in (~to_sun, to_sun)]
         light += [dr.select(hits.valid, one * comes, one) for one in light]
         return seen + [dr.select(hits.valid, one, 0.0) for one in through] + light
 
@@ -313,29 +315,32 @@ def seen_values(tracer: SceneTracer, camera: Camera, extinction_per_m: Floats) -
 def _light_between(
     tracer: SceneTracer, camera: Camera, hits: Hits, fog: Fog | None, extinction_per_m: Any
 ) -> tuple[Any, Any, Any]:
-    """Float, of rays: the share of light that haze scatters before the hit. Bool: whether a place there was asked for
-    the sun, not the sky. Float: the share of that light that comes there and on to the camera, past what stands in the
-    way and through fog.
+    """Of rays. Float: the share of light that haze scatters before the hit, over the share of rays like it that ask; 0
+    for those that do not. Bool: whether a place there is asked for the sun, not the sky. Float: the share of that
+    light that comes there and on to the camera, past what stands in the way and through fog.
     """
     direction, start = hits.rays.direction, tracer.start_of(camera, hits.rays) + mi.Vector3f(0.0)
     bits = [dr.reinterpret_array(mi.UInt32, one) for one in (direction.x, direction.y, start.x, start.y)]
     first = mi.sample_tea_32(bits[0], bits[1], 4)
     first = mi.sample_tea_32(first[0] ^ bits[2], first[1] ^ bits[3], 4)
-    place, way, rise, turn = (mi.Float(one >> 8) * 2.0**-24 for one in (*first, *mi.sample_tea_32(*first, 4)))
+    place, rise, turn = (mi.Float(one >> 8) * 2.0**-24 for one in (*first, mi.sample_tea_32(*first, 4)[0]))
     depth = extinction_per_m * hits.distance_m
     thin = depth < _THIN
     scattered = dr.select(thin, depth, 1.0 - dr.exp(-depth))
     into_m = dr.select(thin, place * hits.distance_m, -dr.log(1.0 - place * scattered) / extinction_per_m)
     into_m = dr.minimum(into_m, hits.distance_m)
+    rank = spread_rank(dr.arange(mi.UInt32, dr.width(hits.distance_m)))
+    asked = dr.clip(scattered / _ALL_ASK, _LEAST_ASKED, 1.0)
+    asks = hits.valid & (mi.Float(rank) + 0.5 < SAMPLES * asked)
     sine, (turn_sine, turn_cosine) = dr.safe_sqrt(1.0 - rise * rise), dr.sincos(2.0 * np.pi * turn)
-    to_sun = way < 0.5
+    to_sun = (rank & 1) == 1
     towards = dr.select(to_sun, tracer.to_light, mi.Vector3f(sine * turn_cosine, sine * turn_sine, rise))
     at = start + direction * into_m
-    hidden = tracer.scene.ray_test(mi.Ray3f(at, towards), coherent=False, active=hits.valid)
+    hidden = tracer.scene.ray_test(mi.Ray3f(at, towards), coherent=False, active=asks)
     comes = dr.select(hidden, 0.0, mi.Float(1.0))
     if fog is not None:
         comes *= fog.kept(start, direction, into_m) * fog.through(at, towards)
-    return scattered, to_sun, comes
+    return dr.select(asks, scattered / asked, 0.0), to_sun, comes
 
 
 def seen_of(sums: NDArray[np.float32]) -> Seen:

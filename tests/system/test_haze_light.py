@@ -185,7 +185,7 @@ def test_guides_and_haze_share_their_rays():
 
 def test_haze_under_a_roof_is_in_shadow():
     """The sun overhead, and a roof over 60 of the 200 m to the ground that is seen: 70% of the haze is sunny."""
-    camera = camera_at((0.0, 0.0, 2.0), (0.0, 200.0, 0.0), (4, 4), hfov_deg=0.01)
+    camera = camera_at((0.0, 0.0, 2.0), (0.0, 200.0, 0.0), (16, 16), hfov_deg=0.01)
     bare = stand(camera, 300_000.0, plants=1)
     corners = np.array([[-3000, 0, 9], [3000, 0, 9], [3000, 60, 9], [-3000, 60, 9]], np.float32)
     roof = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))

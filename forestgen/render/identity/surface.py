@@ -33,6 +33,7 @@ from forestgen.scene.spec import Camera
 
 Values = Callable[[Hits], Sequence[Any]]
 SAMPLES = 64  # a pixel, of `pixel_sums`: what the denoiser's guides and the haze need to know of a view
+_RANK_STEP = 37  # from one sample's rank to the next one's; it has no divisor in common with `SAMPLES`
 _RAYS_AT_ONCE, _SUMMED_AT_ONCE = 2_000_000, 1_000_000
 # Of the largest coordinate, a metre at least: shadow rays start this far above their surface. Single precision places
 # a hit to within a few times 6e-8 of it, in the scene's frame and again in the instance's.
@@ -106,6 +107,11 @@ def pixel_sums(tracer: SceneTracer, camera: Camera, wanted: Sequence[Values]) ->
         dr.eval(sums)
         blocks.append([np.array(group).reshape(len(group), -1, camera.size_px[0]) for group in sums])
     return [np.concatenate(parts, axis=1) for parts in zip(*blocks, strict=True)]
+
+
+def spread_rank(ray: Any) -> Any:
+    """Ranks of 0 to `SAMPLES` - 1 by the number of rays of `pixel_sums`: the first of a pixel lie all over it."""
+    return ray % SAMPLES * _RANK_STEP % SAMPLES
 
 
 def empty_surface(height: int, width: int) -> Surface:
