@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 
 from forestgen.geometry.mesh import Floats
 from forestgen.scene.motion import with_their_ways
-from forestgen.scene.projection import project, projection_of
+from forestgen.scene.projection import project, projection_of, rays
 from forestgen.scene.spec import Camera
 from forestgen.scene.terrain import HeightField
 
 TILE_M = 1.0
 LEAST_PX = 1.0  # length of a thing that is drawn
-FAR_M = 120.0
+FAR_M = 120.0  # from a camera that does not look down with all of its image
 MOST_TILES = 24_000  # in a scene
 _NEAR_M = 3.0  # around a camera, tiles are drawn behind it, too: their light and shadow may be in view
-_WIDEST_M = 400.0  # of what a camera of parallel rays may have as tiles
+_WIDEST_M = 400.0  # of what a camera that looks down may have as tiles
+_STEEP = 0.5  # sine of the angle of the rays of such a camera with the level
 
 Ints = NDArray[np.intp]
 
@@ -51,14 +52,15 @@ def tiles_before(camera: Camera, height: HeightField, length_m: float) -> tuple[
     """The tiles that one camera sees, in no order, and their distance as above."""
     projection, place = projection_of(camera), np.asarray(camera.position_m)
     pixel_at_1_m = float(projection.finest_pixel_m(camera, np.array([1.0]))[0])
+    reach_m, footprint = length_m / LEAST_PX / pixel_at_1_m, _footprint(camera, height)
     if projection.is_parallel:
         if length_m < LEAST_PX * pixel_at_1_m:
             return np.zeros((0, 2), np.intp), np.zeros(0)
-        middle_m, half_m = _footprint(camera, height)
         reach_m = np.inf
-    else:
-        reach_m = min(FAR_M, length_m / LEAST_PX / pixel_at_1_m)
-        middle_m, half_m = place[:2], np.full(2, reach_m)
+    elif footprint is None:
+        reach_m = min(FAR_M, reach_m)
+        footprint = place[:2], np.full(2, reach_m)
+    middle_m, half_m = footprint
     low, high = np.floor((middle_m - half_m) / TILE_M), np.ceil((middle_m + half_m) / TILE_M)
     columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
     at = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.intp)
@@ -89,17 +91,20 @@ def in_view(cameras: Sequence[Camera], middle_m: Floats, radius_m: float) -> NDA
     return found
 
 
-def _footprint(camera: Camera, height: HeightField) -> tuple[Floats, Floats]:
-    """(2,) middle and (2,) half sides, metres, of what a camera of parallel rays sees of the ground, at most
-    `_WIDEST_M` wide.
+def _footprint(camera: Camera, height: HeightField) -> tuple[Floats, Floats] | None:
+    """(2,) middle and (2,) half sides, metres, of what a camera sees of the ground, at most `_WIDEST_M` wide. None of
+    one that is not of parallel rays and does not look down with all of its image.
     """
-    right, down, forward = np.asarray(camera.world_from_camera, dtype=np.float64).T
-    half = 0.5 * camera.width_m * np.array([1.0, camera.size_px[1] / camera.size_px[0]])
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 0]]) * half
-    start = np.asarray(camera.position_m) + corners[:, :1] * right + corners[:, 1:] * down
-    ground = float(np.median(height(start[:, 0], start[:, 1])))
-    falls = max(-float(forward[2]), 0.05)
-    reached = start + np.clip((start[:, 2:] - ground) / falls, 0.0, None) * forward
+    columns, rows = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5]]).T * np.array(camera.size_px)[:, None]
+    own, axes = rays(camera, columns, rows), np.asarray(camera.world_from_camera, dtype=np.float64)
+    way, start = own.direction @ axes.T, own.origin_m @ axes.T + np.asarray(camera.position_m)
+    falls = -way[:, 2]
+    if projection_of(camera).is_parallel:
+        falls = np.maximum(falls, 0.05)
+    elif not own.valid.all() or falls.min() < _STEEP:
+        return None
+    ground = float(np.median(height(*start[:, :2].T)))
+    reached = start + np.clip((start[:, 2] - ground) / falls, 0.0, None)[:, None] * way
     low, high = reached[:, :2].min(axis=0) - TILE_M, reached[:, :2].max(axis=0) + TILE_M
     return reached[-1, :2], np.minimum(np.maximum(high - reached[-1, :2], reached[-1, :2] - low), 0.5 * _WIDEST_M)
 

@@ -196,6 +196,18 @@ def test_things_are_drawn_while_they_are_larger_than_a_pixel() -> None:
         assert 0.9 < min(length / pixel_m, ground_view.FAR_M / away) * ground_view.LEAST_PX < 1.2
 
 
+def test_an_aircraft_sees_things_of_a_pixel() -> None:
+    """40 m of ground from 1 km: all of it, whatever `FAR_M`, and what is larger than 0.1 m alone."""
+    from_above = look_at((0.0, 0.0, 1000.0), (0.0, 0.0, 0.0))
+    camera = Camera("air", (0.0, 0.0, 1000.0), from_above, (400, 400), 2.2918)
+    tiles, _ = tiles_before(camera, HeightField((10.0, 10.0)), 0.5)
+    wide = np.ptp(tiles, axis=0) + 1
+    assert (wide >= 40).all()
+    assert (wide <= 46).all()
+    assert len(tiles) == wide.prod()
+    assert not len(tiles_before(camera, HeightField((10.0, 10.0)), 0.05)[0])
+
+
 def test_far_tiles_give_way_when_there_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
     full = scene({"what": "twigs", "cover": 0.5}).spec.instances.outside
     monkeypatch.setattr(ground_cover, "MOST_TILES", full // 2)
