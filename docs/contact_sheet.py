@@ -34,7 +34,6 @@ ROADSIDE: list[Keys] = [
     {"what": "moss", "cover": 0.45, "patch_m": 1.5},
     {"what": "small_plants", "species": "grass", "height_m": 0.2, "size_sigma": 0.5, "cover": 0.7, "on": "roadside"},
     {"what": "small_plants", "species": "bramble", "height_m": 0.35, "cover": 0.12, "patch_m": 2, "on": "roadside"},
-    {"what": "small_plants", "species": "fireweed", "height_m": 0.8, "cover": 0.03, "patch_m": 4, "on": "roadside"},
     {"what": "stones", "size_m": 0.04, "cover": 0.2, "on": "path"},
     {"what": "fallen_leaves", "cover": 0.08, "on": "path"},
     {"what": "twigs", "length_m": 0.1, "cover": 0.01, "on": "path"},
@@ -133,7 +132,7 @@ SEDGE: Keys = {  # with dead blades
     "materials": {"straw": {"spectrum": "leaves/bracken", "season": "dry", "roughness": 0.6}},
 }
 SHORE: list[Keys] = [
-    {**GRASS, "species": "sedge", "height_m": 0.7, "size_sigma": 0.4, "cover": 0.4, "patch_m": 2, "on": "shore"},
+    {**GRASS, "species": "sedge", "height_m": 0.7, "size_sigma": 0.4, "cover": 0.2, "patch_m": 2, "on": "shore"},
     {"what": "twigs", "length_m": 0.5, "cover": 0.05, "on": "shore"},
     {"what": "fallen_leaves", "cover": 0.04, "patch_m": 2, "on": "water"},
 ]
@@ -145,13 +144,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "forest floor": lambda: forest(BEECH, 26, {**EYE, "position_m": [30, 4, 1.2], "look_at_m": [30, 5.4, 0]}),
     "beech, noon": lambda: forest(BEECH, 26, EYE, "beech"),
     "spruce, noon, road": lambda: forest(
-        SPRUCE,
-        26,
-        EAST,
-        "spruce",
-        species__fireweed=None,
-        site__paths=[ROAD],
-        site__ground__layers=[*FLOOR, *ROADSIDE],
+        SPRUCE, 26, EAST, "spruce", site__paths=[ROAD], site__ground__layers=[*FLOOR, *ROADSIDE]
     ),
     "pine, low sun": lambda: forest(PINE, 22, WEST, "birch", sky__sun={"elevation_deg": 9, "azimuth_deg": 290}),
     "birch, spring": lambda: forest(BIRCH, 20, EAST, plants__season="spring"),
