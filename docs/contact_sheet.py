@@ -30,6 +30,14 @@ FLOOR: list[Keys] = [
     {"what": "stones", "cover": 0.005},
     {"what": "moss", "cover": 0.08, "patch_m": 2},
 ]
+ROADSIDE: list[Keys] = [
+    {"what": "moss", "cover": 0.45, "patch_m": 1.5},
+    {"what": "small_plants", "species": "grass", "height_m": 0.2, "size_sigma": 0.5, "cover": 0.7, "on": "roadside"},
+    {"what": "small_plants", "species": "bramble", "height_m": 0.35, "cover": 0.12, "patch_m": 2, "on": "roadside"},
+    {"what": "stones", "size_m": 0.04, "cover": 0.2, "on": "path"},
+    {"what": "fallen_leaves", "cover": 0.08, "on": "path"},
+    {"what": "twigs", "length_m": 0.1, "cover": 0.01, "on": "path"},
+]
 GRASS: Keys = {"what": "small_plants", "species": "grass", "height_m": 0.25, "cover": 0.3, "patch_m": 4}
 EYE: Keys = {"position_m": [32, 4, 1.7], "look_at_m": [29, 30, 4.5], "hfov_deg": 62}
 EAST: Keys = {"position_m": [6, 28, 1.6], "look_at_m": [40, 33, 3], "hfov_deg": 54}
@@ -107,11 +115,27 @@ MIXED = {"beech": 0.4, "spruce": 0.35, "maple": 0.15, "birch": 0.1}
 AUTUMN = "2026-10-19"  # half of the beeches' leaves are coloured, most of the birches'
 OVERCAST = {"kind": "overcast", "sun": {"elevation_deg": 40, "azimuth_deg": 215}}
 ROAD = {"what": "forest_road", "points_m": [[-20, 22], [10, 27.5], [30, 31], [55, 30], [80, 40]]}
-POND = {"what": "pond", "position_m": [31, 20], "radius_m": 9, "depth_m": 1.2}
-SEDGE: Keys = {
+POND = {"what": "pond", "position_m": [31, 20], "radius_m": 9, "depth_m": 1.2, "dissolved_per_m": 7}
+TUFT = {"orders": [0], "zone": [0, 0.05], "angle_jitter_deg": 14, "roll_jitter_deg": 30, "turn_jitter_deg": 60}
+SEDGE: Keys = {  # with dead blades
     "from": "grass",
-    "plant": {"shapes": {"blade": {"length_m": 0.8, "width_m": 0.011, "arch_deg": 60, "twist_deg": 30}}},
+    "plant": {
+        "shapes": {
+            "blade": {"length_m": 0.8, "width_m": 0.009, "arch_deg": 70, "twist_deg": 30},
+            "dead": {"form": "grass_blade", "material": "straw", "length_m": 0.7, "width_m": 0.006, "arch_deg": 120},
+        },
+        "foliage": [
+            {**TUFT, "shape": "blade", "spacing_m": 0.0034, "angle_deg": [[0, 44], [1, 8]], "size_jitter": 0.35},
+            {**TUFT, "shape": "dead", "spacing_m": 0.009, "angle_deg": [[0, 70], [1, 20]], "size_jitter": 0.35},
+        ],
+    },
+    "materials": {"straw": {"spectrum": "leaves/bracken", "season": "dry", "roughness": 0.6}},
 }
+SHORE: list[Keys] = [
+    {**GRASS, "species": "sedge", "height_m": 0.7, "size_sigma": 0.4, "cover": 0.2, "patch_m": 2, "on": "shore"},
+    {"what": "twigs", "length_m": 0.5, "cover": 0.05, "on": "shore"},
+    {"what": "fallen_leaves", "cover": 0.04, "patch_m": 2, "on": "water"},
+]
 LEAF = {"position_m": [30, 26.6, 1.8], "look_at_m": [30, 30, 2.2], "hfov_deg": 40}
 
 VIEWS: Mapping[str, Callable[[], Keys]] = {
@@ -119,7 +143,9 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "spruce shoots": lambda: tree("spruce", 6, {**LEAF, "position_m": [30, 27.2, 1.3]}),
     "forest floor": lambda: forest(BEECH, 26, {**EYE, "position_m": [30, 4, 1.2], "look_at_m": [30, 5.4, 0]}),
     "beech, noon": lambda: forest(BEECH, 26, EYE, "beech"),
-    "spruce, noon, road": lambda: forest(SPRUCE, 26, EAST, "spruce", site__paths=[ROAD]),
+    "spruce, noon, road": lambda: forest(
+        SPRUCE, 26, EAST, "spruce", site__paths=[ROAD], site__ground__layers=[*FLOOR, *ROADSIDE]
+    ),
     "pine, low sun": lambda: forest(PINE, 22, WEST, "birch", sky__sun={"elevation_deg": 9, "azimuth_deg": 290}),
     "birch, spring": lambda: forest(BIRCH, 20, EAST, plants__season="spring"),
     "mixed, autumn": lambda: forest(MIXED, 24, WEST, "beech", site__date=AUTUMN),
@@ -134,7 +160,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         sky=OVERCAST,
         species__sedge=SEDGE,
         site__water=[POND],
-        site__ground__layers=[*FLOOR, {**GRASS, "species": "sedge", "height_m": 0.8, "cover": 0.6, "on": "shore"}],
+        site__ground__layers=[*FLOOR, *SHORE],
     ),
     "rain": lambda: forest(
         MIXED,
@@ -159,7 +185,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         EYE,
         plants__season="winter",
         sky=OVERCAST,
-        weather=[{"what": "snow_cover", "depth_m": 0.35, "on_plants": 0.6}],
+        weather=[{"what": "snow_cover", "depth_m": 0.35, "on_plants": 0.85}],
     ),
     "dusk": lambda: forest(PINE, 22, {**DRONE, "position_m": [30, -60, 40]}, sky__sun={"elevation_deg": -4}),
     "moonlit night": lambda: forest(

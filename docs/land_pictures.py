@@ -26,13 +26,14 @@ site:
   ground:
     layers:
       - {what: fallen_leaves, cover: 0.6}
-      - {what: small_plants, species: grass, height_m: 0.15, cover: 0.5, on: roadside}
+      - {what: small_plants, species: grass, height_m: 0.2, cover: 0.7, on: roadside}
+      - {what: stones, size_m: 0.035, cover: 0.12, on: path}
+      - {what: fallen_leaves, cover: 0.05, patch_m: 2, on: water}
 community:
   model: stand
   storeys:
     - {species: {beech: 0.5, spruce: 0.5}, stems_per_ha: 420, dominant_height_m: 20, basal_area_m2_per_ha: 25}
 sky: {sun: {elevation_deg: 42, azimuth_deg: 200}}
-wind: {speed_m_per_s: 0.2}
 cameras:
   - {name: pond, position_m: [34.5, 27, 1.8], look_at_m: [14, 36, -0.2], hfov_deg: 72, size_px: [480, 320]}
   - {name: forest_road, position_m: [53.2, 9, 1.7], look_at_m: [52.4, 28, 0.3], hfov_deg: 62, size_px: [480, 320]}

@@ -24,10 +24,11 @@ class GroundLayer(fields.PartSection):
     cover: fields.Number = Field(
         0.5, gt=0, le=DENSEST, description="Share of the ground that it hides, seen from above; mean over the site."
     )
-    on: Literal["ground", "roadside", "shore"] = Field(
+    on: Literal["ground", "roadside", "path", "shore", "water"] = Field(
         "ground",
         description="ground: everywhere but in water and on paths. roadside: on the middle strips of forest roads and "
-        "beside them alone. shore: in shallow water and beside it alone.",
+        "beside them alone. path: on what is bare of paths and roads. shore: in shallow water and beside it alone. "
+        "water: floating, on all of it.",
     )
     patch_m: fields.Positive | None = Field(
         None,

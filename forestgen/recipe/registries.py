@@ -102,7 +102,6 @@ GROUND_OF = {
     "forest_road": "gravel",
     "strip": "grass",
     "bed": "soil_wet",
-    "rim": "soil_moist",
 }  # by default
 
 _LAYERS = "forestgen.scene.ground_layers"

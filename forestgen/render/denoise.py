@@ -10,6 +10,8 @@ For the same reason each of a pixel's samples that the sun does not reach has a 
 shade between leaves is in the colours. All pixels have the same places, so that the guide has no noise. Without it
 a beech forest from inside, of 48 samples, has .35 of the power of 1/4 to 1/2 cycles a pixel, with it .46.
 
+Still water has the guides of what it mirrors.
+
 `benchmarks/sharpness.py` compares power spectra of denoised images with those of nearly noise-free ones.
 """
 
@@ -27,9 +29,12 @@ from forestgen.render.identity.surface import SAMPLES, Values, albedo, spread_ra
 from forestgen.render.identity.tracer import LENS_STEPS, Hits, SceneTracer
 from forestgen.render.light import has_sun
 from forestgen.render.paths.fog import Fog
+from forestgen.render.paths.scattering import WATER_INDEX, fresnel, has_water
+from forestgen.render.paths.water import is_water
 from forestgen.render.skies.model import casts_shadows
 from forestgen.render.variant import dr, mi, mitsuba
 from forestgen.render.views import lens_rays
+from forestgen.scene.projection import DeviceRays
 from forestgen.scene.spec import Camera, SceneSpec
 
 _CLOUD_RAYS = 4  # of a pixel
@@ -39,6 +44,7 @@ Floats = NDArray[np.float64]
 _SHADE = 0.15  # light in the open shade, by that of a surface that faces the sun
 _HIDDEN, _HIDDEN_BY_DAY = 0.2, 0.5  # shade where the sky is hidden, by that in the open; more beside sunlit leaves
 _SHADE_EVERY = 4  # samples of which one is tried in the shade beside the sun's light, for the time that it takes
+_ABOVE_WATER_M = 1e-3  # where mirrored rays begin
 
 
 @dataclass(frozen=True)
@@ -52,8 +58,12 @@ class Guides:
 def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
     """The rays' colours and shading normals, three channels each."""
     fog = Fog(tracer.spec.fog, tracer.origin_m) if tracer.spec.fog else None
+    mirrors = has_water(tracer.spec)
 
     def values(hits: Hits) -> list[Any]:
+        share = mi.Float(1.0)
+        if mirrors:
+            hits, share = in_still_water(tracer, camera, hits)
         facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
         smooth = shading_normal(tracer, hits, corners, facing)
         sunlit = sun_visible(tracer, camera, hits, facing)
@@ -66,7 +76,7 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
         if casts_shadows(tracer.spec.sky):
             lit = _SHADE + (1.0 - _SHADE) * dr.abs(dr.dot(smooth, tracer.to_light))
             shade = dr.select(sunlit, lit, _SHADE * shade)
-        colour = dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
+        colour = share * dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
         smooth = dr.select(hits.valid, smooth, 0.0)
         if fog is not None:  # what is behind it is as faint as its light
             seen = fog.kept(tracer.start_of(camera, hits.rays), hits.rays.direction, hits.distance_m)
@@ -75,6 +85,22 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
         return [*colour, *smooth]
 
     return values
+
+
+def in_still_water(tracer: SceneTracer, camera: Camera, hits: Hits) -> tuple[Hits, Any]:
+    """What still water mirrors instead of the water, and Float: the share of its light; of other hits 1."""
+    texture_width = dr.gather(mi.UInt32, tracer.table.texture, hits.organ * 3 + 1, hits.valid)
+    still = is_water(tracer, hits.organ, hits.valid) & (texture_width == 0)  # else waves turn rays to other places
+    way = hits.rays.direction
+    up = mi.Vector3f(way.x, way.y, dr.abs(way.z))
+    shift = way * hits.distance_m if hits.rays.shift_m is None else hits.rays.shift_m + way * hits.distance_m
+    rays = DeviceRays(up, hits.rays.depth_share, shift + mi.Vector3f(0.0, 0.0, _ABOVE_WATER_M), hits.rays.valid)
+    ray = mi.Ray3f(tracer.start_of(camera, rays), up)
+    found = tracer.looked_up(rays, tracer.scene.ray_intersect_preliminary(ray, coherent=True, active=still), still)
+    shift = hits.rays.shift_m if hits.rays.shift_m is not None else mi.Vector3f(0.0)
+    merged = DeviceRays(dr.select(still, up, way), hits.rays.depth_share, dr.select(still, rays.shift_m, shift))
+    parts = {name: dr.select(still, getattr(found, name), getattr(hits, name)) for name in vars(hits) if name != "rays"}
+    return Hits(rays=merged, **parts), dr.select(still, fresnel(up.z, mi.Float(WATER_INDEX)), 1.0)
 
 
 def open_values(hits: Hits) -> list[Any]:

@@ -128,10 +128,17 @@ def _tiles_of_all(layers: Sequence[Layer], tiles: Sequence[Ints]) -> tuple[Ints,
 
 
 def _placed(layer: Layer, on: str, height: HeightField) -> Layer:
-    """A layer less dense on paths, and nowhere in water; or by roads or shores alone, and painted nowhere."""
+    """A layer less dense on paths, and nowhere in water; or, painted nowhere, in the places that `on` names alone."""
     if on == "ground" and height.fine_m2 == 0.0:
         return layer
-    share = {"ground": height.open_share, "roadside": height.roadside, "shore": height.shore}[on]
+    places = {
+        "ground": height.open_share,
+        "roadside": height.roadside,
+        "path": height.trodden,
+        "shore": height.shore,
+        "water": height.under_water,
+    }
+    share = places[on]
     where = layer.where
     inside = TILE_M * ((np.arange(_EDGE_POINTS) + 0.5) / _EDGE_POINTS - 0.5)
 
@@ -139,7 +146,8 @@ def _placed(layer: Layer, on: str, height: HeightField) -> Layer:
         mean = np.mean([share(x + east, y + north) for east in inside for north in inside], axis=0)
         return np.asarray(mean if where is None else mean * where(x, y))
 
-    return replace(layer, where=density, is_painted=on == "ground")
+    spread = replace(layer.spread, tilt_deg=0.0, depth_m=0.0) if on == "water" else layer.spread
+    return replace(layer, where=density, is_painted=on == "ground", floats=on == "water", spread=spread)
 
 
 def _notes(name: str, layers: Sequence[Layer]) -> list[str]:
@@ -165,7 +173,7 @@ def _laid(
     for layer, (at, _), near in zip(layers, seen, kept, strict=True):
         mean = float(number_per_m2(layer, np.array(layer.cover))) * TILE_M**2
         lay = _lay_singly if mean < _FEWEST else _lay_tiles
-        found = [lay(layer, at[near], height, seed)]
+        found = [lay(layer, at[near], height.surface if layer.floats else height, seed)]
         if layer.heaped_m > 0.0:
             found.append(heaps(layer, at[near], partial(local_cover, layer, seed=seed), *stems, height, seed))
         for made, index, transform in found:
@@ -187,7 +195,7 @@ def _laid(
 _Lying = tuple[list[Exemplar], Ints, Floats]  # exemplars, (K,) which, (K, 3, 4) where
 
 
-def _lay_tiles(layer: Layer, at: Ints, height: HeightField, seed: int) -> _Lying:
+def _lay_tiles(layer: Layer, at: Ints, height: Places, seed: int) -> _Lying:
     middle = np.asarray((at + 0.5) * TILE_M, dtype=np.float64)
     chosen, turn = _chosen(layer, middle, at, seed)
     some = chosen >= 0
@@ -199,7 +207,7 @@ def _lay_tiles(layer: Layer, at: Ints, height: HeightField, seed: int) -> _Lying
     )
 
 
-def _lay_singly(layer: Layer, at: Ints, height: HeightField, seed: int) -> _Lying:
+def _lay_singly(layer: Layer, at: Ints, height: Places, seed: int) -> _Lying:
     """Things one by one: on each square metre Poisson's number of them."""
     from scipy.special import ndtri  # late: a third of a second
 
@@ -328,7 +336,7 @@ def _looked_up(grid: Floats, size_m: tuple[float, float]) -> Places:
     return at
 
 
-def _slopes(height: HeightField, middle: Floats) -> Floats:
+def _slopes(height: Places, middle: Floats) -> Floats:
     """(K, 3) rise east and north over a tile, and height at its middle."""
     half, (x, y) = 0.5 * TILE_M, middle.T
     east = (height(x + half, y) - height(x - half, y)) / TILE_M

@@ -10,9 +10,10 @@ more. The default, of ground without them, is ours.
 Paths
 -----
 A path is level across, at its middle's height, and hollow by 4 cm. A forest road has two ruts 8 cm deep and 1.8 m
-apart, as far as a car's wheels, and a middle strip 3 cm higher that is painted as grass; its shoulders meet the ground
-beside it within 2 m. Depths vary along them by a third. Numbers are ours. Blades of grass are a layer of the recipe's,
-`on: roadside`.
+apart, as far as a car's wheels, a middle strip 3 cm higher, and a verge 1.6 m wide on either side, which the light of
+the gap lets grow; its shoulders meet the ground beside it within 2 m. Strip and verge are painted as grass. Depths vary
+along them by a third. What is bare is rough by 4 mm, and its borders are ragged. Numbers are ours. Blades of grass are
+a layer of the recipe's, `on: roadside`, and loose stones one `on: path`.
 
 Nothing of the community stands on a path and a quarter metre beside it, on a road and 1.5 m beside it, or in water.
 Layers of the ground lie on what paths leave of it, and not in water; those `on: shore` stand in water that is less than
@@ -37,10 +38,10 @@ from forestgen.scene.water import Body, pond, stream
 _RELIEF_CELLS, _RELIEF_WAVES = 12.0, 48  # cells along the longest wave, three along the shortest
 _SMOOTHED_M = 6.0  # of a path, over which its height is even
 _RUT_APART_M, _RUT_WIDE_M, _RUT_M, _CROWN_M, _HOLLOW_M = 1.8, 0.22, 0.08, 0.03, 0.04
-_STRIP_M, _GRASS = 0.45, 0.8  # half the width of the middle strip with its border, and how much of it is grass
-_SOFT_M, _RAGGED_M = 0.25, 0.12  # width of a path's border, and how far it strays
+_STRIP_M, _VERGE_M, _GRASS = 0.4, 1.6, 0.85  # half the width of the strip; width of the verge; share that is grass
+_SOFT_M, _RAGGED_M, _ROUGH_M = 0.1, 0.13, 0.004  # width of a path's border, how far it strays; height of roughness
+_OCTAVES = 3  # of borders and roughness, of waves from 1.2 m down to 0.3 m
 _SHOULDER_M, _FREE_M = {"path": 0.5, "forest_road": 2.0}, {"path": 0.25, "forest_road": 1.5}
-_VERGE_M = 0.8  # half the width of what grows beside a road
 _BLEND_M = 0.1  # heights over which the ground bends into a bank
 _WET_M = 0.3  # from the shore, where nothing stands
 _BARE_M = 0.8  # from the shore, where layers of the ground are as dense as elsewhere: what lay there floated off
@@ -99,28 +100,34 @@ class Track:
             relief = _CROWN_M * across - _RUT_M * depth * rut
         else:
             relief = -_HOLLOW_M * depth * across
+        relief += _ROUGH_M * np.minimum(4.0 * across, 1.0) * ragged(x_m[rows], y_m[rows])
         z = z_m.copy()
         z[rows] += share * (self.course.between(self.height_m, where) - z_m[rows]) + relief
         return z
 
     def share(self, x_m: Floats, y_m: Floats) -> Floats:
-        """(N,) share of the ground that is bare."""
-        rows, distance, where = self.course.nearest(x_m, y_m, self.half_m + _SOFT_M + 3.0 * _RAGGED_M)
-        strays = 0.5 * self.course.between(self.course.uneven, where)
-        ragged = _RAGGED_M * (strays + np.sin(5.1 * x_m[rows]) * np.sin(4.3 * y_m[rows]))
+        """(N,) share of the ground that is the path's."""
+        rows, distance, strays = self._ragged_from(x_m, y_m, self.half_m)
         found = np.zeros(len(x_m))
-        found[rows] = smooth_step((self.half_m + ragged - distance) / _SOFT_M + 0.5)
+        found[rows] = smooth_step((self.half_m - distance + strays) / _SOFT_M + 0.5)
         return found
 
-    def strip(self, x_m: Floats, y_m: Floats) -> Floats:
-        """(N,) share of grass in the middle of a road."""
+    def green(self, x_m: Floats, y_m: Floats) -> Floats:
+        """(N,) share of grass in the middle of a road and beside it."""
         found = np.zeros(len(x_m))
         if self.keys.what == "forest_road":
-            rows, distance, where = self.course.nearest(x_m, y_m, 2.0 * _STRIP_M)
-            strays = 0.3 * self.course.between(self.course.uneven, where)
-            ragged = strays + 0.3 * np.sin(6.1 * x_m[rows]) * np.sin(5.3 * y_m[rows])
-            found[rows] = _GRASS * (1.0 - smooth_step(distance / _STRIP_M - 0.6 + ragged))
+            rows, distance, strays = self._ragged_from(x_m, y_m, self.half_m + _VERGE_M)
+            strip = smooth_step((_STRIP_M - distance + strays) / _SOFT_M + 0.5)
+            beyond = (distance - strays - self.half_m) / _VERGE_M
+            verge = smooth_step(beyond * _VERGE_M / _SOFT_M + 0.5) * (1.0 - smooth_step(2.0 * beyond - 1.0))
+            found[rows] = _GRASS * np.maximum(strip, verge)
         return found
+
+    def _ragged_from(self, x_m: Floats, y_m: Floats, away_m: float) -> tuple[Ints, Floats, Floats]:
+        """Rows of the points up to such a distance from its middle, their distance, and how far borders stray there."""
+        rows, distance, where = self.course.nearest(x_m, y_m, away_m + _SOFT_M + 3.0 * _RAGGED_M)
+        strays = 0.5 * self.course.between(self.course.uneven, where) + ragged(x_m[rows], y_m[rows])
+        return rows, distance, _RAGGED_M * strays
 
     def within(self, x_m: Floats, y_m: Floats, away_m: float) -> Bools:
         """(N,) whether points are on it or so near."""
@@ -144,7 +151,7 @@ class ShapedGround(HeightField):
 
     @property
     def fine_m2(self) -> float:
-        area = sum(len(one.course.places_m) * STEP_M * (one.keys.wide_m + 2.0) for one in self.tracks)
+        area = sum(len(one.course.places_m) * STEP_M * (one.keys.wide_m + 2.0 * _VERGE_M) for one in self.tracks)
         for body in self.bodies:
             keys = body.keys
             if isinstance(keys, land.Pond):
@@ -185,23 +192,30 @@ class ShapedGround(HeightField):
         return found | self._shore_within(x_m, y_m, _WET_M)
 
     def open_share(self, x_m: Floats, y_m: Floats) -> Floats:
-        share = np.ones(len(x_m))
-        for track in self.tracks:
-            share *= 1.0 - track.share(x_m, y_m) * (1.0 - track.strip(x_m, y_m))
+        bare, green = self.bare_and_green(x_m, y_m)
+        share = (1.0 - bare) * (1.0 - green)
         for body in self.bodies:
             near = body.near(x_m, y_m)
             share[near.rows] *= smooth_step(near.shore_m / _BARE_M)
         return share
 
     def roadside(self, x_m: Floats, y_m: Floats) -> Floats:
-        share = np.zeros(len(x_m))
-        for track in self.tracks:
-            if track.keys.what == "forest_road":
-                rows, apart, _ = track.course.nearest(x_m, y_m, track.half_m + 2.0 * _VERGE_M)
-                verge = 1.0 - np.abs(apart - track.half_m - _VERGE_M) / _VERGE_M
-                share[rows] = np.maximum(share[rows], np.maximum(verge, 0.0))
-                share = np.maximum(share, track.strip(x_m, y_m))
-        return np.where(self._shore_within(x_m, y_m, 0.0), 0.0, share)
+        green = self.bare_and_green(x_m, y_m)[1] / _GRASS
+        return np.where(self._shore_within(x_m, y_m, 0.0), 0.0, green)
+
+    def trodden(self, x_m: Floats, y_m: Floats) -> Floats:
+        bare = self.bare_and_green(x_m, y_m)[0]
+        return np.where(self._shore_within(x_m, y_m, 0.0), 0.0, bare)
+
+    def bare_and_green(self, x_m: Floats, y_m: Floats) -> tuple[Floats, Floats]:
+        """(N,) shares of the ground that are bare on paths, and that are roads' strips and verges, on no other path."""
+        own = [track.green(x_m, y_m) for track in self.tracks]
+        bare = [track.share(x_m, y_m) * (1.0 - green) for track, green in zip(self.tracks, own, strict=True)]
+        none = np.zeros(len(x_m))
+        for index, green in enumerate(own):
+            for other in bare[:index] + bare[index + 1 :]:
+                green *= 1.0 - other
+        return np.max([none, *bare], axis=0), np.max([none, *own], axis=0)
 
     def shore(self, x_m: Floats, y_m: Floats) -> Floats:
         beside = np.full(len(x_m), np.inf)
@@ -217,7 +231,7 @@ class ShapedGround(HeightField):
     def fine(self, x_m: Floats, y_m: Floats, cell_m: Floats) -> Bools:
         found = np.zeros(len(x_m), dtype=np.bool_)
         for track in self.tracks:
-            reach_m = track.half_m + 0.6
+            reach_m = track.half_m + (_VERGE_M if track.keys.what == "forest_road" else 0.6)
             rows, apart, _ = track.course.nearest(x_m, y_m, reach_m + float(cell_m.max()))
             found[rows] |= apart < reach_m + cell_m[rows]
         for body in self.bodies:
@@ -233,6 +247,16 @@ class ShapedGround(HeightField):
             near = body.near(x_m, y_m)
             found[near.rows[near.shore_m < away_m]] = True
         return found
+
+
+def ragged(x_m: Floats, y_m: Floats) -> Floats:
+    """(N,) about of mean 0 and variance 1, alike in all directions."""
+    height = np.zeros(len(x_m))
+    for octave in range(_OCTAVES):
+        k, turn = 5.1 * 1.9**octave, 2.4 * octave
+        cos, sin = k * np.cos(turn), k * np.sin(turn)
+        height += 0.7**octave * np.sin(cos * x_m + sin * y_m + turn) * np.sin(cos * y_m - sin * x_m - 2.0 * turn)
+    return 1.5 * height
 
 
 def _lower(ground_m: Floats, bed_m: Floats) -> Floats:

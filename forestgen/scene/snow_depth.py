@@ -6,8 +6,8 @@ middle of one spruce, and nothing below bare trees. Large spruces so stand in bo
 site are the recipe's: what lies in the open lies there instead of under crowns, and what crowns carry comes on top. But
 no open place has more than `_MOST_OPEN` of the mean, drifts and mounds left out: in dense stands more is below crowns.
 
-Wells. Around a stem it is a third less deep at the bark, and by e less so a `_WELL_M` away: as far as wind and warmth
-of stems work. Thin stems have shallow ones. Mounds stand over low plants and stumps. Drifts are waves. The numbers of
+Wells. Around a stem it is 0.55 less deep at the bark, and by e less so a `_WELL_M` away: as far as wind and warmth of
+stems work. Thin stems have shallow ones. Mounds stand over low plants and stumps. Drifts are waves. The numbers of
 wells, mounds and drifts are ours, and so are those of bark around stems and of where the mesh is fine.
 
 References
@@ -35,7 +35,7 @@ _MOST_OPEN = 1.0 / 0.6  # depth in the open over the mean
 # Of the map of crowns: cells, how far from the site it goes, and the last of it, where it fades into its border's mean.
 _CELL_M, _BEYOND_M, _FADE_M = 0.25, 20.0, 8.0
 _MOST_POINTS, _AT_ONCE, _ROUNDS = 200_000, 50_000, 12  # of the site, for the mean; and towards it
-_WELL, _WELL_M, _THIN_M = 1.0 / 3.0, 0.3, 0.06  # depth, width, and the radius of stems with the whole depth
+_WELL, _WELL_M, _THIN_M = 0.55, 0.25, 0.06  # depth, width, and the radius of stems with the whole depth
 _BARK_M = 0.6  # around stems, where bark and twigs lie
 _LOW_M, _MOUND, _MOUND_M = 1.0, 0.6, 0.3  # height of what has a mound, the mound's over it, and its least radius
 _DRIFT = 0.25  # of the depth: standard deviation
@@ -54,18 +54,18 @@ class Circles:
     place_m: Floats
     radius_m: Floats
 
-    def shares(self, place_m: Floats, width_m: Floats, height: Floats) -> Floats:
-        """(K, _NEAREST) of the nearest ones: `height` (N,) at their edge, less by e for the square of `width_m`."""
+    def shares(self, place_m: Floats, width_m: Floats, height: Floats, power: float) -> Floats:
+        """(K, _NEAREST) of the nearest ones: `height` (N,) h at their edge, h exp(-(d / `width_m`)^power) beside it."""
         from scipy.spatial import cKDTree  # late: half a second
 
         if not len(self.radius_m):
             return np.zeros((len(place_m), 1))
-        reach_m = float((self.radius_m + 2.0 * width_m).max())
+        reach_m = float((self.radius_m + 4.0 / power * width_m).max())
         apart, row = cKDTree(self.place_m).query(place_m, k=_NEAREST, distance_upper_bound=reach_m)
         found = np.isfinite(apart)
         row = np.where(found, row, 0)
         beyond = np.maximum(np.where(found, apart, np.inf) - self.radius_m[row], 0.0) / width_m[row]
-        return np.asarray(height[row] * np.exp(-(np.minimum(beyond, 30.0) ** 2)))
+        return np.asarray(height[row] * np.exp(-(np.minimum(beyond, 30.0) ** power)))
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class SnowDepth:
     def wells(self, place_m: Floats, width_m: float = _WELL_M) -> Floats:
         """(K, _NEAREST) how far places lie in wells of such a width, 1 at the bark of stems that are not thin."""
         width = np.full(len(self.stems.radius_m), width_m)
-        return self.stems.shares(place_m, width, np.clip(self.stems.radius_m / _THIN_M, 0.0, 1.0))
+        return self.stems.shares(place_m, width, np.clip(self.stems.radius_m / _THIN_M, 0.0, 1.0), 1.0)
 
     def littered(self, place_m: Floats) -> Floats:
         """(K,) how much fell from above, 1 below dense crowns and beside stems."""
@@ -135,7 +135,7 @@ class SnowDepth:
         most = 1.5 * self.depth_m  # higher ones stick out
         width_m = np.maximum(0.7 * self.low.radius_m, _MOUND_M)
         middles = Circles(self.low.place_m, np.zeros(len(width_m)))
-        mounds = middles.shares(place_m, width_m, np.minimum(_MOUND * self.low_m, most))
+        mounds = middles.shares(place_m, width_m, np.minimum(_MOUND * self.low_m, most), 2.0)
         return np.asarray(np.maximum(deep + mounds.max(axis=1), 0.0))
 
 
@@ -167,7 +167,7 @@ class FinerGround(HeightField):
         wanted = apart < _CLOSE_M
         if len(self.stems.radius_m):
             from_stem, _ = cKDTree(self.stems.place_m).query(places)
-            wanted |= (apart < _STEMS_M) & (from_stem < _WELL_M + cell_m)
+            wanted |= (apart < _STEMS_M) & (from_stem < 2.0 * _WELL_M + cell_m)
         apart = np.where(wanted, apart, np.inf)
         farthest = np.partition(apart, MOST_FINE)[MOST_FINE] if len(apart) > MOST_FINE else np.inf
         return self.base.fine(x_m, y_m, cell_m) | (wanted & (apart < farthest))

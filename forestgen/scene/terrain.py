@@ -86,9 +86,17 @@ class HeightField:
         """(N,) share of the ground that is a road's middle strip or lies beside a road."""
         return np.zeros(len(x_m))
 
+    def trodden(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) share of the ground that is bare on paths."""
+        return np.zeros(len(x_m))
+
     def shore(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N,) share of the ground that is shallow water or lies beside water."""
         return np.zeros(len(x_m))
+
+    def under_water(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) 1 where water stands, else 0."""
+        return np.asarray(self.level(x_m, y_m) > self(x_m, y_m), dtype=np.float64)
 
     def fine(
         self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], cell_m: NDArray[np.float64]

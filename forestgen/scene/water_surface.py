@@ -1,6 +1,6 @@
 """Surfaces of water and other grounds of a shaped ground as the renderer takes them.
 
-The numbers of rims of mud and moist soil are ours.
+The numbers of wet rims are ours.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.recipe.registries import GROUND_COVERS, GROUND_OF
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import GROUND
-from forestgen.scene.shaped_ground import ShapedGround
+from forestgen.scene.shaped_ground import ShapedGround, ragged
 from forestgen.scene.spec import GroundPatch, Instances, Material, SceneSpec, Terrain
 from forestgen.scene.terrain import HeightField, smooth_step
 from forestgen.scene.water import WAVES_M, water_material, wave_height_m
 
-# Heights above the water: up to where it stood of late and left mud, and soil draws it; and how soft their ends are.
-_MUD_M, _DRAWN_M, _SOFT_M = 0.08, 0.16, 0.06
+# Heights above the water: up to where the bed's ground is bare and wet, how soft its end is, and how far it strays.
+_RIM_M, _SOFT_M, _STRAYS_M = 0.16, 0.1, 0.03
 _RUN_UP = 1.5  # of waves, over their height
 
 
 def with_land(terrain: Terrain, ground: HeightField, wind_m_per_s: float, seed: int) -> Terrain:
-    """The terrain with the grounds of paths and beds, and a rim of mud and moist soil around water."""
+    """The terrain with the grounds of paths, and those of beds up to a rim around water."""
     if not isinstance(ground, ShapedGround):
         return terrain
     x, y, z = terrain.mesh.vertices_m.astype(np.float64).T
@@ -38,18 +38,16 @@ def with_land(terrain: Terrain, ground: HeightField, wind_m_per_s: float, seed: 
     for track in ground.tracks:
         key = ("path", track.keys.surface)
         shares[key] = np.maximum(shares.get(key, 0.0), track.share(x, y))
-    strip = np.max([np.zeros(len(x)), *(track.strip(x, y) for track in ground.tracks)], axis=0)
-    if strip.any():
-        shares["strip", GROUND_OF["strip"]] = strip
+    green = ground.bare_and_green(x, y)[1]
+    if green.any():
+        shares["strip", GROUND_OF["strip"]] = green
     for body in ground.bodies:
         near = body.near(x, y)
-        above = z[near.rows] - near.level_m
-        muddy = _MUD_M + _RUN_UP * wave_height_m(body.keys, wind_m_per_s)
-        for key, top in ((("rim", GROUND_OF["rim"]), muddy + _DRAWN_M), (("bed", body.keys.ground), muddy)):
-            share = np.zeros(len(x))
-            share[near.rows] = smooth_step((top - above) / _SOFT_M + 0.5)
-            shares[key] = np.maximum(shares.get(key, 0.0), share)
-    shares = {key: shares[key] for key in sorted(shares, key=lambda key: key[0] == "bed")}
+        above = z[near.rows] - near.level_m + _STRAYS_M * ragged(x[near.rows], y[near.rows])
+        top = _RIM_M + _RUN_UP * wave_height_m(body.keys, wind_m_per_s)
+        share, key = np.zeros(len(x)), ("bed", body.keys.ground)
+        share[near.rows] = smooth_step((top - above) / _SOFT_M + 0.5)
+        shares[key] = np.maximum(shares.get(key, 0.0), share)
     return replace(terrain, patches=tuple(_patch(name, share, seed) for (_, name), share in shares.items()))
 
 

@@ -131,9 +131,9 @@ def test_wells_stand_around_stems() -> None:
         depth.share(np.column_stack([x + radius + away, np.full(4, y)]))
         for x, y, radius in ((10.0, 10.0, 0.2), (15.0, 5.0, 0.01))
     )
-    assert thick[0] == pytest.approx(2.0 / 3.0)
+    assert thick[0] == pytest.approx(0.45)
     assert (np.diff(thick) > 0).all()
-    assert thick[-1] > 0.999
+    assert thick[-1] > 0.995
     assert 0.9 < thin[0] < 1.0
     assert depth.share(places()).mean() * depth.scale == pytest.approx(1.0, abs=0.002)
 

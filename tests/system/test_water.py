@@ -32,6 +32,7 @@ from forestgen.scene.colour import RGB
 from forestgen.scene.plan import check_plan
 from forestgen.scene.spec import FogLayer, GroundPatch, Instances, Material, SceneSpec, Sky, WetGround
 from support.error_messages import raises_error
+from support.guides import trace_guides
 from support.radiometry import upper_sky
 from support.scenes import camera_at, plain_ground, scattered_scene
 from support.twins import trace_twin
@@ -101,6 +102,26 @@ def test_black_water_mirrors_an_even_sky_as_much_as_measured() -> None:
         assert found == pytest.approx(by_fresnel(angle), rel=0.04)
         albedo += share * found
     assert albedo == pytest.approx(0.061, abs=0.006)
+
+
+@pytest.mark.parametrize("angle", [40.0, 80.0])
+def test_still_water_has_the_guides_of_what_it_mirrors(angle: float) -> None:
+    """A white sky, and in front of it a wall."""
+    spec = pool(0.2, 1.0, 1.0, NIGHT, angle)
+    corners = np.array([[-9, 5, -9], [9, 5, -9], [9, 5, 90], [-9, 5, 90]], np.float32)
+    wall = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))
+    behind = Exemplar("wall", (OrganMesh(Part.TRUNK, "wall", wall),), 1.0, 0.01, 1.0, 0.0, 0.0)
+    walled = replace(
+        spec,
+        exemplars=(*spec.exemplars, behind),
+        materials={**spec.materials, ("wall", "wall"): Material((0.3, 0.1, 0.05))},
+        instances=Instances(np.arange(2, dtype=np.uint32), np.stack([np.eye(3, 4)] * 2), np.zeros(2, np.uint32), 2),
+    )
+    open_sky, wooden = (trace_guides(SceneTracer(one, Timings()), one.cameras[0]) for one in (spec, walled))
+    np.testing.assert_allclose(open_sky.colour, by_fresnel(angle), rtol=0.03)
+    assert not open_sky.normal.any()
+    assert np.allclose(np.abs(wooden.normal), [0.0, 1.0, 0.0], atol=1e-5)
+    np.testing.assert_allclose(wooden.colour[..., 0] / wooden.colour[..., 1], 3.0, rtol=1e-3)
 
 
 def test_the_mirrored_sky_is_that_at_the_mirrored_height() -> None:

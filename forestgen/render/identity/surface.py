@@ -178,7 +178,8 @@ def albedo(tracer: SceneTracer, hits: Hits, corners: Places) -> Any:
         normal = shading_normal(tracer, hits, corners, tracer.geometric_normal(hits))
         shown = darkened(shown, film_on(tracer, hits, corners, normal, v).soaked, 1.0)
     if tracer.spec.snow is not None:
-        shown = dr.select(under_snow(tracer, hits, v).seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
+        seen = under_snow(tracer, hits, corners, u, v).seen
+        shown = dr.select(seen, mi.Color3f(*tracer.spec.snow.reflectance), shown)
     return dr.select(hits.valid, shown, 0.0)
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from forestgen.core.parts import Part
-from forestgen.render.identity.interpolation import Places, weighted_sum
+from forestgen.render.identity.interpolation import Places, shading_normal, weighted_sum
 from forestgen.render.identity.tracer import Hits, SceneTracer
 from forestgen.render.surfaces import LEAFLIKE
 from forestgen.render.variant import dr, mi
@@ -38,8 +38,9 @@ _SNOW_GROUPS = (12, 9)  # bits of a face's number that are alike for neighbours:
 # hold it however each one stands.
 _STEEPEST, _LEVEL_LEAF = 0.15, 0.35
 _ON_BRANCHES = 0.35  # by how much steeper the wood of branches may be: loads are as thick as they are
-_CUSHION = 0.8  # sine of the angle from below to which the thickest loads hide what bears them
-_STRIP, _STRIP_EDGE = 0.35, 0.12  # of snow on stems: how far they reach around, in cosines, and how uneven they are
+_CUSHION = (0.35, 0.9)  # sine of the angle from below to which the thinnest and thickest loads hide what bears them
+# Of snow on stems: how far strips reach around, in cosines, and how uneven their edges are, by long waves and blotches.
+_STRIP, _STRIP_EDGE = 0.5, (0.15, 0.2)
 _UNLABELLED = 1 << 31  # added to the row of what is no plant: other numbers than plants'
 
 
@@ -127,15 +128,16 @@ def _smooth_step(x: Any) -> Any:
     return t * t * (3.0 - 2.0 * t)
 
 
-def under_snow(tracer: SceneTracer, hits: Hits, along: Any) -> UnderSnow:
+def under_snow(tracer: SceneTracer, hits: Hits, corners: Places, around: Any, along: Any) -> UnderSnow:
     """By the slope of facets, and of leaves by chance, alike for some neighbours: those of a shoot.
 
     Wood holds snow where its facets' normals rise above 1 - share (1 - _STEEPEST): with more snow on steeper wood.
-    `along`: as in `film_on`.
+    `around`, `along`: of the bark's texture, 0 where there is none.
     """
     snow = tracer.spec.snow
     assert snow is not None
     normal = tracer.geometric_normal(hits)
+    smooth = shading_normal(tracer, hits, corners, normal)
     part = dr.gather(mi.UInt32, tracer.table.part, hits.organ, hits.valid)
     plant, share = _plant_of(tracer, hits), dr.opaque(mi.Float, snow.share)
     numbers = [_numbers(plant, hits.face >> size) for size in _SNOW_GROUPS]
@@ -144,12 +146,14 @@ def under_snow(tracer: SceneTracer, hits: Hits, along: Any) -> UnderSnow:
     luck = dr.select(luck < 0.5, 2.0 * luck * luck, 1.0 - 2.0 * dr.square(1.0 - luck))
     up, from_below = normal.z, hits.rays.direction.z
     leaf_covered = luck < share * dr.minimum(dr.abs(up) / _LEVEL_LEAF, 1.0)
-    leaf_seen = (luck < share) & (from_below < _CUSHION * thickness)
+    leaf_seen = (luck < share) & (from_below < dr.lerp(*_CUSHION, thickness))
     least = 1.0 - share * (1.0 - _STEEPEST) - dr.select(part == int(Part.BRANCH), _ON_BRANCHES, 0.0)
     windward = sum(
-        dr.opaque(mi.Float, one) * axis for one, axis in zip(snow.windward, (normal.x, normal.y), strict=True)
+        dr.opaque(mi.Float, one) * axis for one, axis in zip(snow.windward, (smooth.x, smooth.y), strict=True)
     )
-    strip = windward > 1.0 - _STRIP * share + _STRIP_EDGE * _bands(along, along, plant)
+    blotches = _bands(2.0 * np.pi * around, along, plant) * _bands(2.0 * np.pi * along, around, plant)
+    uneven = _STRIP_EDGE[0] * _bands(along, along, plant) + _STRIP_EDGE[1] * blotches
+    strip = windward > 1.0 - _STRIP * share + uneven
     on_wood = (up > least) | ((part == int(Part.TRUNK)) & strip)
     held, leaflike = hits.valid & (hits.instance > 0) & (part != int(Part.WATER)), _is_leaflike(part)
     return UnderSnow(held & dr.select(leaflike, leaf_covered, on_wood), held & dr.select(leaflike, leaf_seen, on_wood))

@@ -327,7 +327,7 @@ class Surfaces:
                 film.pool > 0, dr.normalize(normal + film.pool * (mi.Vector3f(0, 0, 1) - normal)), normal
             )
         if tracer.spec.snow is not None:
-            snow = under_snow(tracer, hits, v)
+            snow = under_snow(tracer, hits, corners, u, v)
             dark = snow.covered | snow.seen
             matt, through = dr.select(snow.seen, self._snow, matt), dr.select(dark, 0.0, through)
             gloss.x = dr.select(snow.seen, 0.0, gloss.x)

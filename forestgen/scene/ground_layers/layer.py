@@ -72,6 +72,7 @@ class Layer:
     relative: Floats | None = None  # factor on the cover, by square metre of the ground's texture; None: even
     where: Places | None = None  # relative density by x, y of the site, of mean 1; None: the same everywhere
     heaped_m: float = 0.0  # how high its things lie against stems; 0: no higher than elsewhere
+    floats: bool = False  # on water
     is_painted: bool = True  # whether the ground has its mean colour where it is not geometry
 
     @property

@@ -121,10 +121,23 @@ def test_a_path_is_level_across_and_a_road_has_two_ruts() -> None:
     assert abs(np.polyfit(across[inner], section[inner], 1)[0]) < 0.01
     low = across[np.r_[False, (np.diff(section)[:-1] < 0) & (np.diff(section)[1:] >= 0), False]]
     np.testing.assert_allclose(low[np.abs(low) < 1.5], [-0.9, 0.9], atol=0.1)
-    opened = np.mean([ground.open_share(np.full(441, x), 30.0 + across) for x in np.linspace(20.0, 40.0, 60)], axis=0)
-    assert opened[np.abs(np.abs(across) - 0.9) < 0.2].max() < 0.2
-    assert opened[np.abs(across) < 0.1].min() > 0.3
-    assert opened[np.abs(across) > 2.1].min() > 0.9
+    along = np.linspace(20.0, 40.0, 400)
+    strip, rut, verge, beyond = (
+        [part(along, np.full(400, 30.0 + away)).mean() for part in (ground.trodden, ground.roadside, ground.open_share)]
+        for away in (0.0, 0.9, 2.4, 4.2)
+    )
+    assert rut[0] > 0.8
+    assert min(strip[1], verge[1]) > 0.7
+    assert beyond == pytest.approx([0.0, 0.0, 1.0], abs=0.05)
+
+
+def test_where_roads_meet_neither_has_grass_on_the_ruts_of_the_other() -> None:
+    roads = [land.Path(what="forest_road", points_m=ends) for ends in (((10, 30), (50, 30)), ((30, 10), (30, 50)))]
+    one, both = (shaped(HeightField(SIZE_M), None, tuple(paths), (), 3) for paths in (roads[:1], roads))
+    x, y = np.meshgrid(np.linspace(20.0, 40.0, 100), np.linspace(29.0, 31.0, 20))
+    bare, green = both.bare_and_green(x.ravel(), y.ravel())
+    assert (bare + green).max() <= 1.0
+    assert (bare >= one.bare_and_green(x.ravel(), y.ravel())[0]).all()
 
 
 def test_plants_of_the_shore_stand_in_shallow_water_and_beside_it_alone(ground: ShapedGround) -> None:
@@ -140,6 +153,11 @@ def test_plants_of_the_shore_stand_in_shallow_water_and_beside_it_alone(ground: 
     density = _placed(layer, "shore", ground).where
     assert density is not None
     assert density(x, y)[from_shore > BESIDE_M + TILE_M].max() == 0.0  # a tile's corners are less far from its middle
+    afloat = _placed(layer, "water", ground)
+    assert afloat.where is not None
+    assert afloat.floats
+    assert afloat.where(x, y)[deep > 0.8].min() == 1.0
+    assert afloat.where(x, y)[from_shore > TILE_M].max() == 0.0
 
 
 def test_micro_relief_has_its_deviation_and_fades_beside_the_site() -> None:
