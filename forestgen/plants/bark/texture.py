@@ -56,7 +56,7 @@ Colour = tuple[float, float, float]
 
 _TEXEL_M = 0.0015
 _LEAST_TEXELS, _MOST_TEXELS = 64, 640
-_COVER_M = 0.004  # thickness of what grows on bark
+_COVER_M = 0.003  # thickness of what grows on bark
 _STEEPEST = 1.2  # slope of the normal map: without shadows, steeper walls look wrong
 
 
@@ -108,21 +108,33 @@ def bark_texture(bark: Bark, reflectance: Colour, name: str) -> SurfaceTexture:
 
 @lru_cache(maxsize=32)
 def covered_texture(
-    bark: Bark, reflectance: Colour, name: str, cover: Colour, share: float, mean: Colour
+    bark: Bark,
+    reflectance: Colour,
+    name: str,
+    cover: Colour,
+    share: float,
+    mean: Colour,
+    own: SurfaceTexture | None = None,
 ) -> SurfaceTexture:
     """The texture of a bark, see `bark_texture`, a share of which something grows on, such as moss.
 
-    `cover`: colour of what grows there. `mean`: of all. What a share covers a greater one covers too.
+    `cover`: colour of what grows there. `mean`: of all. `own`: the cover's texture, if it has one. What a share covers
+    a greater one covers too.
     """
     base = bark_texture(bark, reflectance, name)
     rows, columns = base.height_m.shape
     tile = Tile(rows, columns, base.tile_m)
     spread, fine = child_rng(0, "cover", name).spawn(2)
-    place = tile.noise(spread, (0.05, 0.07), 1.6) + 0.1 * (base.height_m.mean() - base.height_m) / _COVER_M
-    mask = upper_share(np.asarray(place, dtype=np.float32), share, 0.25)
-    tone = np.clip(1.0 + 0.3 * tile.noise(fine, (0.01, 0.01), 1.2), 0.3, 1.7)[..., None]
-    colour = base.colour + mask[..., None] * (np.array(cover, dtype=np.float32) * tone - base.colour)
-    height_m = base.height_m + np.float32(_COVER_M) * mask * (0.7 + 0.3 * tone[..., 0])
+    place = tile.noise(spread, (0.09, 0.12), 1.45) + 0.1 * (base.height_m.mean() - base.height_m) / _COVER_M
+    mask = upper_share(np.asarray(place, dtype=np.float32), share, 0.45)
+    if own is None:
+        tone = np.clip(1.0 + 0.3 * tile.noise(fine, (0.01, 0.01), 1.2), 0.3, 1.7)
+        over, top_m = np.array(cover, dtype=np.float32) * tone[..., None], base.height_m + _COVER_M * (0.7 + 0.3 * tone)
+    else:
+        at = np.ix_(*(np.arange(n) * most // n for n, most in zip((rows, columns), own.height_m.shape, strict=True)))
+        over, top_m = own.colour[at], own.height_m[at]
+    colour = base.colour + mask[..., None] * (over - base.colour)
+    height_m = base.height_m + mask * (top_m - base.height_m)
     return SurfaceTexture(with_mean(np.maximum(colour, 0.0), mean), height_m.astype(np.float32), base.tile_m)
 
 
