@@ -104,8 +104,9 @@ Decisions
 - Heights by age are those of spruce or pine in Finland, whatever the species; say dominant_height_m where you know it.
 - Trees may be taller than their species' height_m; radius_m, the neighbourhood of other models, is then its largest.
 - Plants of `ground` are placed independently, or in clumps of a width (Thomas 1949): sigma is a fourth of it; in the
-  middle as many discs stand as cover the ground once. Their cover is that of discs of radius_m. Trees among them are
-  seedlings: of the sizes that their allometry and their neighbours give.
+  middle as many discs stand as cover the ground once. Clumps are below crowns as readily as trees of a lower storey.
+  The cover of these plants is that of discs of radius_m. Trees among them are seedlings: of the sizes that their
+  allometry and their neighbours give.
 - A dead tree's species, diameter and height are those of a living tree of at least min_dbh_cm, drawn at random. For a
   volume trees are drawn until it is reached; one factor of diameters and heights makes it exact. Volumes are of stems
   over bark, of the taper of `forestgen.core.stem_form`, of what the decay class has left.
@@ -123,6 +124,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from forestgen.community.arrivals import radii_m
@@ -138,8 +140,9 @@ from forestgen.community.placement.density_map import DensityMap
 from forestgen.community.population import Ecologies, Floats, Site, ecology_of
 from forestgen.community.stand import spacing
 from forestgen.community.stand.build import MOST_LEAVES, StandBuilder, StandTrees, measured
+from forestgen.community.stand.cover import crown_ratios
 from forestgen.community.stand.dead_wood import DeadTrees, DeadWood, dead_report, dead_trees, with_dead
-from forestgen.community.stand.ground_plants import GROUND_MODEL, GroundParameters, GroundPlants
+from forestgen.community.stand.ground_plants import GroundModel, GroundParameters, GroundPlants
 from forestgen.community.stand.targets import TOLERANCE, Storey, check_trees, height_range_m, stocking
 from forestgen.community.static_model import Placement, StaticModel, StaticParameters
 from forestgen.core.errors import RecipeError
@@ -228,7 +231,12 @@ class StandModel(StaticModel[StandParameters]):
                 own = parameters.dead_wood, trees, site, opened, dead_rng
                 dead = dead_trees(*own, periodic=parameters.periodic)
                 found["reached"]["dead_wood"] = dead_report(dead, site)
-        ground = GROUND_MODEL.place(parameters.ground_parameters(species), site, species, ground_rng)
+        plants = parameters.ground_parameters(species)
+        crowns: NDArray[np.bool_] | None = None
+        if trees is not None and plants.clumps:
+            discs = trees.position_m, trees.crown_radius_m
+            crowns = np.asarray(crown_ratios(*discs, site, 1.0, periodic=parameters.periodic) <= 1.0)
+        ground = GroundModel(crowns).place(plants, site, species, ground_rng)
         return _joined(trees, dead, ground, species, parameters, found)
 
     def most_plants(self, parameters: StandParameters, site: Site, species: Ecologies) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Annotated, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, model_validator
 
 from forestgen.community.ground.living_conditions import Conditions
@@ -19,6 +20,7 @@ from forestgen.recipe.fields import NonNegative, Positive, Section, violation
 
 # Share of the discs of a clump that lies below no others: the integral of (1 - exp(-x)) / x from 0 to 1.
 _COVER_OF_CLUMPS = 0.7966
+_LEAST_TOLERANCE = 0.02  # plants that bear no shade have some place too
 
 
 class GroundPlants(Section):
@@ -72,8 +74,14 @@ class GroundParameters(uniform.UniformParameters):
     clumps: Mapping[str, thomas.ThomasParameters] = {}
 
 
-class _GroundModel(GriddedModel[GroundParameters]):
-    """Plants anywhere or, of some species, in clumps."""
+class GroundModel(GriddedModel[GroundParameters]):
+    """Plants anywhere or, of some species, in clumps, which stand below crowns as readily as their species bears shade.
+
+    `crowns`: (rows, cols) whether the site's ground is under crowns, row 0 at y = 0; None: there are no trees.
+    """
+
+    def __init__(self, crowns: NDArray[np.bool_] | None) -> None:
+        self._crowns = crowns
 
     def positions(
         self,
@@ -84,12 +92,19 @@ class _GroundModel(GriddedModel[GroundParameters]):
         rng: np.random.Generator,
     ) -> tuple[Floats, str]:
         position_m, why = uniform.MODEL.positions(parameters, site, species, wanted, rng)
-        fields = read_densities(parameters, site, species)
-        for index, (one, stream) in enumerate(zip(species, rng.spawn(len(species)), strict=True)):
-            mine, clumps = np.flatnonzero(wanted.sp == index), parameters.clumps.get(one.name)
-            if clumps is not None and len(mine) and fields[index].any():
-                position_m[mine] = thomas.MODEL.place_species(clumps, site, fields[index], len(mine), stream)
+        fields = read_densities(parameters, site, species) if parameters.clumps else []
+        streams = rng.spawn(len(species))
+        for index, field in enumerate(fields):
+            one, mine = species[index], np.flatnonzero(wanted.sp == index)
+            clumps = parameters.clumps.get(one.name)
+            if clumps is not None and len(mine) and field.any():
+                lit = field if self._crowns is None else field * self._light(field.shape, one.shade_tolerance)
+                position_m[mine] = thomas.MODEL.place_species(clumps, site, lit, len(mine), streams[index])
         return position_m, why
 
-
-GROUND_MODEL = _GroundModel()
+    def _light(self, shape: tuple[int, ...], tolerance: float) -> Floats:
+        """(rows, cols) relative density under crowns and in the open."""
+        assert self._crowns is not None
+        row, col = ((np.arange(n) + 0.5) / n * most for n, most in zip(shape, self._crowns.shape, strict=True))
+        under = self._crowns[np.ix_(row.astype(np.intp), col.astype(np.intp))]
+        return np.asarray(np.where(under, max(tolerance, _LEAST_TOLERANCE), 1.0))

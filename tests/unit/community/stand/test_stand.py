@@ -276,6 +276,19 @@ def test_plants_of_the_ground_stand_in_clumps_and_cover_as_much(species):
     assert many[1].var() > 4.0 * many[1].mean()
 
 
+def test_clumps_of_the_ground_stand_where_light_is(species):
+    storey = {"species": {"spruce": 1}, "stems_per_ha": 500, "dbh": {"mean_cm": 20}}
+    ground = {"bracken": {"plants_per_ha": 4000, "clump_m": 2}}
+    found = grown(species, {"storeys": [storey], "canopy_cover": 0.5, "ground": ground})
+    fern = found.species == 5
+    away = found.position_m[fern, None, :2] - found.position_m[None, ~fern, :2]
+    away = np.abs(away)
+    away = np.hypot(*np.minimum(away, np.array(SIZE) - away).transpose(2, 0, 1))
+    below = (away < found.columns["crown_radius_m"][~fern]).any(axis=1).mean()
+    tolerance = species[5].shade_tolerance
+    assert below == pytest.approx(tolerance / (1.0 + tolerance), abs=0.06)  # half of the ground is below crowns
+
+
 def test_the_seed_decides(species):
     one, same, other = (grown(species, SPRUCE, seed) for seed in (4, 4, 5))
     for field in fields(one):
