@@ -280,7 +280,7 @@ def _scars(tile: Tile, rng: Rng, s: float, share: float) -> Image:
     spots = tile.cells(rng, pitch, (wave, wave))
     size = (0.5 + 0.9 * spots.values(rng)) * s
     u, v = np.abs(spots.offset_u) * pitch[0] / size, spots.offset_v * pitch[1] / size
-    eye = step((u / 1.5) ** 2 + v * v, 1.2, 0.7)
+    eye = step((u / 1.7) ** 1.3 + np.abs(v) ** 1.3, 1.5, 0.5)
     off = np.asarray(np.abs(v - 1.4 + 0.55 * u) / np.maximum(0.35 - 0.06 * u, 0.01), dtype=np.float32)
     line = step(off, 1.2, 0.6) * (u < 5.5)
     return np.asarray((spots.values(rng) < np.float32(share)) * np.maximum(eye, 0.8 * line), dtype=np.float32)
@@ -318,7 +318,7 @@ def papery(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
         dashes = np.maximum(dashes, kept * step(u * u + v * v + 0.25 * fine, 1.1, 0.5))
     rough = tile.noise(rng, (0.35 * s, 0.22 * s), 1.5)
     patch = upper_share(tile.noise(rng, (2.2 * s, 3.2 * s), 2.2) + 0.30 * rough, 0.4 * marks, 0.12)
-    scar = step(_scars(tile, rng, 0.35 * s, 0.6) + 0.12 * rough, 0.3, 0.6)
+    scar = step(_scars(tile, rng, 0.35 * s, 0.6) * (1.0 + 0.4 * rough), 0.3, 0.7)
     dark = np.maximum(np.maximum(dashes, patch), scar)
     sheets = tile.cells(rng, (6 * s, 0.8 * s), (3.0 * wave, wave))
     loose = (sheets.values(rng) < np.float32(2.0 * marks)).astype(np.float32)
