@@ -280,7 +280,7 @@ def _scars(tile: Tile, rng: Rng, s: float, share: float) -> Image:
     spots = tile.cells(rng, pitch, (wave, wave))
     size = (0.5 + 0.9 * spots.values(rng)) * s
     u, v = np.abs(spots.offset_u) * pitch[0] / size, spots.offset_v * pitch[1] / size
-    eye = step((u / 1.7) ** 1.3 + np.abs(v) ** 1.3, 1.5, 0.5)
+    eye = step(np.asarray((u / 1.7) ** 1.3 + np.abs(v) ** 1.3, dtype=np.float32), 1.5, 0.5)
     off = np.asarray(np.abs(v - 1.4 + 0.55 * u) / np.maximum(0.35 - 0.06 * u, 0.01), dtype=np.float32)
     line = step(off, 1.2, 0.6) * (u < 5.5)
     return np.asarray((spots.values(rng) < np.float32(share)) * np.maximum(eye, 0.8 * line), dtype=np.float32)
