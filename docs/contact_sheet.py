@@ -26,7 +26,8 @@ Keys = dict[str, Any]
 
 FLOOR: list[Keys] = [
     {"what": "fallen_leaves", "cover": 0.8},
-    {"what": "twigs", "cover": 0.03},
+    {"what": "twigs", "cover": 0.04},
+    {"what": "twigs", "cover": 0.04, "length_m": 0.9, "patch_m": 3},
     {"what": "stones", "cover": 0.005},
     {"what": "moss", "cover": 0.08, "patch_m": 2},
 ]
@@ -38,6 +39,7 @@ ROADSIDE: list[Keys] = [
     {"what": "fallen_leaves", "cover": 0.08, "on": "path"},
     {"what": "twigs", "length_m": 0.1, "cover": 0.01, "on": "path"},
 ]
+DEAD_WOOD: Keys = {"type": "managed_beech", "lying_m3_per_ha": 12}
 GRASS: Keys = {"what": "small_plants", "species": "grass", "height_m": 0.25, "cover": 0.3, "patch_m": 4}
 EYE: Keys = {"position_m": [32, 4, 1.7], "look_at_m": [29, 30, 4.5], "hfov_deg": 62}
 EAST: Keys = {"position_m": [6, 28, 1.6], "look_at_m": [40, 33, 3], "hfov_deg": 54}
@@ -50,9 +52,12 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
     main: Keys = {"species": dict(species), "basal_area_m2_per_ha": 30, "dominant_height_m": top_m}
     storeys: list[Keys] = [{**main, "dbh": {"cv": 0.35}, "clark_evans": 0.9}]
     if young:
-        storeys.append({"species": {young: 1}, "stems_per_ha": 250, "dominant_height_m": 4})
+        storeys.append({"species": {young: 1}, "stems_per_ha": 250, "dominant_height_m": 4, "clark_evans": 0.6})
     names = [*species, *([young] if young else []), "bramble", "bracken", "grass"]
-    ground = {"bramble": {"cover": 0.05, "radius_m": {"median": 0.45, "sigma": 0.3}}, "bracken": {"cover": 0.08}}
+    ground = {
+        "bramble": {"cover": 0.05, "radius_m": {"median": 0.45, "sigma": 0.3}, "clump_m": 5},
+        "bracken": {"cover": 0.08, "clump_m": 7},
+    }
     recipe: Keys = {
         "forestgen": 1,
         "seed": 5,
@@ -63,7 +68,7 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
             "ground": {"kind": "litter", "layers": FLOOR},
         },
         "species": dict.fromkeys(names),
-        "community": {"model": "stand", "storeys": storeys, "dead_wood": "managed_beech", "ground": ground},
+        "community": {"model": "stand", "storeys": storeys, "dead_wood": DEAD_WOOD, "ground": ground},
         "plants": {"exemplars_per_species": 6, "levels": True, "phenology_classes": 1},
         "sky": {"sun": {"elevation_deg": 48, "azimuth_deg": 215}, "turbidity": 3, "visibility_m": 25000},
         "cameras": [{"obstructed": "note", **camera}],

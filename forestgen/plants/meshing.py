@@ -37,11 +37,12 @@ MarkedMesh = tuple[Mesh, NDArray[np.uint32] | None]  # and (F,) marks of its tri
 _FOOT_M = 0.3  # stems reach this far below the ground, so that none hangs over a slope
 _STANDS = 0.3  # least z of a stem's direction at its foot: one that lies on the ground gets no foot
 _MESHED_FLARE_RADIUS_M = 0.012  # thinner stems get no flare and no bark relief
-_FLARE_RINGS = np.array([0.0, 0.05, 0.12, 0.22, 0.36, 0.55, 0.77, 1.0])  # extra rings, shares of the flare's height
+_FLARE_RINGS = np.array([0.0, 0.025, 0.06, 0.12, 0.22, 0.36, 0.55, 0.77, 1.0])  # shares of the flare's height
 _POINTED_M = 0.002  # radius up to which an end is a point, which saves a third of a twig's triangles
 _POINTED = 0.15  # the same as a share of the radius before
 _ROOTS_REACH = 0.4  # of a crown's width, at most: the crown stays the widest
 _SIDES_A_ROOT = 7  # of a stem at least
+_FLUTED, _FLUTES_FADE = 0.06, 25.0  # how far ridges go on up a stem, over its radius; height at 1/e of that, in radii
 _DOMED = 0.4  # an axis that ends where another of this share of its radius begins gets a dome
 
 
@@ -252,6 +253,7 @@ def _stem(line: Polylines, flare: float, tile_m: tuple[float, float], plain: boo
     factor = 1.0 + flare * near_ground * ridges + waves
     if roots is not None:
         factor += roots.widening(angle.astype(np.float64), np.maximum(height, 0.0).astype(np.float64))
+        factor += _FLUTED * np.exp(-np.maximum(height, 0.0) / (_FLUTES_FADE * base))[:, None] * (ridges - 1.0)
     return sweep_tubes(line, sides, pointed=pointed, radial_factor=factor, tile_m=tile_m)[0]
 
 

@@ -93,7 +93,7 @@ def roots_of(law: Roots | None, stem_m: float, most_m: float = np.inf) -> StemRo
     rng = child_rng(round(1e6 * stem_m), "roots")
     count = max(2, int(law.count + rng.uniform(-1.0, 2.0)))
     azimuth = 2.0 * np.pi * (np.arange(count) + rng.uniform(-0.3, 0.3, count)) / count + rng.uniform(0.0, 2.0 * np.pi)
-    size = rng.uniform(0.45, 1.0, count)
+    size = rng.uniform(0.25, 1.0, count)
     share = np.linspace(0.0, 1.0, _NODES)
     turn = _WANDER_RAD * (rng.normal(size=(count, 1)) * share + rng.normal(size=(count, 1)) * np.sin(2 * np.pi * share))
     reach = stem_m + law.reach_m * np.sqrt(2.0 * stem_m / _REFERENCE_M) * rng.uniform(0.35, 1.0, count)

@@ -30,8 +30,8 @@ from forestgen.plants.exemplar import OrganMesh
 from forestgen.recipe.wood import BarkZone, Cover, Wood
 
 COVERED = "+"  # in the name of a bark under a cover
-LEVELS = (0.4, 0.85)  # share of a covered bark's texture that has the cover's colour, of thin and dense cover
-_DENSE = 0.25
+LEVELS = (0.12, 0.45, 0.88)  # share of a covered bark's texture that has the cover's colour, from thin to dense
+_DENSER = (0.0, 0.1, 0.25)  # s above the noise, of each
 _LEAST_SHARE = 0.03  # of a cover
 _UNLIKE = 0.5  # standard deviation of the logarithm of what stems bear
 _LEAST_RADIUS_M = 0.03  # of a stem that bears anything
@@ -72,10 +72,14 @@ def surfaced(
         grows = _CoverField(cover, waves, float(k))
         pieces = [one for one in pieces if COVERED in one.material]
         for one in bare:
-            thin = covered_name(one.material, cover.material, 0)
-            for part in split(one, grows, edge_m, thin):
-                dense = covered_name(one.material, cover.material, 1)
-                pieces += split(part, _Raised(grows), np.inf, dense) if part.material == thin else [part]
+            inside = one
+            for level, above in enumerate(_DENSER):
+                name = covered_name(one.material, cover.material, level)
+                *outside, inside = split(inside, _Raised(grows, above), np.inf if level else edge_m, name)
+                pieces += outside
+                if inside.material != name:
+                    break
+            pieces.append(inside)
     return pieces
 
 
@@ -141,15 +145,15 @@ class _CoverField:
 
 
 class _Raised:
-    """The same field, less what thin cover takes."""
+    """The same field, less what thinner cover takes."""
 
     near = _NEAR_COVER
 
-    def __init__(self, field: _CoverField) -> None:
-        self._field = field
+    def __init__(self, field: _CoverField, by: float) -> None:
+        self._field, self._by = field, by
 
     def at(self, mesh: Mesh) -> Floats:
-        return np.asarray(self._field.at(mesh) - _DENSE)
+        return np.asarray(self._field.at(mesh) - self._by)
 
 
 class Field(Protocol):

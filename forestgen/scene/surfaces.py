@@ -226,7 +226,7 @@ def _mixed(bark: Material, cover: Material, share: float, pattern: recipe_specie
         mean = colours_of_surface(spectrum, None)[0]
     texture = None
     if pattern is not None:
-        texture = covered_texture(pattern, bark.reflectance, name, cover.reflectance, share, mean)
+        texture = covered_texture(pattern, bark.reflectance, name, cover.reflectance, share, mean, cover.texture)
     return Material(mean, roughness=bark.roughness, texture=texture, reflectance_spectrum=spectrum)
 
 

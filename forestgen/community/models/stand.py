@@ -82,7 +82,7 @@ Recipe::
         - species: {birch: 1}
           basal_area_m2_per_ha: 12
           dbh: {mean_cm: 18, cv: 0.3, law: normal}
-      ground: {bracken: {cover: 0.3}}
+      ground: {bracken: {cover: 0.3, clump_m: 8}}
 
 Decisions
 ---------
@@ -103,8 +103,10 @@ Decisions
 - Whole trees: on a small site the number of stems is rounded; the basal area is met with those.
 - Heights by age are those of spruce or pine in Finland, whatever the species; say dominant_height_m where you know it.
 - Trees may be taller than their species' height_m; radius_m, the neighbourhood of other models, is then its largest.
-- Plants of `ground` are placed independently; their cover is that of discs of radius_m. Trees among them are seedlings:
-  of the sizes that their allometry and their neighbours give.
+- Plants of `ground` are placed independently, or in clumps of a width (Thomas 1949): sigma is a fourth of it; in the
+  middle as many discs stand as cover the ground once. Clumps are below crowns as readily as trees of a lower storey.
+  The cover of these plants is that of discs of radius_m. Trees among them are seedlings: of the sizes that their
+  allometry and their neighbours give.
 - A dead tree's species, diameter and height are those of a living tree of at least min_dbh_cm, drawn at random. For a
   volume trees are drawn until it is reached; one factor of diameters and heights makes it exact. Volumes are of stems
   over bark, of the taper of `forestgen.core.stem_form`, of what the decay class has left.
@@ -122,33 +124,30 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from forestgen.community.arrivals import radii_m
-from forestgen.community.ground.living_conditions import Conditions
 from forestgen.community.model import none_is
-from forestgen.community.models import uniform
 from forestgen.community.placement.densities import (
-    Sizes,
-    Stand,
     check_sizes,
     grid_shape,
     heights_asked_m,
-    one_size,
     plant_counts,
-    radii_at,
     tree_density,
 )
 from forestgen.community.placement.density_map import DensityMap
-from forestgen.community.population import Ecologies, Floats, Site, SpeciesEcology, ecology_of
+from forestgen.community.population import Ecologies, Floats, Site, ecology_of
 from forestgen.community.stand import spacing
 from forestgen.community.stand.build import MOST_LEAVES, StandBuilder, StandTrees, measured
+from forestgen.community.stand.cover import crown_ratios
 from forestgen.community.stand.dead_wood import DeadTrees, DeadWood, dead_report, dead_trees, with_dead
+from forestgen.community.stand.ground_plants import GroundModel, GroundParameters, GroundPlants
 from forestgen.community.stand.targets import TOLERANCE, Storey, check_trees, height_range_m, stocking
 from forestgen.community.static_model import Placement, StaticModel, StaticParameters
 from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
-from forestgen.recipe.fields import Flag, Name, NonNegative, Positive, Section, shorthand, violation
+from forestgen.recipe.fields import Flag, Name, Positive, Section, shorthand, violation
 from forestgen.recipe.sources import Keys
 
 if TYPE_CHECKING:
@@ -167,41 +166,6 @@ class Gaps(Section):
 
     share: Positive = Field(le=0.5, description="Share of the ground, from stem to stem.")
     diameter_m: Positive = Field(le=200, description="Diameter of a gap, metres.")
-
-
-class GroundPlants(Section):
-    """Plants of one species below the trees."""
-
-    plants_per_ha: NonNegative | None = Field(None, le=1e8, description="How many per hectare; or, instead, cover.")
-    cover: Positive | None = Field(None, le=0.99, description="Share of the ground under their discs of radius_m.")
-    radius_m: Annotated[Sizes | None, BeforeValidator(one_size)] = Field(
-        None, description="Radii: a number, or {median, sigma} of a log-normal; null: median half of the largest."
-    )
-    height_sigma: NonNegative = Field(0.0, le=1, description="Scatter of heights about the species' allometry.")
-    map: DensityMap | None = Field(None, description="Relative density over the site.")
-
-    @model_validator(mode="after")
-    def _one_number(self) -> Self:
-        if (self.plants_per_ha is None) == (self.cover is None):
-            raise violation("one of plants_per_ha and cover", problem="how many plants?")
-        return self
-
-    def stand(self, species: SpeciesEcology) -> Stand:
-        """As placement models take it."""
-        number = self.plants_per_ha
-        if self.cover is not None:
-            radii = radii_at(self.radius_m, species, (np.arange(4096) + 0.5) / 4096)
-            number = -math.log1p(-self.cover) / (math.pi * float(np.mean(radii**2))) * 1e4
-        return Stand.model_construct(
-            plants_per_ha=number, radius_m=self.radius_m, height_sigma=self.height_sigma, map=self.map,
-            count=None, conditions=Conditions(),
-        )  # fmt: skip
-
-
-class _Ground(uniform.UniformParameters):
-    """The ground's plants, as another model places them."""
-
-    plants_key: ClassVar[str] = "ground"
 
 
 class StandParameters(StaticParameters):
@@ -236,12 +200,15 @@ class StandParameters(StaticParameters):
             yield from ((("storeys", index, "species", name), name) for name in storey.species)
         yield from ((("ground", name), name) for name in self.ground)
 
-    def ground_parameters(self, species: Ecologies) -> uniform.UniformParameters:
-        """The ground's plants as `uniform` places them."""
-        plants = {one.name: self.ground[one.name].stand(one) for one in species if one.name in self.ground}
-        return _Ground.model_construct(
-            plants=plants, keep_out=self.keep_out, periodic=self.periodic, cells=512, disturbances=()
-        )
+    def ground_parameters(self, species: Ecologies) -> GroundParameters:
+        """The ground's plants as another model places them."""
+        own = [(one, self.ground[one.name]) for one in species if one.name in self.ground]
+        clumps = {one.name: keys.clumps(one, periodic=self.periodic) for one, keys in own}
+        return GroundParameters.model_construct(
+            plants={one.name: keys.stand(one) for one, keys in own},
+            clumps={name: found for name, found in clumps.items() if found is not None},
+            keep_out=self.keep_out, periodic=self.periodic, cells=512, disturbances=(),
+        )  # fmt: skip
 
 
 class StandModel(StaticModel[StandParameters]):
@@ -264,7 +231,12 @@ class StandModel(StaticModel[StandParameters]):
                 own = parameters.dead_wood, trees, site, opened, dead_rng
                 dead = dead_trees(*own, periodic=parameters.periodic)
                 found["reached"]["dead_wood"] = dead_report(dead, site)
-        ground = uniform.MODEL.place(parameters.ground_parameters(species), site, species, ground_rng)
+        plants = parameters.ground_parameters(species)
+        crowns: NDArray[np.bool_] | None = None
+        if trees is not None and plants.clumps:
+            discs = trees.position_m, trees.crown_radius_m
+            crowns = np.asarray(crown_ratios(*discs, site, 1.0, periodic=parameters.periodic) <= 1.0)
+        ground = GroundModel(crowns).place(plants, site, species, ground_rng)
         return _joined(trees, dead, ground, species, parameters, found)
 
     def most_plants(self, parameters: StandParameters, site: Site, species: Ecologies) -> float:

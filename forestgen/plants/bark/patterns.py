@@ -255,19 +255,35 @@ def scaly(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
 
 
 def smooth(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
-    """Smooth bark with faint lines across, and dark lozenges where it breathes (beech, young poplar)."""
+    """Smooth bark in wrinkles and folds across, with pale crusts, dark streaks where water runs and scars of branches,
+    and dark lozenges where it breathes (beech, young poplar)."""
     s = scale_m
-    blotch = tile.noise(rng, (9 * s, 7 * s), 2.2)
-    lines = tile.noise(rng, (2.0 * s, 0.22 * s), 2.0)
+    blotch = tile.noise(rng, (12 * s, 9 * s), 1.8)
+    crust = upper_share(tile.noise(rng, (5 * s, 4 * s), 1.6) + 0.9 * blotch, 0.3, 0.35)
+    folds = tile.noise(rng, (7 * s, 1.1 * s), 2.4)
+    lines = tile.noise(rng, (3.0 * s, 0.25 * s), 2.0)
     fine = tile.noise(rng, (0.3 * s, 0.3 * s), 1.3)
-    swell = tile.noise(rng, (6 * s, 3 * s))
-    streak = tile.noise(rng, (1.5 * s, 9 * s), 2.4)
-    tone = 0.66 + 0.08 * blotch + 0.035 * lines + 0.05 * fine + 0.04 * streak
-    height = 0.75 + 0.05 * swell + 0.015 * lines + 0.010 * fine
+    damp = upper_share(tile.noise(rng, (3 * s, 24 * s), 1.9) + 0.5 * blotch, 0.2, 0.6)
+    scar = _scars(tile, rng, s, 0.5)
+    tone = 0.58 + 0.08 * blotch + 0.26 * crust - 0.26 * damp + 0.03 * folds + 0.05 * lines + 0.05 * fine - 0.45 * scar
+    height = 0.75 + 0.06 * folds + 0.02 * lines + 0.01 * fine + 0.03 * crust - 0.2 * scar
     if marks <= 0:
         return Relief(height, tone)
     dark, lip = _lozenges(tile, rng, s, marks)
     return Relief(height - 0.40 * dark + 0.16 * lip, tone + 0.10 * lip, dark)
+
+
+def _scars(tile: Tile, rng: Rng, s: float, share: float) -> Image:
+    """Where branches were, in a share of places: an eye about 3 `s` wide, below two lines that fall to both sides."""
+    pitch = 26 * s, 20 * s
+    wave = 0.3 * s * tile.noise(rng, (5 * s, 5 * s))
+    spots = tile.cells(rng, pitch, (wave, wave))
+    size = (0.5 + 0.9 * spots.values(rng)) * s
+    u, v = np.abs(spots.offset_u) * pitch[0] / size, spots.offset_v * pitch[1] / size
+    eye = step(np.asarray((u / 1.7) ** 1.3 + np.abs(v) ** 1.3, dtype=np.float32), 1.5, 0.5)
+    off = np.asarray(np.abs(v - 1.4 + 0.55 * u) / np.maximum(0.35 - 0.06 * u, 0.01), dtype=np.float32)
+    line = step(off, 1.2, 0.6) * (u < 5.5)
+    return np.asarray((spots.values(rng) < np.float32(share)) * np.maximum(eye, 0.8 * line), dtype=np.float32)
 
 
 def _lozenges(tile: Tile, rng: Rng, s: float, marks: float) -> tuple[Image, Image]:
@@ -284,26 +300,39 @@ def _lozenges(tile: Tile, rng: Rng, s: float, marks: float) -> tuple[Image, Imag
 
 
 def papery(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
-    """White bark that peels across the stem, with dark dashes across and, where it is old, black rough patches."""
+    """White bark that peels across the stem, with dark dashes in crowded bands, black scars of branches and, where it
+    is old, black rough patches."""
     s = scale_m
-    blotch = tile.noise(rng, (4 * s, 2 * s), 2.0)
+    blotch = tile.noise(rng, (5 * s, 3 * s), 1.8)
     bands = tile.noise(rng, (9 * s, 0.16 * s), 1.6)
     fine = tile.noise(rng, (0.5 * s, 0.05 * s), 1.2)
     wave = 0.05 * s * tile.noise(rng, (3 * s, 1.5 * s))
+    crowded = np.exp(1.1 * tile.noise(rng, (8 * s, 1.8 * s), 2.2) - 0.6)
     dashes = np.zeros_like(fine)
-    for width, pitch_v in ((1.0, 0.30), (0.55, 0.17)):
+    for width, pitch_v in ((2.4, 0.55), (1.0, 0.26), (0.4, 0.13)):
         pitch = (1.7 * width * s, pitch_v * s)
         spots = tile.cells(rng, pitch, (wave, wave))
-        long = (0.15 + 0.85 * spots.values(rng) ** 1.5) * 0.55 * width * s
-        u, v = np.abs(spots.offset_u) * pitch[0] / long, np.abs(spots.offset_v) * pitch[1] / (0.035 * s + 0.035 * long)
-        kept = spots.values(rng) < np.float32(min(1.0, 6.0 * marks))
+        long = (0.1 + 0.9 * spots.values(rng) ** 2.5) * 0.6 * width * s
+        u, v = np.abs(spots.offset_u) * pitch[0] / long, np.abs(spots.offset_v) * pitch[1] / (0.02 * s + 0.035 * long)
+        kept = spots.values(rng) < 6.0 * np.float32(marks) * crowded
         dashes = np.maximum(dashes, kept * step(u * u + v * v + 0.25 * fine, 1.1, 0.5))
     rough = tile.noise(rng, (0.35 * s, 0.22 * s), 1.5)
-    patch = upper_share(tile.noise(rng, (2.2 * s, 3.2 * s), 2.2) + 0.30 * rough, 0.6 * marks, 0.12)
-    dark = np.maximum(dashes, patch)
-    peel = step(bands, 1.1, 1.9)
-    tone = 0.80 + 0.06 * blotch + 0.05 * bands + 0.04 * fine - 0.28 * peel
-    height = 0.72 + 0.03 * bands + 0.12 * peel - 0.10 * dashes - patch * (0.30 - 0.16 * rough)
+    patch = upper_share(tile.noise(rng, (2.2 * s, 3.2 * s), 2.2) + 0.30 * rough, 0.4 * marks, 0.12)
+    scar = step(_scars(tile, rng, 0.35 * s, 0.6) * (1.0 + 0.4 * rough), 0.3, 0.7)
+    dark = np.maximum(np.maximum(dashes, patch), scar)
+    sheets = tile.cells(rng, (6 * s, 0.8 * s), (3.0 * wave, wave))
+    loose = (sheets.values(rng) < np.float32(2.0 * marks)).astype(np.float32)
+    curl = loose * step(sheets.border_m, 0.09 * s, 0.03 * s)
+    peel = np.maximum(step(bands, 1.1, 1.9), 0.8 * (loose - curl))
+    tone = 0.80 + 0.10 * blotch + 0.05 * bands + 0.04 * fine - 0.30 * peel + 0.12 * curl
+    height = (
+        0.62
+        + 0.03 * bands
+        + 0.35 * curl
+        - 0.06 * peel
+        - 0.10 * dashes
+        - np.maximum(patch, scar) * (0.30 - 0.16 * rough)
+    )
     return Relief(height, tone, dark)
 
 

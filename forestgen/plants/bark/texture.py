@@ -19,8 +19,9 @@ Blocks that read as these trees from 1 to 3 m; before the colon stands the mater
                            mark_colour: [0.19, 0.085, 0.05]}
     spruce, 0.125 0.105 0.085: {pattern: scaly, dark: [0.05, 0.035, 0.025], light: [0.25, 0.20, 0.17], marks: 0.5,
                                 mark_colour: [0.14, 0.07, 0.045]}
-    beech, 0.26 0.26 0.235: {pattern: smooth, dark: [0.10, 0.10, 0.09], light: [0.34, 0.34, 0.31], lichen: 0.06}
-    birch, 0.58 0.56 0.51: {pattern: papery, dark: [0.30, 0.22, 0.16], light: [0.75, 0.73, 0.68],
+    beech, 0.26 0.26 0.235: {pattern: smooth, tile_m: [1, 1.6], dark: [0.06, 0.06, 0.055], light: [0.36, 0.36, 0.33],
+                              lichen: 0.13, lichen_colour: [0.46, 0.48, 0.42]}
+    birch, 0.47 0.44 0.40: {pattern: papery, tile_m: [0.7, 1.2], dark: [0.30, 0.22, 0.16], light: [0.75, 0.73, 0.68],
                             mark_colour: [0.03, 0.027, 0.025]}
     palm, 0.22 0.19 0.15: {pattern: ringed, tile_m: [0.6, 0.72]}
     bare wood, 0.24 0.225 0.20: {pattern: fibrous, dark: [0.05, 0.045, 0.04]}
@@ -56,7 +57,7 @@ Colour = tuple[float, float, float]
 
 _TEXEL_M = 0.0015
 _LEAST_TEXELS, _MOST_TEXELS = 64, 640
-_COVER_M = 0.004  # thickness of what grows on bark
+_COVER_M = 0.003  # thickness of what grows on bark
 _STEEPEST = 1.2  # slope of the normal map: without shadows, steeper walls look wrong
 
 
@@ -108,22 +109,43 @@ def bark_texture(bark: Bark, reflectance: Colour, name: str) -> SurfaceTexture:
 
 @lru_cache(maxsize=32)
 def covered_texture(
-    bark: Bark, reflectance: Colour, name: str, cover: Colour, share: float, mean: Colour
+    bark: Bark,
+    reflectance: Colour,
+    name: str,
+    cover: Colour,
+    share: float,
+    mean: Colour,
+    own: SurfaceTexture | None = None,
 ) -> SurfaceTexture:
     """The texture of a bark, see `bark_texture`, a share of which something grows on, such as moss.
 
-    `cover`: colour of what grows there. `mean`: of all. What a share covers a greater one covers too.
+    `cover`: colour of what grows there. `mean`: of all. `own`: the cover's texture, if it has one. What a share covers
+    a greater one covers too.
     """
+    base = bark_texture(bark, reflectance, name)
+    place, tone = _cover_noise(bark, reflectance, name)
+    mask = upper_share(place, share, 0.45)
+    if own is None:
+        over, top_m = np.array(cover, dtype=np.float32) * tone[..., None], base.height_m + _COVER_M * (0.7 + 0.3 * tone)
+    else:
+        sides = zip(base.height_m.shape, own.height_m.shape, strict=True)
+        at = np.ix_(*(np.arange(n) * most // n for n, most in sides))
+        over, top_m = own.colour[at], own.height_m[at]
+    colour = base.colour + mask[..., None] * (over - base.colour)
+    height_m = base.height_m + mask * (top_m - base.height_m)
+    return SurfaceTexture(with_mean(np.maximum(colour, 0.0), mean), height_m.astype(np.float32), base.tile_m)
+
+
+@lru_cache(maxsize=4)
+def _cover_noise(bark: Bark, reflectance: Colour, name: str) -> tuple[Image, Image]:
+    """Where things grow on a bark first, and the tone of what grows."""
     base = bark_texture(bark, reflectance, name)
     rows, columns = base.height_m.shape
     tile = Tile(rows, columns, base.tile_m)
     spread, fine = child_rng(0, "cover", name).spawn(2)
-    place = tile.noise(spread, (0.05, 0.07), 1.6) + 0.1 * (base.height_m.mean() - base.height_m) / _COVER_M
-    mask = upper_share(np.asarray(place, dtype=np.float32), share, 0.25)
-    tone = np.clip(1.0 + 0.3 * tile.noise(fine, (0.01, 0.01), 1.2), 0.3, 1.7)[..., None]
-    colour = base.colour + mask[..., None] * (np.array(cover, dtype=np.float32) * tone - base.colour)
-    height_m = base.height_m + np.float32(_COVER_M) * mask * (0.7 + 0.3 * tone[..., 0])
-    return SurfaceTexture(with_mean(np.maximum(colour, 0.0), mean), height_m.astype(np.float32), base.tile_m)
+    place = tile.noise(spread, (0.09, 0.12), 1.45) + 0.1 * (base.height_m.mean() - base.height_m) / _COVER_M
+    tone = np.clip(1.0 + 0.3 * tile.noise(fine, (0.01, 0.01), 1.2), 0.3, 1.7)
+    return np.asarray(place, dtype=np.float32), np.asarray(tone, dtype=np.float32)
 
 
 def _texels(length_m: float) -> int:

@@ -2,7 +2,7 @@
 
 Example
 -------
-    site: {ground: {layers: [{what: twigs, cover: 0.03, length_m: 0.25}]}}
+    site: {ground: {layers: [{what: twigs, cover: 0.03}, {what: twigs, cover: 0.03, length_m: 0.9, patch_m: 3}]}}
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ _VARIANTS = 6
 _TRAPPED = 0.54  # share of light: benchmarks/ground_cover.py
 _THICKNESS = 0.014  # diameter over length
 _FORK = 0.7  # chance that a twig has a side branch
+_SIDES_PER_M = 4.0  # further side branches, on which a longer one lies
+_MOST_SIDES = 6
 
 
 class TwigsKeys(GroundLayer):
@@ -58,15 +60,18 @@ class Twigs(GroundLayerKind[TwigsKeys]):
 
 
 def _twig(length_m: float, rng: np.random.Generator) -> Patch:
-    """A crooked twig along y, often with a side branch."""
+    """A crooked twig along y, often with a side branch; longer ones are branches, and lie on theirs."""
     radius = 0.5 * _THICKNESS * length_m
     path = _crooked(length_m, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, radius]), rng)
     pieces = [tube(path, radius * np.linspace(1.0, 0.45, len(path)), 5)]
-    if rng.random() < _FORK:
+    further = min(int(_SIDES_PER_M * length_m), _MOST_SIDES)
+    low = -0.3 if further else 0.0
+    for side in range(int(rng.random() < _FORK) + further):
         turn = rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(30.0, 60.0))
-        along = np.array([np.sin(turn), np.cos(turn), rng.uniform(0.0, 0.25)])
-        side = _crooked(rng.uniform(0.25, 0.5) * length_m, along, path[len(path) // 2], rng)
-        pieces.append(tube(side, 0.6 * radius * np.linspace(1.0, 0.4, len(side)), 4))
+        along = np.array([np.sin(turn), np.cos(turn), rng.uniform(low, low + 0.25 + 0.3 * (further > 0))])
+        at = (len(path) // 2 + side) % len(path)
+        lies = _crooked(rng.uniform(0.25, 0.5) * length_m, along, path[at], rng)
+        pieces.append(tube(lies, 0.6 * radius * np.linspace(1.0, 0.4, len(lies)), 4))
     return join(pieces)
 
 

@@ -72,12 +72,12 @@ def grown(species, given, seed=1, size_m=SIZE):
     return population
 
 
-def brute_cover(population, size_m, cell_m=0.25):
+def brute_cover(population, size_m, cell_m=0.25, radius="crown_radius_m"):
     """Share of the ground under discs, on a torus, by all distances."""
     x, y = (np.arange(cell_m / 2, side, cell_m) for side in size_m)
     covered = np.zeros((len(y), len(x)), dtype=bool)
-    radius = population.columns["crown_radius_m"]
-    for (px, py, _), r in zip(population.position_m, radius, strict=True):
+    radii_m = population.radius_m if radius == "radius_m" else population.columns[radius]
+    for (px, py, _), r in zip(population.position_m, radii_m, strict=True):
         dx, dy = np.abs(x - px), np.abs(y - py)
         dx, dy = np.minimum(dx, size_m[0] - dx), np.minimum(dy, size_m[1] - dy)
         covered |= dx[None] ** 2 + dy[:, None] ** 2 <= r**2
@@ -262,6 +262,31 @@ def test_a_map_says_where_trees_stand_and_the_ground_is_covered(species):
     assert found.position_m[:, 1].max() <= 25
     assert np.isnan(found.columns["dbh_m"][fern]).all()
     assert -np.log1p(-0.3) * 3000 / 2 == pytest.approx(np.pi * np.sum(found.radius_m[fern] ** 2), rel=0.1)
+
+
+def test_plants_of_the_ground_stand_in_clumps_and_cover_as_much(species):
+    size_m, bracken = (60.0, 60.0), {"cover": 0.2, "radius_m": 0.4}
+    apart, clumped = (
+        grown(species, {"ground": {"bracken": {**bracken, **more}}}, size_m=size_m) for more in ({}, {"clump_m": 5})
+    )
+    for found in (apart, clumped):
+        assert brute_cover(found, size_m, 0.1, "radius_m") == pytest.approx(0.2, rel=0.1)
+    many = [np.histogram2d(*one.position_m[:, :2].T, bins=12)[0] for one in (apart, clumped)]
+    assert many[0].var() < 1.5 * many[0].mean()  # 1 where they are independent
+    assert many[1].var() > 4.0 * many[1].mean()
+
+
+def test_clumps_of_the_ground_stand_where_light_is(species):
+    storey = {"species": {"spruce": 1}, "stems_per_ha": 500, "dbh": {"mean_cm": 20}}
+    ground = {"bracken": {"plants_per_ha": 4000, "clump_m": 2}}
+    found = grown(species, {"storeys": [storey], "canopy_cover": 0.5, "ground": ground})
+    fern = found.species == 5
+    away = found.position_m[fern, None, :2] - found.position_m[None, ~fern, :2]
+    away = np.abs(away)
+    away = np.hypot(*np.minimum(away, np.array(SIZE) - away).transpose(2, 0, 1))
+    below = (away < found.columns["crown_radius_m"][~fern]).any(axis=1).mean()
+    tolerance = species[5].shade_tolerance
+    assert below == pytest.approx(tolerance / (1.0 + tolerance), abs=0.06)  # half of the ground is below crowns
 
 
 def test_the_seed_decides(species):
