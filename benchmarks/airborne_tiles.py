@@ -36,7 +36,7 @@ from support.airborne import (
     spread,
     textures,
 )
-from support.airborne_views import HOW_TO_GET, PLACES, Place, as_bright, contrast_of, picture_of, tile_of, views
+from support.airborne_views import HOW_TO_GET, PLACES, Place, as_bright, jpeg_of, picture_of, tile_of, views
 
 RECIPES = Path(__file__).parents[1] / "recipes" / "places"
 STANDS, SAMPLES = 3, 64
@@ -56,7 +56,7 @@ def rendered(place: Place, tile: Picture, outputs: Path, stands: int, samples: i
     for frame in views(place, outputs, stands, RECIPES, {"render.samples": samples}):
         folder = outputs / place.recipe / frame.split / frame.name
         picture, (crowns, ground) = picture_of(frame, folder, place.greener)
-        picture = as_bright(picture, tile, contrast_of(folder))
+        picture = as_bright(picture, tile, jpeg_of(folder))
         pictures.append(picture)
         by_labels.append(_labelled(picture.rgb[crowns], picture.rgb[ground]))
     return Ours(pictures, by_labels)

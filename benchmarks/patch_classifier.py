@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 import forestgen as fg
 from forestgen.core.spectrum import LUMINANCE
 from support.airborne import Floats, Mask, Picture, encoded
-from support.airborne_views import PLACES, as_bright, as_coloured, contrast_of, developed, tile_of
+from support.airborne_views import PLACES, as_bright, as_coloured, jpeg_of, developed, tile_of
 
 PATCH_PX, BATCH, CHANNELS = 64, 64, (24, 48, 64, 64)
 WEST = 0.55  # share of a tile's width that the network learns from
@@ -138,9 +138,9 @@ def views_of(data_set: Path, tile: Picture) -> list[Picture]:
         folder = data_set / frame.split / frame.name
         light = frame.radiance if frame.denoised is None else frame.denoised
         if (folder / "raw.json").is_file():
-            picture = as_bright(Picture(developed(folder)), tile, contrast_of(folder))
+            picture = as_bright(Picture(developed(folder)), tile, jpeg_of(folder))
         else:
-            picture = as_bright(Picture(light.astype(np.float64).clip(0.0)), tile)
+            picture = as_bright(Picture(light.astype(np.float64).clip(0.0)), tile, Jpeg())
         found.append(as_coloured(picture, tile))
     return found
 

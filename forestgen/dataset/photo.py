@@ -10,7 +10,8 @@
 4. Brightness: a metered mean, which lies at 12.7% of saturation, comes to 18%, the half stop of ISO 12232.
 5. Saturation: each pixel's difference from its luminance.
 6. A curve that is steep about middle grey and reaches white where the first colour, balanced, is saturated, so that
-   clipped highlights are white; the sRGB encoding; JPEG, 4:2:0.
+   clipped highlights are white; the sRGB encoding.
+7. Sharpening: an unsharp mask of 1 pixel; JPEG, 4:2:0.
 
 References
 ----------
@@ -47,6 +48,7 @@ _GREY_WIDTH = 0.15  # of the green's ratio
 _DARK, _FULL = 0.02, 0.95  # of saturation
 _FEWEST_GREYS = 0.002  # of the pixels
 _LAST_K = 25_000
+_MASK_PX = 1.0
 _GREEN = np.array([[0, 0, -1, 0, 0], [0, 0, 2, 0, 0], [-1, 2, 4, 2, -1], [0, 0, 2, 0, 0], [0, 0, -1, 0, 0]]) / 8
 _BESIDE = np.array([[0, 0, 1, 0, 0], [0, -2, 0, -2, 0], [-2, 8, 10, 8, -2], [0, -2, 0, -2, 0], [0, 0, 1, 0, 0]]) / 16
 _DIAGONAL = np.array([[0, 0, -3, 0, 0], [0, 4, 0, 4, 0], [-3, 0, 12, 0, -3], [0, 4, 0, 4, 0], [0, 0, -3, 0, 0]]) / 16
@@ -79,6 +81,7 @@ def photo_of(raw: Raw, jpeg: Jpeg) -> Photo:
     white = float(gain.min())
     exposed = np.minimum(light * gain, white)  # saturation is white in all channels
     picture = filmic(saturated(exposed, jpeg.saturation).astype(np.float32), white, jpeg.contrast)
+    picture = sharpened(picture, jpeg.sharpening)
     facts = {"file": NAME, "temperature_k": kelvin, **jpeg.model_dump()}
     return Photo(picture, _encoded(picture, jpeg.quality, raw.facts), facts)
 
@@ -87,6 +90,15 @@ def saturated(light: Floats, share: float) -> Floats:
     """(H, W, 3) with another share of each pixel's difference from its luminance, not below 0."""
     grey = (light @ np.array(LUMINANCE))[..., None]
     return np.asarray((grey + share * (light - grey)).clip(0.0))
+
+
+def sharpened(picture: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
+    """(H, W, 3) plus a share of its difference from its mean about each pixel, a Gaussian of `_MASK_PX`."""
+    from PIL import Image, ImageFilter
+
+    if share == 0.0:
+        return picture
+    return np.asarray(Image.fromarray(picture).filter(ImageFilter.UnsharpMask(_MASK_PX, round(100 * share), 0)))
 
 
 def with_photo(folder: Path, raw: Raw, exposure: Exposure) -> Raw:

@@ -13,8 +13,9 @@ from PIL import Image, ImageDraw
 
 import forestgen as fg
 from forestgen.core.spectrum import LUMINANCE
-from forestgen.dataset.photo import saturated
-from forestgen.dataset.tonemap import CONTRAST, filmic
+from forestgen.dataset.photo import saturated, sharpened
+from forestgen.dataset.tonemap import filmic
+from forestgen.recipe.exposure import Jpeg
 from support.airborne import Box, Floats, Mask, Picture, boxes_of, crowns_and_ground, encoded, linear, sunlit
 
 HOW_TO_GET = """The tiles travel in the wheel of deepforest 2.1.0 on PyPI; they are not part of this repository.
@@ -112,9 +113,10 @@ def developed(folder: Path) -> Floats:
     return saturated(rgb, facts["photo"]["saturation"])
 
 
-def contrast_of(folder: Path) -> float:
-    """Of a frame's photograph."""
-    return float(json.loads((folder / "raw.json").read_text(encoding="utf-8"))["photo"]["contrast"])
+def jpeg_of(folder: Path) -> Jpeg:
+    """How a frame's photograph was made."""
+    facts = json.loads((folder / "raw.json").read_text(encoding="utf-8"))["photo"]
+    return Jpeg(**{name: facts[name] for name in Jpeg.model_fields if name in facts})
 
 
 def open_irradiance(folder: Path) -> dict[str, float]:
@@ -123,12 +125,13 @@ def open_irradiance(folder: Path) -> dict[str, float]:
         return dict(json.loads(file.parts[0].header["forestgen/open_irradiance"]))
 
 
-def as_bright(picture: Picture, like: Picture, contrast: float = CONTRAST) -> Picture:
+def as_bright(picture: Picture, like: Picture, jpeg: Jpeg) -> Picture:
     """The picture as a camera's raw converter makes it, exposed so that its sunlit pixels have the other's median."""
     wanted = np.median((like.rgb @ LUMINANCE)[sunlit(like)])
     exposure = wanted / np.median((picture.rgb @ LUMINANCE)[sunlit(picture)])
     for _ in range(_EXPOSURES):
-        exposed = replace(picture, rgb=linear(filmic((picture.rgb * exposure).astype(np.float32), _WHITE, contrast)))
+        shown = filmic((picture.rgb * exposure).astype(np.float32), _WHITE, jpeg.contrast)
+        exposed = replace(picture, rgb=linear(sharpened(shown, jpeg.sharpening)))
         exposure *= wanted / np.median((exposed.rgb @ LUMINANCE)[sunlit(exposed)])
     return exposed
 

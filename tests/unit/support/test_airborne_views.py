@@ -32,7 +32,7 @@ def test_a_view_is_exposed_like_the_tile_and_clipped() -> None:
     light = np.exp(rng.normal(-2, 0.8, (100, 100, 1))) * np.ones(3)
     light[:40] *= 0.05
     tile, view = Picture(np.minimum(light, 1.0)), Picture(0.01 * light)
-    found = as_bright(view, tile)
+    found = as_bright(view, tile, Jpeg())
     medians = [np.median((one.rgb @ LUMINANCE)[sunlit(one)]) for one in (tile, found)]
     assert medians[1] == pytest.approx(medians[0], rel=0.05)
     assert found.rgb.max() <= 1.0
