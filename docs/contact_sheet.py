@@ -107,10 +107,17 @@ MIXED = {"beech": 0.4, "spruce": 0.35, "maple": 0.15, "birch": 0.1}
 AUTUMN = "2026-10-19"  # half of the beeches' leaves are coloured, most of the birches'
 OVERCAST = {"kind": "overcast", "sun": {"elevation_deg": 40, "azimuth_deg": 215}}
 ROAD = {"what": "forest_road", "points_m": [[-20, 22], [10, 27.5], [30, 31], [55, 30], [80, 40]]}
+SHORE: Keys = {**GRASS, "species": "sedge", "height_m": 0.6, "size_sigma": 0.45, "cover": 0.6, "on": "shore"}
 POND = {"what": "pond", "position_m": [31, 20], "radius_m": 9, "depth_m": 1.2}
+SEDGE_BLADES = {"blade": 60, "upright_blade": 25, "broken_blade": 20, "old_blade": 90, "dead_blade": 140}
 SEDGE: Keys = {
     "from": "grass",
-    "plant": {"shapes": {"blade": {"length_m": 0.8, "width_m": 0.011, "arch_deg": 60, "twist_deg": 30}}},
+    "plant": {
+        "shapes": {
+            name: {"length_m": 0.8, "width_m": 0.009, "arch_deg": arch_deg, "twist_deg": 30}
+            for name, arch_deg in SEDGE_BLADES.items()
+        }
+    },
 }
 LEAF = {"position_m": [30, 26.6, 1.8], "look_at_m": [30, 30, 2.2], "hfov_deg": 40}
 
@@ -134,7 +141,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         sky=OVERCAST,
         species__sedge=SEDGE,
         site__water=[POND],
-        site__ground__layers=[*FLOOR, {**GRASS, "species": "sedge", "height_m": 0.8, "cover": 0.6, "on": "shore"}],
+        site__ground__layers=[*FLOOR, SHORE],
     ),
     "rain": lambda: forest(
         MIXED,
