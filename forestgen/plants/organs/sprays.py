@@ -55,8 +55,8 @@ _LEAF_ANGLES_DEG = (58.0, 35.0)  # between twig and leaf, at its foot and its ti
 WORN = 1.0 / 6.0  # share of leaves at detail 2, see `wear`
 _GROWN = np.array([[0.0, 0.25, 0.7, 1.0], [0.66, 0.95, 1.1, 0.92]])  # place on a shoot, and size of its leaves there
 _SIZES = 0.14  # standard deviation of the logarithm of leaves' sizes on a shoot
-_BOWS_DEG = (-8.0, -4.0, 0.0, 4.0, 8.0)  # of twigs, from foot to tip
-_TWIG_M, _TAPER = 0.00025, 0.0015  # radius of a twig at its tip, and what it gains over its length
+_BOWS_DEG = (-3.0, -1.5, 0.0, 1.5, 3.0)  # of twigs, from foot to tip
+_TWIG_M, _TAPER = 0.00015, 0.001  # radius of a twig at its tip, and what it gains over its length
 NEEDLES_ALONG, _BUNDLES_ALONG = 26.0, 55.0  # on a needle's length of shoot: single needles, and bundles of several
 _WHORL = 0.4  # where side shoots of bundles spring from, share of the first
 _SIDE_SHOOT = (0.4, 0.6)  # length over that of the spray, where their number is chosen
@@ -81,12 +81,12 @@ class LeafShape(NamedTuple):
 
 _PLAIN = LeafShape()
 _SHAPES = (
-    LeafShape(-12.0, 4.0, 8.0, 1.08),
-    LeafShape(-5.0, -6.0, -11.0, 0.9),
-    LeafShape(4.0, 0.0, 5.0, 1.0),
-    LeafShape(13.0, 5.0, -6.0, 0.95),
-    LeafShape(8.0, -8.0, 12.0, 1.1),
-    LeafShape(-8.0, 5.0, -4.0, 0.98),
+    LeafShape(-8.0, 2.0, 5.0, 1.08),
+    LeafShape(-4.0, -6.0, -8.0, 0.9),
+    LeafShape(3.0, -1.0, 4.0, 1.0),
+    LeafShape(9.0, 3.0, -5.0, 0.95),
+    LeafShape(6.0, -6.0, 8.0, 1.1),
+    LeafShape(-6.0, 2.0, -3.0, 0.98),
 )
 
 
