@@ -121,20 +121,15 @@ AUTUMN = "2026-10-19"  # half of the beeches' leaves are coloured, most of the b
 OVERCAST = {"kind": "overcast", "sun": {"elevation_deg": 40, "azimuth_deg": 215}}
 ROAD = {"what": "forest_road", "points_m": [[-20, 22], [10, 27.5], [30, 31], [55, 30], [80, 40]]}
 POND = {"what": "pond", "position_m": [31, 20], "radius_m": 9, "depth_m": 1.2, "dissolved_per_m": 7}
-TUFT = {"orders": [0], "zone": [0, 0.05], "angle_jitter_deg": 14, "roll_jitter_deg": 30, "turn_jitter_deg": 60}
-SEDGE: Keys = {  # with dead blades
+SEDGE_BLADES = {"blade": 60, "upright_blade": 25, "broken_blade": 20, "old_blade": 90, "dead_blade": 140}
+SEDGE: Keys = {
     "from": "grass",
     "plant": {
         "shapes": {
-            "blade": {"length_m": 0.8, "width_m": 0.009, "arch_deg": 70, "twist_deg": 30},
-            "dead": {"form": "grass_blade", "material": "straw", "length_m": 0.7, "width_m": 0.006, "arch_deg": 120},
-        },
-        "foliage": [
-            {**TUFT, "shape": "blade", "spacing_m": 0.0034, "angle_deg": [[0, 44], [1, 8]], "size_jitter": 0.35},
-            {**TUFT, "shape": "dead", "spacing_m": 0.009, "angle_deg": [[0, 70], [1, 20]], "size_jitter": 0.35},
-        ],
+            name: {"length_m": 0.8, "width_m": 0.009, "arch_deg": arch_deg, "twist_deg": 30}
+            for name, arch_deg in SEDGE_BLADES.items()
+        }
     },
-    "materials": {"straw": {"spectrum": "leaves/bracken", "season": "dry", "roughness": 0.6}},
 }
 SHORE: list[Keys] = [
     {**GRASS, "species": "sedge", "height_m": 0.7, "size_sigma": 0.4, "cover": 0.2, "patch_m": 2, "on": "shore"},

@@ -47,6 +47,15 @@ def to_mesh(*patches: Patch) -> Mesh:
     )
 
 
+def creased(patch: Patch) -> Patch:
+    """The patch with normals of their own on both sides of x = 0."""
+    left = np.mean(patch.points[patch.faces, 0], axis=1) < 0.0
+    faces = np.where(left[:, None], patch.faces + len(patch.points), patch.faces)
+    used, which = np.unique(faces, return_inverse=True)
+    one = used % len(patch.points)
+    return Patch(patch.points[one], which.reshape(faces.shape), patch.uv[one])
+
+
 def area_m2(patch: Patch) -> float:
     """Sum of the triangles' areas."""
     return float(triangle_areas(patch.points, patch.faces).sum())

@@ -7,11 +7,12 @@ plot and height by 16%. Both come from the table ``standards/leaf_variation``: w
 leaf of their species, as factors on the reflectance and transmittance of that leaf's spectrum, whatever its season. See
 `docs/spectra/make_leaves.py` for the measurements.
 
-Near a camera single leaves differ too, and the mean of a crown's leaves stays. Where a crown has leaves of several
-seasons, each leaf is of one of them. At any time of the year a few are yellow or dead: at most 2.2% together, as
-crowns without discoloration have up to 10% (ICP Forests' class 0; the shares are our estimate). Needles of this year's
-shoots of evergreens, the outer ends of sprays, are pale from May (Norway spruce; our estimate) until they have their
-chlorophyll at the end of July: half of it is missing at first, as in young leaves of beech and oak, and none after.
+Near a camera single leaves differ too, and the mean of a crown's leaves stays: broad ones in chlorophyll. Where a crown
+has leaves of several seasons, each leaf is of one of them. At any time of the year a few are yellow or dead: at most
+2.2% together, as crowns without discoloration have up to 10% (ICP Forests' class 0; the shares are our estimate).
+Needles of this year's shoots of evergreens, the outer ends of sprays, are pale from May (Norway spruce; our estimate)
+until they have their chlorophyll at the end of July: half of it is missing at first, as in young leaves of beech and
+oak, and none after.
 
 In autumn plants differ in stage, too: green, yellow and brown ones stand side by side. Where `plants.phenology_classes`
 is 1 the plants of an exemplar have the colours of a day of their own, spread as the species' `autumn_sd_days`; as many
@@ -62,6 +63,9 @@ _NEW_NEEDLES = 0.2  # share that this year's shoots bear, of about five years
 _PALEST = 4.0  # standard deviations of chlorophyll below the mean: about half
 _FLUSH, _GREEN = 135.0, 210.0  # days of the year on which needles unfold, and are as green as old ones
 _BY_SEASON = {"spring": 0.9, "summer": 0.3}  # paleness at a season without a date; others: none
+# Broad leaves paler and deeper than others by chlorophyll, standard deviations, and the share of each: with those
+# between, leaves of one plant and height differ as measured ones do.
+_GREENS, _EITHER_SIDE = {"pale": 1.4, "deep": -1.4}, 0.25
 _RAREST = 0.02  # share of plants that are cut off at each end of the distribution
 
 
@@ -199,15 +203,28 @@ def single_leaves(base: Material, time: TimeOfYear, is_evergreen: bool) -> tuple
     pale = _paleness(time)
     if base.leaf_type == "needle" and is_evergreen and pale > 0.0:
         kinds.append((LeafKind("new", _NEW_NEEDLES, at_tip=True), varied_material(base, "middle", _PALEST * pale)))
+    left = _without(base, kinds)
+    if base.leaf_type == "broad":
+        share = _EITHER_SIDE * (1.0 - sum(kind.share for kind, _ in kinds))
+        kinds += [
+            (LeafKind(name, share), varied_material(left, "middle", deviation)) for name, deviation in _GREENS.items()
+        ]
+        left = _without(base, kinds)
+    return (*kinds, (LeafKind(main.name, 1.0 - sum(kind.share for kind, _ in kinds)), left))
+
+
+def _without(mean: Material, kinds: Sequence[tuple[LeafKind, Material]]) -> Material:
+    """The leaves of a mean that are of none of some kinds."""
     share = 1.0 - sum(kind.share for kind, _ in kinds)
+    assert mean.reflectance_spectrum is not None
     reflectance = _rest(
-        base.reflectance_spectrum, [(kind.share, one.reflectance_spectrum) for kind, one in kinds], share
+        mean.reflectance_spectrum, [(kind.share, one.reflectance_spectrum) for kind, one in kinds], share
     )
     transmittance = None
-    if base.transmittance_spectrum is not None:
+    if mean.transmittance_spectrum is not None:
         others = [(kind.share, one.transmittance_spectrum) for kind, one in kinds]
-        transmittance = _rest(base.transmittance_spectrum, others, share)
-    return (*kinds, (LeafKind(main.name, share), _of_spectra(base, reflectance, transmittance)))
+        transmittance = _rest(mean.transmittance_spectrum, others, share)
+    return _of_spectra(mean, reflectance, transmittance)
 
 
 def _rest(mean: Spectrum, others: Sequence[tuple[float, Spectrum | None]], share: float) -> Spectrum:

@@ -16,6 +16,7 @@ from forestgen.plants.organs.base import Bend, Detail, MaybeSize, OrganForm, Org
 from forestgen.plants.organs.leaves import LobedBlade, SimpleBlade
 
 _ALONG = np.array([0.0, 1.0, 0.0])
+_BREAK, _TIP = 0.59, 0.21  # of a blade of grass, share of its length: foot to where it breaks, and dry tip
 _PALM_LEAFLET = 0.68  # area of a leaflet over its length times its width
 
 
@@ -240,23 +241,31 @@ class GrassBlade(OrganForm):
     arch_deg: Bend = Field(60.0, description="bend from foot to tip, most of it near the tip, degrees")
     keel_deg: Annotated[float, Field(ge=0, lt=85)] = Field(20.0, description="rise of the halves, at detail 2, degrees")
     twist_deg: Annotated[float, Field(ge=-720, le=720)] = Field(30.0, description="turn about itself, degrees")
+    broken_deg: Bend = Field(0.0, description="turn down where the blade is broken over, degrees; 0: whole")
+    tip_material: str | None = Field(None, description="of the last fifth, at detail 1 and 2; its own if not given")
     detail: Detail = 1
 
     def patches(self) -> list[OrganPatch]:
         """A long blade that tapers, keeled at its foot, arching over more and more towards its tip."""
         length_m, width = self.length_m, _grass_width(np.linspace(0.0, 1.0, (3, 6, 12)[self.detail]))
         turn, keel = np.radians(self.twist_deg), np.radians(self.keel_deg)
+        kink = np.array([0.0, _BREAK * length_m, 0.0])
 
         def made(broad: float) -> Patch:
             ribbon = patches.strip(length_m, broad * self.width_m * width, keel_rad=keel, folded=self.detail == 2)
             x, y, z = ribbon.points.T
             c, s = np.cos(turn * (y / length_m) ** 2), np.sin(turn * (y / length_m) ** 2)
             twisted = ribbon._replace(points=np.column_stack([x * c + z * s, y, z * c - x * s]))
-            return patches.bent(twisted, length_m, np.radians(self.arch_deg), 2.2)
+            broken = patches.bend(twisted.points - kink, 0.02 * length_m, np.radians(self.broken_deg)) + kink
+            return twisted._replace(points=patches.bend(broken, length_m, np.radians(self.arch_deg), 2.2))
 
         fine = np.linspace(0.0, 1.0, 401)
         blade = _of_area(made, length_m * self.width_m * float(np.trapezoid(_grass_width(fine), fine)))
-        return [OrganPatch(self.material, blade)]
+        if self.tip_material is None or self.detail == 0:
+            return [OrganPatch(self.material, blade)]
+        tip = blade.uv[blade.faces, 1].min(axis=1) > 1.0 - _TIP
+        material = {False: self.material, True: self.tip_material}
+        return [OrganPatch(material[of], blade._replace(faces=blade.faces[tip == of])) for of in material]
 
 
 def _grass_width(share: Floats) -> Floats:

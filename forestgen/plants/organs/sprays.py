@@ -1,9 +1,10 @@
 """Twigs with leaves or needles of true size, which stand near a camera for one large leaf or one coarse shoot.
 
 A spray has the area of what it stands for, and its frame: its foot in the origin, y along it, z its upper side. Leaves
-sit in two rows along a twig, their upper sides towards z, each with its petiole, size and attitude. Their bends differ,
-as those of plants that vary through growth (Streit et al. 2005, figure 11). They are as far from the spray's foot as
-the large leaf, in the mean. Needles stand all around their shoots, at the golden angle from one bundle to the next,
+sit in two rows along a twig, their upper sides towards z, each with its petiole, size and attitude; the lowest of a
+shoot are the smallest. Their bends, folds, twists and widths differ, as those of plants that vary through growth
+(Streit et al. 2005, figure 11), and twigs are bowed. Leaves are as far from the spray's foot as the large leaf, in the
+mean. Needles stand all around their shoots, at the golden angle from one bundle to the next,
 their flat sides as level, in the mean, as those of the coarse shoot, or at random where that one is of crossed strips.
 Single needles are denser above, and stand along the twig below the shoot too (`twig_needles`). Where there are too many
 for one shoot they are on side shoots too: in its plane, or of bundles in a whorl.
@@ -27,7 +28,20 @@ import numpy as np
 
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import GOLDEN_RAD, Floats, Ints, Mesh, surface_area_m2, triangle_areas, unit
-from forestgen.geometry.patches import Patch, area_m2, attitude, copies, join, lifted, on_axis, outwards, to_mesh, tube
+from forestgen.geometry.patches import (
+    Patch,
+    area_m2,
+    attitude,
+    bent,
+    copies,
+    creased,
+    join,
+    lifted,
+    on_axis,
+    outwards,
+    to_mesh,
+    tube,
+)
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.organs.leaves import CompoundLeaf, LobedLeaf, PalmateLeaf, SimpleLeaf
 from forestgen.plants.organs.needles import NeedleTwig, needle_patch
@@ -39,7 +53,10 @@ _LONGEST_STALK = 0.45  # of a leaf's length: twigs drawn with fewer leaves have 
 _ROW_STEP = 0.5  # of a leaf's width, from one leaf to the next on the other side of the twig
 _LEAF_ANGLES_DEG = (58.0, 35.0)  # between twig and leaf, at its foot and its tip
 WORN = 1.0 / 6.0  # share of leaves at detail 2, see `wear`
-_BENDS_DEG = (-16.0, -5.0, 5.0, 16.0)  # added to the bend of the species' leaves
+_GROWN = np.array([[0.0, 0.25, 0.7, 1.0], [0.66, 0.95, 1.1, 0.92]])  # place on a shoot, and size of its leaves there
+_SIZES = 0.14  # standard deviation of the logarithm of leaves' sizes on a shoot
+_BOWS_DEG = (-3.0, -1.5, 0.0, 1.5, 3.0)  # of twigs, from foot to tip
+_TWIG_M, _TAPER = 0.00015, 0.001  # radius of a twig at its tip, and what it gains over its length
 NEEDLES_ALONG, _BUNDLES_ALONG = 26.0, 55.0  # on a needle's length of shoot: single needles, and bundles of several
 _WHORL = 0.4  # where side shoots of bundles spring from, share of the first
 _SIDE_SHOOT = (0.4, 0.6)  # length over that of the spray, where their number is chosen
@@ -51,6 +68,26 @@ _DENSER_ABOVE = 0.25  # shift of single needles towards the upper side, radians 
 _TIP = 0.06  # share of a shoot whose needles point ahead
 _MOST_LEVEL = 6.0  # factor on the vertical part of needles' normals
 _SPLIT_DEG = 9.0  # of a needle from the middle of its bundle
+
+
+class LeafShape(NamedTuple):
+    """How one leaf differs from its species' form."""
+
+    bend_deg: float = 0.0  # more of it along the midrib
+    fold_deg: float = 0.0  # more of it
+    twist_deg: float = 0.0  # of the tip about the midrib
+    slender: float = 1.0  # length over width; the area stays
+
+
+_PLAIN = LeafShape()
+_SHAPES = (
+    LeafShape(-8.0, 2.0, 5.0, 1.08),
+    LeafShape(-4.0, -6.0, -8.0, 0.9),
+    LeafShape(3.0, -1.0, 4.0, 1.0),
+    LeafShape(9.0, 3.0, -5.0, 0.95),
+    LeafShape(6.0, -6.0, 8.0, 1.1),
+    LeafShape(-6.0, 2.0, -3.0, 0.98),
+)
 
 
 class LeafKind(NamedTuple):
@@ -86,27 +123,33 @@ class Spray(NamedTuple):
 
 
 @lru_cache(maxsize=256)
-def true_leaf(form: Leaf, length_m: float, detail: int, more_bend_deg: float = 0.0) -> Patch:
-    """A leaf of a length with its petiole."""
+def true_leaf(form: Leaf, length_m: float, detail: int, shape: LeafShape = _PLAIN) -> Patch:
+    """A leaf of a length with its petiole, creased along its midrib."""
     size = length_m / form.length_m
     update = {
-        "length_m": length_m,
-        "width_m": form.width_m * size,
+        "length_m": length_m * shape.slender**0.5,
+        "width_m": form.width_m * size * shape.slender**-0.5,
         "stalk_m": min(form.stalk_m * size, _LONGEST_STALK * length_m),
         "stalk_width_m": None,
-        "curl_deg": form.curl_deg + more_bend_deg,
+        "fold_deg": max(form.fold_deg + shape.fold_deg, 0.0),
+        "curl_deg": form.curl_deg + shape.bend_deg,
         "detail": detail,
     }
-    return join([one.patch for one in form.model_copy(update=update).patches()])
+    flat = creased(join([one.patch for one in form.model_copy(update=update).patches()]))
+    x, y, z = flat.points.T
+    turn = np.radians(shape.twist_deg) * np.clip(y / y.max(), 0.0, 1.0) ** 2
+    return flat._replace(
+        points=np.column_stack([x * np.cos(turn) + z * np.sin(turn), y, z * np.cos(turn) - x * np.sin(turn)])
+    )
 
 
 @lru_cache(maxsize=512)
 def leafy_twig(form: Leaf, length_m: float, number: int, detail: int, variant: int) -> Spray:
-    """A twig of so many leaves of a length; one alone has no twig."""
+    """A twig of so many leaves of a length; one alone is at its end."""
     rng = child_rng(0, "leafy twig", number, variant)
-    bends = [true_leaf(form, length_m, detail, one) for one in _BENDS_DEG]
+    shapes = [true_leaf(form, length_m, detail, one) for one in _SHAPES]
     if detail == 2:
-        bends += [worn(one, child_rng(0, "worn leaf", k)) for k, one in enumerate(bends)]
+        shapes += [worn(one, child_rng(0, "worn leaf", k)) for k, one in enumerate(shapes)]
     step = _ROW_STEP * form.width_m * length_m / form.length_m
     foot = step * (np.arange(number) + 0.5 * (number > 1))
     share = np.arange(number) / max(number - 1, 1)
@@ -115,21 +158,24 @@ def leafy_twig(form: Leaf, length_m: float, number: int, detail: int, variant: i
     side = np.where((np.arange(number) + variant) % 2 == 0, 1.0, -1.0)
     along = np.column_stack([side * np.sin(angle), np.cos(angle), 0.09 * rng.normal(size=number)])
     upper = np.column_stack([0.14 * rng.normal(size=(number, 2)), np.ones(number)])
-    size = rng.uniform(0.82, 1.12, number) * np.where(share < 0.2, 0.9, 1.0)
+    size = np.interp(share, *_GROWN) * np.exp(_SIZES * rng.normal(size=number))
     linear = attitude(along, upper) * size[:, None, None]
-    kind = rng.integers(len(_BENDS_DEG), size=number)
+    kind = (variant + rng.permutation(number)) % len(_SHAPES)
     if detail == 2:
-        kind = np.where(rng.random(number) < WORN, kind + len(_BENDS_DEG), kind)
+        kind = np.where(rng.random(number) < WORN, kind + len(_SHAPES), kind)
     order = np.argsort(kind, kind="stable")
-    leaves = [copies(bends[one], linear[kind == one], on_axis(foot[kind == one])) for one in np.unique(kind).tolist()]
+    leaves = [copies(shapes[one], linear[kind == one], on_axis(foot[kind == one])) for one in np.unique(kind).tolist()]
     whole = join(leaves)
     drawn_m = _middle_m(join([one.patch for one in form.patches()])) * np.sqrt(area_m2(whole) / form_area_m2(form))
     away = max(drawn_m - _middle_m(whole), 0.0)  # leaves are where the large one is
-    twig_m = float(foot[-1]) + away
-    radius = 0.004 * length_m + 0.002 * twig_m
-    twig = [tube(on_axis(np.array([0.0, twig_m])), np.array([radius, 0.4 * radius]), 3)] if twig_m > 0.0 else []
-    faces = np.array([len(one.faces) for one in bends])
-    return Spray.of([lifted(whole, away)], twig, share[order], faces[kind[order]], detail == 2)
+    twig_m, bow = float(foot[-1]) + away, np.radians(_BOWS_DEG[variant % len(_BOWS_DEG)])
+    twig = []
+    if twig_m > 0.0:
+        path, radius = on_axis(twig_m * np.linspace(0.0, 1.0, 3)), _TWIG_M + _TAPER * twig_m * np.linspace(1.0, 0.0, 3)
+        twig = [bent(tube(path, radius, 3), twig_m, bow)]
+        whole = bent(lifted(whole, away), twig_m, bow)
+    faces = np.array([len(one.faces) for one in shapes])
+    return Spray.of([whole], twig, share[order], faces[kind[order]], detail > 0)
 
 
 def form_area_m2(form: OrganForm) -> float:
@@ -148,7 +194,7 @@ def _middle_m(patch: Patch) -> float:
 def finer_leaf(form: CompoundLeaf, detail: int) -> Spray:
     """The leaf itself with another number of triangles."""
     whole = [one.patch for one in form.model_copy(update={"detail": detail}).patches()]
-    return Spray.of(whole, [], np.full(1, 0.5), sum(len(one.faces) for one in whole), detail == 2)
+    return Spray.of(whole, [], np.full(1, 0.5), sum(len(one.faces) for one in whole), detail > 0)
 
 
 class Needles(NamedTuple):

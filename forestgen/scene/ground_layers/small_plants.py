@@ -19,6 +19,7 @@ from pydantic import Field
 
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
+from forestgen.geometry.mesh import surface_area_m2
 from forestgen.plants.build import build_exemplar
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.parameters import with_detail
@@ -28,7 +29,15 @@ from forestgen.recipe.ground import GroundLayer
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.sources import Keys
 from forestgen.recipe.species import Species
-from forestgen.scene.ground_layers.layer import GroundLayerKind, Layer, Request, Spread, Thing, scaled
+from forestgen.scene.ground_layers.layer import (
+    GroundLayerKind,
+    Layer,
+    Request,
+    Spread,
+    Thing,
+    mean_surface,
+    scaled,
+)
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import materials_of
@@ -76,15 +85,17 @@ class Plants(GroundLayerKind[PlantsKeys]):
         for _, key in found:
             materials[f"plants/{name}/{key}"] = scaled(found[name, key], 1.0)
         things = tuple(_as_cover(one, name) for one in grown)
-        leafy = max((organ for organ in grown[0].organs), key=lambda organ: organ.mesh.triangles)
-        leaf = scaled(found[name, leafy.material], 1.0)
-        if leaf.reflectance_spectrum is None:
+        most = max((organ for organ in grown[0].organs), key=lambda organ: organ.mesh.triangles).part
+        leafy = [organ for one in grown for organ in one.organs if organ.part == most]
+        leaves = [scaled(found[name, organ.material], 1.0) for organ in leafy]
+        if any(one.reflectance_spectrum is None for one in leaves):
             raise RecipeError(
                 "a species whose leaves have a colour and no spectrum",
                 where=request.drawn.where(*request.where, "species"),
                 expected="a species whose material names a spectrum",
                 got=name,
             )
+        leaf = mean_surface(leaves, np.array([surface_area_m2(organ.mesh) for organ in leafy]))
         spread = Spread(tilt_deg=4.0, size_sigma=keys.size_sigma)
         return [Layer(f"plants/{name}", things, materials, keys.cover, leaf, _TRAPPED, spread, keys.patch_m)]
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.sparse.csgraph import minimum_spanning_tree
+from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from forestgen.api.plant_requests import plan_of, request_of
@@ -150,7 +151,8 @@ def test_every_leaf_sits_on_a_twig(name: str, monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("name", BROAD)
 def test_crowns_are_filled(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leaf area is spread over at least a tenth more cells of half a metre than the generator spreads it over."""
+    """Before it gathers in clumps, leaf area is spread over a tenth more cells of half a metre than the generator's."""
+    monkeypatch.setattr(crown_twigs, "_CLUMPED", 0.0)
 
     def cells(tree: Skeleton) -> float:
         """Number of cells that would hold all leaves, were they as many in each."""
@@ -274,4 +276,7 @@ def test_gathered_points_lie_in_flat_groups_and_keep_their_middle():
     assert np.abs(gathered.mean(axis=0) - tips.mean(axis=0)).max() < 0.05
     apart = [np.abs(np.diff(np.sort(one[:, 2]))).max() for one in (tips, gathered)]
     assert apart[1] > 1.5 * apart[0]  # tiers, with gaps between
-    np.testing.assert_array_equal(_gathered(tips, 0.0), tips)
+    clumped = _gathered(tips, 0.0)
+    assert np.abs(clumped.mean(axis=0) - tips.mean(axis=0)).max() < 0.1
+    away = [cKDTree(tips[: crown_twigs._CLUMPS]).query(one)[0].mean() for one in (tips, clumped)]
+    assert away[1] == pytest.approx((1.0 - crown_twigs._CLUMPED) * away[0])

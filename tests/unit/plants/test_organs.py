@@ -193,6 +193,17 @@ def test_a_wrong_organ_is_refused(name: str, keys: dict[str, Any]) -> None:
         ORGAN_SHAPE.validate_python(EXAMPLES[name] | keys)
 
 
+@pytest.mark.parametrize("detail", [0, 1, 2])
+def test_a_broken_blade_of_grass_hangs_and_keeps_its_area(detail: int) -> None:
+    whole = ORGAN_SHAPE.validate_python(EXAMPLES["broken_leaf"] | {"broken_deg": 0, "detail": detail})
+    broken = shaped("broken_leaf", detail)
+    assert leaf_area_m2(broken) == pytest.approx(leaf_area_m2(whole), rel=0.01)
+    assert broken.template().vertices_m[-1, 1] < 0.75 * whole.template().vertices_m[-1, 1]
+    tip = [surface_area_m2(one.mesh) for one in broken.pieces() if one.material == "dead"]
+    assert sum(tip) < 0.15 * leaf_area_m2(broken)
+    assert bool(tip) == (detail > 0)
+
+
 @pytest.mark.parametrize(
     ("leaf", "place"),
     [
