@@ -27,8 +27,9 @@ from numpy.typing import NDArray
 
 import forestgen as fg
 from forestgen.core.spectrum import LUMINANCE
+from forestgen.recipe.exposure import Jpeg
 from support.airborne import Floats, Mask, Picture, encoded
-from support.airborne_views import PLACES, as_bright, as_coloured, jpeg_of, developed, tile_of
+from support.airborne_views import PLACES, as_bright, as_coloured, developed, jpeg_of, tile_of
 
 PATCH_PX, BATCH, CHANNELS = 64, 64, (24, 48, 64, 64)
 WEST = 0.55  # share of a tile's width that the network learns from

@@ -53,13 +53,13 @@ def tiles_before(camera: Camera, height: HeightField, length_m: float) -> tuple[
     projection, place = projection_of(camera), np.asarray(camera.position_m)
     pixel_at_1_m = float(projection.finest_pixel_m(camera, np.array([1.0]))[0])
     reach_m, footprint = length_m / LEAST_PX / pixel_at_1_m, _footprint(camera, height)
-    if projection.is_parallel:
+    if footprint is None:
+        reach_m = min(FAR_M, reach_m)
+        footprint = place[:2], np.full(2, reach_m)
+    elif projection.is_parallel:
         if length_m < LEAST_PX * pixel_at_1_m:
             return np.zeros((0, 2), np.intp), np.zeros(0)
         reach_m = np.inf
-    elif footprint is None:
-        reach_m = min(FAR_M, reach_m)
-        footprint = place[:2], np.full(2, reach_m)
     middle_m, half_m = footprint
     low, high = np.floor((middle_m - half_m) / TILE_M), np.ceil((middle_m + half_m) / TILE_M)
     columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])

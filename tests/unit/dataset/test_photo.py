@@ -170,3 +170,14 @@ def test_a_photograph_is_checked_against_its_raw_image(tmp_path):
     changed[10:20, 30:40] = 255
     Image.fromarray(changed).save(folder / NAME, "JPEG", quality=95)
     assert [one.problem for one in light_checks.photo.findings(frame)] == ["photo.jpg is not the raw image's picture"]
+
+
+def test_sharpening_makes_edges_steeper_and_leaves_even_light():
+    light = np.where(np.arange(96) < 48, 900.0, 1800.0)[None, :, None] * np.ones((64, 1, 3))
+    raw = raw_of(light, mosaic=False, read_noise_electrons=0.0, full_well_electrons=1e8)
+    plain, sharp = (
+        photo_of(raw, Jpeg(white_balance="daylight", sharpening=share)).picture[32].astype(float) for share in (0, 1)
+    )
+    assert np.abs(sharp - plain)[[8, 24, 72, 88]].max() <= 1.0
+    assert sharp[47].max() < plain[47].min() - 2.0
+    assert sharp[48].min() > plain[48].max() + 2.0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from forestgen.recipe.exposure import Jpeg
 from support.airborne import LUMINANCE, Picture, encoded, sunlit
 from support.airborne_views import PLACES, as_bright, as_coloured, tile_of
 
