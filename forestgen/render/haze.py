@@ -22,8 +22,8 @@ that see nothing but sky.
 Haze in shadow, as between the stems of a forest, shines less: the sun's part of the airlight counts by the share of the
 haze before a surface that the sun shines on, the rest by the share of the sky's upper half that is open there. Of the
 identity pass' rays some ask at one place, chosen by what the haze there adds, one way: one in eight where the haze is
-thin, all of them where it scatters 5% of the light or more. Light that surfaces nearby send into shaded haze is left
-out.
+thin, all of them where it scatters 5% of the light or more. Where none of a pixel's rays asks, as at the edge of a
+thing before the sky, its haze counts as lit. Light that surfaces nearby send into shaded haze is left out.
 
 Valid while the haze is thin over the scene: light on its way to a plant is not dimmed, and blur is left out. Beyond an
 optical depth of about 1 to the farthest plants, fog should be simulated (`sky.clouds`); `haze_notes` in

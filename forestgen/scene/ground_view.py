@@ -15,10 +15,11 @@ from forestgen.scene.terrain import HeightField
 
 TILE_M = 1.0
 LEAST_PX = 1.0  # length of a thing that is drawn
-FAR_M = 120.0  # from a camera that does not look down with all of its image
+FAR_M = 120.0  # from a camera that is lower above the ground, or does not look down with all of its image
 MOST_TILES = 24_000  # in a scene
 _NEAR_M = 3.0  # around a camera, tiles are drawn behind it, too: their light and shadow may be in view
 _WIDEST_M = 400.0  # of what a camera that looks down may have as tiles
+_DESCENTS = 4  # until the ground that rays reach is low enough
 _STEEP = 0.5  # sine of the angle of the rays of such a camera with the level
 
 Ints = NDArray[np.intp]
@@ -93,18 +94,19 @@ def in_view(cameras: Sequence[Camera], middle_m: Floats, radius_m: float) -> NDA
 
 def _footprint(camera: Camera, height: HeightField) -> tuple[Floats, Floats] | None:
     """(2,) middle and (2,) half sides, metres, of what a camera sees of the ground, at most `_WIDEST_M` wide. None of
-    one that is not of parallel rays and does not look down with all of its image.
+    one that is not of parallel rays and is low, or does not look down with all of its image.
     """
     columns, rows = np.array([[0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.5]]).T * np.array(camera.size_px)[:, None]
     own, axes = rays(camera, columns, rows), np.asarray(camera.world_from_camera, dtype=np.float64)
     way, start = own.direction @ axes.T, own.origin_m @ axes.T + np.asarray(camera.position_m)
-    falls = -way[:, 2]
+    falls, ground = -way[:, 2], height(*start[:, :2].T)
     if projection_of(camera).is_parallel:
         falls = np.maximum(falls, 0.05)
-    elif not own.valid.all() or falls.min() < _STEEP:
+    elif not own.valid.all() or falls.min() < _STEEP or start[-1, 2] - ground[-1] < FAR_M:
         return None
-    ground = float(np.median(height(*start[:, :2].T)))
-    reached = start + np.clip((start[:, 2] - ground) / falls, 0.0, None)[:, None] * way
+    for _ in range(_DESCENTS):
+        reached = start + np.clip((start[:, 2] - ground) / falls, 0.0, None)[:, None] * way
+        ground = np.minimum(ground, height(*reached[:, :2].T))
     low, high = reached[:, :2].min(axis=0) - TILE_M, reached[:, :2].max(axis=0) + TILE_M
     return reached[-1, :2], np.minimum(np.maximum(high - reached[-1, :2], reached[-1, :2] - low), 0.5 * _WIDEST_M)
 
