@@ -148,7 +148,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     ),
     "pine, low sun": lambda: forest(PINE, 22, WEST, "birch", sky__sun={"elevation_deg": 9, "azimuth_deg": 290}),
     "birch, spring": lambda: forest(BIRCH, 20, EAST, plants__season="spring"),
-    "mixed, autumn": lambda: forest(MIXED, 24, WEST, "beech", site__date=AUTUMN),
+    "mixed, autumn": lambda: forest(MIXED, 24, {**WEST, "position_m": [50, 43, 1.7]}, "beech", site__date=AUTUMN),
     "beech, winter": lambda: forest(
         BEECH, 26, EAST, plants__season="winter", sky__sun={"elevation_deg": 14, "azimuth_deg": 210}
     ),
