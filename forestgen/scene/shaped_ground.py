@@ -105,29 +105,20 @@ class Track:
         z[rows] += share * (self.course.between(self.height_m, where) - z_m[rows]) + relief
         return z
 
-    def share(self, x_m: Floats, y_m: Floats) -> Floats:
-        """(N,) share of the ground that is the path's."""
-        rows, distance, strays = self._ragged_from(x_m, y_m, self.half_m)
-        found = np.zeros(len(x_m))
-        found[rows] = smooth_step((self.half_m - distance + strays) / _SOFT_M + 0.5)
-        return found
-
-    def green(self, x_m: Floats, y_m: Floats) -> Floats:
-        """(N,) share of grass in the middle of a road and beside it."""
-        found = np.zeros(len(x_m))
-        if self.keys.what == "forest_road":
-            rows, distance, strays = self._ragged_from(x_m, y_m, self.half_m + _VERGE_M)
+    def shares(self, x_m: Floats, y_m: Floats) -> tuple[Floats, Floats]:
+        """(N,) shares of the ground that are the path's, and of grass in the middle of a road and beside it."""
+        whole, green = np.zeros((2, len(x_m)))
+        is_road = self.keys.what == "forest_road"
+        away_m = self.half_m + _SOFT_M + 3.0 * _RAGGED_M + (_VERGE_M if is_road else 0.0)
+        rows, distance, where = self.course.nearest(x_m, y_m, away_m)
+        strays = _RAGGED_M * (0.5 * self.course.between(self.course.uneven, where) + ragged(x_m[rows], y_m[rows]))
+        whole[rows] = smooth_step((self.half_m - distance + strays) / _SOFT_M + 0.5)
+        if is_road:
             strip = smooth_step((_STRIP_M - distance + strays) / _SOFT_M + 0.5)
             beyond = (distance - strays - self.half_m) / _VERGE_M
             verge = smooth_step(beyond * _VERGE_M / _SOFT_M + 0.5) * (1.0 - smooth_step(2.0 * beyond - 1.0))
-            found[rows] = _GRASS * np.maximum(strip, verge)
-        return found
-
-    def _ragged_from(self, x_m: Floats, y_m: Floats, away_m: float) -> tuple[Ints, Floats, Floats]:
-        """Rows of the points up to such a distance from its middle, their distance, and how far borders stray there."""
-        rows, distance, where = self.course.nearest(x_m, y_m, away_m + _SOFT_M + 3.0 * _RAGGED_M)
-        strays = 0.5 * self.course.between(self.course.uneven, where) + ragged(x_m[rows], y_m[rows])
-        return rows, distance, _RAGGED_M * strays
+            green[rows] = _GRASS * np.maximum(strip, verge)
+        return whole, green
 
     def within(self, x_m: Floats, y_m: Floats, away_m: float) -> Bools:
         """(N,) whether points are on it or so near."""
@@ -209,8 +200,8 @@ class ShapedGround(HeightField):
 
     def bare_and_green(self, x_m: Floats, y_m: Floats) -> tuple[Floats, Floats]:
         """(N,) shares of the ground that are bare on paths, and that are roads' strips and verges, on no other path."""
-        own = [track.green(x_m, y_m) for track in self.tracks]
-        bare = [track.share(x_m, y_m) * (1.0 - green) for track, green in zip(self.tracks, own, strict=True)]
+        found = [track.shares(x_m, y_m) for track in self.tracks]
+        bare, own = [whole * (1.0 - green) for whole, green in found], [green for _, green in found]
         none = np.zeros(len(x_m))
         for index, green in enumerate(own):
             for other in bare[:index] + bare[index + 1 :]:

@@ -37,7 +37,7 @@ def with_land(terrain: Terrain, ground: HeightField, wind_m_per_s: float, seed: 
     shares: dict[tuple[str, str], Floats] = {}  # by purpose and ground: beds lie on paths
     for track in ground.tracks:
         key = ("path", track.keys.surface)
-        shares[key] = np.maximum(shares.get(key, 0.0), track.share(x, y))
+        shares[key] = np.maximum(shares.get(key, 0.0), track.shares(x, y)[0])
     green = ground.bare_and_green(x, y)[1]
     if green.any():
         shares["strip", GROUND_OF["strip"]] = green
