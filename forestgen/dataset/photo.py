@@ -11,7 +11,9 @@
 5. Saturation: each pixel's difference from its luminance.
 6. A curve that is steep about middle grey and reaches white where the first colour, balanced, is saturated, so that
    clipped highlights are white; the sRGB encoding.
-7. Sharpening: an unsharp mask of 1 pixel; JPEG, 4:2:0.
+7. Sharpening: each value's difference from a mean about it is added by a share, an unsharp mask. The mean is Pillow's
+   approximation, by boxes, of a Gaussian of a standard deviation of 1 pixel.
+8. JPEG, 4:2:0.
 
 References
 ----------
@@ -93,7 +95,7 @@ def saturated(light: Floats, share: float) -> Floats:
 
 
 def sharpened(picture: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
-    """(H, W, 3) plus a share of its difference from its mean about each pixel, a Gaussian of `_MASK_PX`."""
+    """(H, W, 3) plus a share of its difference from its mean about each pixel, about a Gaussian of `_MASK_PX`."""
     from PIL import Image, ImageFilter
 
     if share == 0.0:

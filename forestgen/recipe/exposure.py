@@ -26,7 +26,7 @@ class Jpeg(Section):
         1.0, le=3, description="Of colours, by those that a colour chart is seen in; 0: a grey picture."
     )
     sharpening: NonNegative = Field(
-        0.0, le=3, description="Share of a pixel's difference from its surroundings that is added; cameras: 0.3 to 1."
+        0.0, le=3, description="Share of a pixel's difference from the mean about it that is added: an unsharp mask."
     )
 
 

@@ -224,7 +224,7 @@ def photo(frame: FrameData) -> Iterator[Finding]:
         return
     for name in facts["files"].values():
         planes[name] = read_picture(frame.root, frame.file(name)).astype(np.uint16)
-    jpeg = Jpeg(**{key: about[key] for key in Jpeg.model_fields})
+    jpeg = Jpeg(**{key: about[key] for key in Jpeg.model_fields if key in about})  # older ones have fewer
     made = photo_of(Raw(planes, facts, is_colour=True), jpeg)
     if abs(made.facts["temperature_k"] - about["temperature_k"]) > 1.0:
         yield finding("temperature_k is not the raw image's", made.facts["temperature_k"], about["temperature_k"])
