@@ -7,7 +7,9 @@ number of things for its cover. Large things, of which a tile would have less th
 The cover itself is uneven in patches (scene/ground_paint.py), and by where a layer grows.
 
 Tiles are drawn where a thing of the layer is as long as `ground_view.LEAST_PX` pixels of the camera that sees it best,
-in or near some camera's view, up to `MOST_TILES` and `FAR_M`. Elsewhere the ground is painted (scene/ground_paint.py).
+in or near some camera's view: up to `ground_view.FAR_M` from it, or, where it looks down with all of its image from
+higher, or its rays are parallel, on the ground that it sees, 400 m wide at most. Of all layers' tiles the `MOST_TILES`
+nearest are drawn. Elsewhere the ground is painted (scene/ground_paint.py).
 
 Reference
 ---------
