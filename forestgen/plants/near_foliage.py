@@ -49,7 +49,7 @@ _WORTH = 0.7  # a spray's leaves are at most so large, by area, as the leaves th
 _MOST_LEAVES = 48  # on one twig
 _MOST_MERGED = 256
 _SIZE_STEP = 1.25  # between the shoots of needles that are made; others are scaled
-_VARIANTS, _LEAF_VARIANTS = 5, 18
+_VARIANTS, _LEAF_VARIANTS = 5, 18  # shoots of needles; twigs: of one leaf, three of each shape
 _COVER = 0.8  # of a needle over length times width
 _ORGANS_LEAVES = 1 << 20  # more than one organ has
 _DRAWN = (NeedleTwig, SimpleLeaf, LobedLeaf, PalmateLeaf, CompoundLeaf)
@@ -240,7 +240,7 @@ def _sprays(
     `material`: (M,) of each organ's leaves; what is drawn together has the same.
     """
     row = np.flatnonzero(one.drawn)
-    variants = _VARIANTS if isinstance(form, NeedleTwig) else _LEAF_VARIANTS
+    variants = {NeedleTwig: _VARIANTS, CompoundLeaf: 1}.get(type(form), _LEAF_VARIANTS)
     variant = child_rng(0, "sprays", placed.shape).integers(variants, size=len(one.drawn))
     number, left_m2 = one.number, organ_sizes(placed.frame) ** 2 * _whole_m2(form)
     if isinstance(form, NeedleTwig) and placed.twigs is not None:

@@ -143,7 +143,7 @@ def true_leaf(form: Leaf, length_m: float, detail: int, shape: LeafShape = _PLAI
     )
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=2048)  # a near tree has 100 to 200, of 10 to 30 kB
 def leafy_twig(form: Leaf, length_m: float, number: int, detail: int, variant: int) -> Spray:
     """A twig of so many leaves of a length; one alone is at its end."""
     rng = child_rng(0, "leafy twig", number, variant)
