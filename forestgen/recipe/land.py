@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
 from forestgen.recipe import fields
+from forestgen.recipe.ground import GroundLayer
 from forestgen.recipe.registries import GROUND_COVERS, GROUND_OF
 
 MOST_LINES, MOST_POINTS = 20, 200
@@ -104,6 +106,28 @@ class Stream(_Water):
 Water = Annotated[Pond | Stream, Field(discriminator="what")]
 Waters = Annotated[tuple[Water, ...], Field(max_length=MOST_LINES)]
 Paths = Annotated[tuple[Path, ...], Field(max_length=MOST_LINES)]
+
+
+def check_layers(layers: Sequence[GroundLayer], water: Waters, paths: Paths) -> None:
+    """Raise a violation for a layer that lies on what the site does not have."""
+    roads = any(one.what == "forest_road" for one in paths)
+    a_water, a_path = ("a pond or stream", "site.water"), ("a path or forest road", "site.paths")
+    needed = {
+        "roadside": (roads, "a forest_road", "site.paths"),
+        "path": (bool(paths), *a_path),
+        "shore": (bool(water), *a_water),
+        "water": (bool(water), *a_water),
+    }
+    for index, layer in enumerate(layers):
+        has, what, where = needed.get(layer.on, (True, "", ""))
+        if not has:
+            raise fields.violation(
+                f"{what} in {where}",
+                problem="this layer lies nowhere on the site",
+                got=f"on: {layer.on}",
+                hint=f"add {what} to {where}, or leave `on` out",
+                at=("ground", "layers", index, "on"),
+            )
 
 
 def check_on_site(water: Waters, paths: Paths, size_m: tuple[float, float]) -> None:

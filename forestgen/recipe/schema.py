@@ -27,7 +27,7 @@ from forestgen.recipe.cameras import Camera, check_cameras, check_motion, defaul
 from forestgen.recipe.classes import MOST_CLASSES, NO_SPECIES, wrong_classes
 from forestgen.recipe.dataset import Dataset
 from forestgen.recipe.ground import Ground, WetSoil
-from forestgen.recipe.land import MicroRelief, Paths, Waters, check_on_site
+from forestgen.recipe.land import MicroRelief, Paths, Waters, check_layers, check_on_site
 from forestgen.recipe.phenology import LeafSeason, TimeOfYear
 from forestgen.recipe.registries import DEFAULT_CHANNELS, LABEL_CHANNELS, TERRAINS
 from forestgen.recipe.sampler import Sampling
@@ -148,6 +148,7 @@ class Site(fields.Section):
     @model_validator(mode="after")
     def _land_lies_on_it(self) -> Self:
         check_on_site(self.water, self.paths, self.size_m)
+        check_layers(self.ground.layers, self.water, self.paths)
         return self
 
     @model_validator(mode="after")

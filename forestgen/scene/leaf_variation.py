@@ -7,12 +7,12 @@ plot and height by 16%. Both come from the table ``standards/leaf_variation``: w
 leaf of their species, as factors on the reflectance and transmittance of that leaf's spectrum, whatever its season. See
 `docs/spectra/make_leaves.py` for the measurements.
 
-Near a camera single leaves differ too, and the mean of a crown's leaves stays: broad ones in chlorophyll. Where a crown
-has leaves of several seasons, each leaf is of one of them. At any time of the year a few are yellow or dead: at most
-2.2% together, as crowns without discoloration have up to 10% (ICP Forests' class 0; the shares are our estimate).
-Needles of this year's shoots of evergreens, the outer ends of sprays, are pale from May (Norway spruce; our estimate)
-until they have their chlorophyll at the end of July: half of it is missing at first, as in young leaves of beech and
-oak, and none after.
+Near a camera single leaves differ too. Broad leaves differ in chlorophyll; the crown's mean stays. Where a crown has
+leaves of several seasons, each leaf is of one of them. At any time of the year a few are yellow or dead: at most 2.2%
+together, as crowns without discoloration have up to 10% (ICP Forests' class 0; the shares are our estimate). Needles of
+this year's shoots of evergreens, the outer ends of sprays, are pale from May (Norway spruce; our estimate) until they
+have their chlorophyll at the end of July: half of it is missing at first, as in young leaves of beech and oak, and none
+after.
 
 In autumn plants differ in stage, too: green, yellow and brown ones stand side by side. Where `plants.phenology_classes`
 is 1 the plants of an exemplar have the colours of a day of their own, spread as the species' `autumn_sd_days`; as many

@@ -105,8 +105,9 @@ Decisions
 - Trees may be taller than their species' height_m; radius_m, the neighbourhood of other models, is then its largest.
 - Plants of `ground` are placed independently, or in clumps of a width (Thomas 1949): sigma is a fourth of it; in the
   middle as many discs stand as cover the ground once. Clumps are below crowns as readily as trees of a lower storey.
-  The cover of these plants is that of discs of radius_m. Trees among them are seedlings: of the sizes that their
-  allometry and their neighbours give.
+  The cover of these plants is that of discs of radius_m on even, open ground: where a map or the light presses as many
+  into part of the site, more of them overlap and less is covered. Trees among them are seedlings: of the sizes that
+  their allometry and their neighbours give.
 - A dead tree's species, diameter and height are those of a living tree of at least min_dbh_cm, drawn at random. For a
   volume trees are drawn until it is reached; one factor of diameters and heights makes it exact. Volumes are of stems
   over bark, of the taper of `forestgen.core.stem_form`, of what the decay class has left.
@@ -129,6 +130,7 @@ from pydantic import Field, model_validator
 
 from forestgen.community.arrivals import radii_m
 from forestgen.community.model import none_is
+from forestgen.community.models.thomas import TRIAL_BYTES
 from forestgen.community.placement.densities import (
     check_sizes,
     grid_shape,
@@ -200,10 +202,10 @@ class StandParameters(StaticParameters):
             yield from ((("storeys", index, "species", name), name) for name in storey.species)
         yield from ((("ground", name), name) for name in self.ground)
 
-    def ground_parameters(self, species: Ecologies) -> GroundParameters:
+    def ground_parameters(self, site: Site, species: Ecologies) -> GroundParameters:
         """The ground's plants as another model places them."""
         own = [(one, self.ground[one.name]) for one in species if one.name in self.ground]
-        clumps = {one.name: keys.clumps(one, periodic=self.periodic) for one, keys in own}
+        clumps = {one.name: keys.clumps(one, site, periodic=self.periodic) for one, keys in own}
         return GroundParameters.model_construct(
             plants={one.name: keys.stand(one) for one, keys in own},
             clumps={name: found for name, found in clumps.items() if found is not None},
@@ -231,7 +233,7 @@ class StandModel(StaticModel[StandParameters]):
                 own = parameters.dead_wood, trees, site, opened, dead_rng
                 dead = dead_trees(*own, periodic=parameters.periodic)
                 found["reached"]["dead_wood"] = dead_report(dead, site)
-        plants = parameters.ground_parameters(species)
+        plants = parameters.ground_parameters(site, species)
         crowns: NDArray[np.bool_] | None = None
         if trees is not None and plants.clumps:
             discs = trees.position_m, trees.crown_radius_m
@@ -251,7 +253,7 @@ class StandModel(StaticModel[StandParameters]):
             trees += round(stocking(storey, species, where).stems_per_ha * site.area_ha)
         if parameters.dead_wood is not None:
             trees += math.ceil(parameters.dead_wood.most_trees(site))
-        ground = parameters.ground_parameters(species)
+        ground = parameters.ground_parameters(site, species)
         check_sizes(ground, species)
         return float(trees), float(plant_counts(ground, site, species).sum())
 
@@ -259,7 +261,7 @@ class StandModel(StaticModel[StandParameters]):
         self, parameters: StandParameters, site: Site, species: Ecologies
     ) -> Mapping[str, tuple[float, float]]:
         """By the storeys' diameters and dominant heights, and the radii of the ground's plants."""
-        found = heights_asked_m(parameters.ground_parameters(species), species)
+        found = heights_asked_m(parameters.ground_parameters(site, species), species)
         for index, storey in enumerate(parameters.storeys):
             low, high = height_range_m(storey, species, f"community.storeys.{index}")
             for name in storey.species:
@@ -277,7 +279,9 @@ class StandModel(StaticModel[StandParameters]):
     def estimate_bytes(self, parameters: StandParameters, site: Site, species: Ecologies) -> int:
         """Bytes for all trees and grids at once."""
         trees = self._counts(parameters, site, species)[0]
-        return super().estimate_bytes(parameters, site, species) + math.ceil(_BYTES_PER_TREE * trees) + _GRID_BYTES
+        trials = TRIAL_BYTES if parameters.ground_parameters(site, species).clumps else 0
+        own = math.ceil(_BYTES_PER_TREE * trees) + _GRID_BYTES + trials
+        return super().estimate_bytes(parameters, site, species) + own
 
     def check_recipe(self, drawn: DrawnRecipe, parameters: StandParameters) -> None:
         """Build the stand of a small site, so that targets which contradict each other are refused at once."""

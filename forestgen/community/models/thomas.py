@@ -47,6 +47,7 @@ _REACH = 5.0  # σ: towards one side, one plant in 3.5 million stands farther aw
 _LEAST_SHARE = 1 / 256  # of the mean density in the greatest
 _TRIALS_PER_PLANT, _TRIALS_AT_ONCE = 2000, 1_000_000
 _REDRAWS = 50  # of parents
+TRIAL_BYTES = 100 * _TRIALS_AT_ONCE
 
 
 class ThomasParameters(GriddedParameters):
@@ -150,8 +151,7 @@ class Thomas(GriddedModel[ThomasParameters]):
         """Bytes for all plants, grids, parents and trials at once; refuses what `init` would."""
         _refuse_wide_clusters(parameters, site)
         parents = self.expected_plants(parameters, site, species) / parameters.plants_per_cluster / _LEAST_SHARE
-        trials = 100 * _TRIALS_AT_ONCE
-        return super().estimate_bytes(parameters, site, species) + trials + math.ceil(48 * parents)
+        return super().estimate_bytes(parameters, site, species) + TRIAL_BYTES + math.ceil(48 * parents)
 
 
 MODEL = Thomas()

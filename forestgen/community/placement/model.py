@@ -176,7 +176,7 @@ def wanted_plants(
     counts = plant_counts(parameters, site, species)
     r_m, height_m = [np.zeros(0)], [np.zeros(0)]
     for one, count in zip(species, counts, strict=True):
-        stream = _stream(rng, "sizes", one.name)
+        stream = stream_of(rng, "sizes", one.name)
         stand = parameters.plants.get(one.name)
         r_m.append(draw_radii(stand.radius_m if stand else None, one, int(count), stream))
         height_m.append(draw_heights(stand, one, r_m[-1], stream))
@@ -193,11 +193,11 @@ def uniform_samples(wanted: PlantingTargets, species: Ecologies, rng: np.random.
     uniform = np.empty((len(wanted.sp), 2))
     for index, one in enumerate(species):
         mine = wanted.sp == index
-        uniform[mine] = _stream(rng, "places", one.name).random((int(mine.sum()), 2))
+        uniform[mine] = stream_of(rng, "places", one.name).random((int(mine.sum()), 2))
     return uniform
 
 
-def _stream(rng: np.random.Generator, *identity: str) -> np.random.Generator:
+def stream_of(rng: np.random.Generator, *identity: str) -> np.random.Generator:
     """The generator of a part of what `rng` is for, whatever has been drawn from it."""
     root = rng.bit_generator.seed_seq
     assert isinstance(root, np.random.SeedSequence)
@@ -256,8 +256,11 @@ class PlacementModel(StaticModel[P]):
 
     def positions(
         self, parameters: P, site: Site, species: Ecologies, wanted: PlantingTargets, rng: np.random.Generator
-    ) -> tuple[Floats, str]:
-        """(N, 2) places of the plants, metres, nan where there is none; and why. Here species do not see each other."""
+    ) -> tuple[Floats, str | Mapping[str, str]]:
+        """(N, 2) places of the plants, metres, nan where there is none; and why, for all or by species.
+
+        Here species do not see each other.
+        """
         position_m = np.full((len(wanted.sp), 2), np.nan)
         for index, (one, stream) in enumerate(zip(species, rng.spawn(len(species)), strict=True)):
             mine = np.flatnonzero(wanted.sp == index)

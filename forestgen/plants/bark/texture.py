@@ -119,8 +119,9 @@ def covered_texture(
 ) -> SurfaceTexture:
     """The texture of a bark, see `bark_texture`, a share of which something grows on, such as moss.
 
-    `cover`: colour of what grows there. `mean`: of all. `own`: the cover's texture, if it has one. What a share covers
-    a greater one covers too.
+    `cover`: colour of what grows there. `mean`: of all. `own`: the cover's texture, if it has one; its tile is
+    repeated a whole number of times, at least once, so it is stretched to fit. What a share covers a greater one covers
+    too.
     """
     base = bark_texture(bark, reflectance, name)
     place, tone = _cover_noise(bark, reflectance, name)
@@ -128,8 +129,9 @@ def covered_texture(
     if own is None:
         over, top_m = np.array(cover, dtype=np.float32) * tone[..., None], base.height_m + _COVER_M * (0.7 + 0.3 * tone)
     else:
-        sides = zip(base.height_m.shape, own.height_m.shape, strict=True)
-        at = np.ix_(*(np.arange(n) * most // n for n, most in sides))
+        times = [max(1, round(long / other)) for long, other in zip(base.tile_m, own.tile_m, strict=True)][::-1]
+        sides = zip(base.height_m.shape, own.height_m.shape, times, strict=True)
+        at = np.ix_(*(np.arange(n) * most * k // n % most for n, most, k in sides))
         over, top_m = own.colour[at], own.height_m[at]
     colour = base.colour + mask[..., None] * (over - base.colour)
     height_m = base.height_m + mask * (top_m - base.height_m)

@@ -248,6 +248,11 @@ def test_a_stream_does_not_run_uphill_to_a_pond() -> None:
         ({"paths": [{"points_m": [[5, 5], [9, 9]], "ground": "tar"}]}, "site.paths.0.ground"),
         ({"micro_relief": {"rms_m": 2}}, "site.micro_relief.rms_m"),
         ({"paths": [{"what": "forest_road", "points_m": [[5, 5], [9, 9]], "width_m": 1}]}, "site.paths.0"),
+        ({"ground": {"layers": [{"what": "moss", "on": "shore"}]}}, "site.ground.layers.0.on"),
+        (
+            {"paths": [{"points_m": [[5, 5], [9, 9]]}], "ground": {"layers": [{"what": "moss", "on": "roadside"}]}},
+            "site.ground.layers.0.on",
+        ),
     ],
 )
 def test_bad_keys(site: dict[str, Any], place: str) -> None:

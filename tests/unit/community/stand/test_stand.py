@@ -8,6 +8,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from scipy.stats import ncx2
 
 from forestgen.community.model import simulate
 from forestgen.community.models import stand
@@ -15,6 +16,7 @@ from forestgen.community.models.stand import MODEL, StandParameters
 from forestgen.community.population import Site
 from forestgen.community.simulation import final_population
 from forestgen.community.stand.build import StandBuilder, nearest_index
+from forestgen.community.stand.ground_plants import GroundPlants
 from forestgen.community.stand.targets import Dbh, Storey, dominant_height_at
 from forestgen.core.errors import RecipeError
 from forestgen.core.progress import Silent
@@ -439,6 +441,37 @@ def test_a_square_kilometre_of_100_000_trees_takes_less_than_10_seconds(species)
     found = grown(species, given, size_m=(1000.0, 1000.0))
     assert len(found) == 100_000
     assert time.perf_counter() - began < 10
+
+
+def test_clumps_wider_than_the_site_are_refused_with_their_line(tmp_path):
+    path = tmp_path / "recipe.yaml"
+    path.write_text(
+        "forestgen: 1\nsite: {size_m: [40, 30]}\nspecies: {bracken: {from: bracken}}\n"
+        "community: {model: stand, ground: {bracken: {plants_per_ha: 9e5, clump_m: 200}}}\n"
+    )
+    with raises_error(RecipeError, place="community.ground.bracken.clump_m") as caught:
+        check_plan(load_recipe(path), simulate_only=True)
+    assert f"{path}:4: " in caught.value.where
+
+
+@pytest.mark.parametrize("clump_m", [None, 0.4, 1, 2, 4, 16])
+def test_plants_in_clumps_are_as_many_as_cover_even_ground(clump_m, species):
+    keys = GroundPlants(cover=0.3, radius_m=0.4, clump_m=clump_m)
+    per_m2, bracken = 1e-4 * keys.stand(species[5]).plants_per_ha, species[5]
+    bare = np.exp(-per_m2 * np.pi * 0.4**2)
+    if clump_m is not None:  # Neyman and Scott's process: no disc of any parent covers a point
+        clumps = keys.clumps(bracken, Site(SIZE), periodic=True)
+        many, sigma_m = clumps.plants_per_cluster, clumps.sigma_m
+        away_m = np.linspace(0, 8 * sigma_m + 1, 2001)
+        chance = ncx2.cdf((0.4 / sigma_m) ** 2, 2, (away_m / sigma_m) ** 2)
+        bare = np.exp(-per_m2 / many * np.trapezoid(-np.expm1(-many * chance) * 2 * np.pi * away_m, away_m))
+    assert bare == pytest.approx(0.7, rel=5e-3)
+
+
+def test_another_species_leaves_clumps_alone(species):
+    ground = {"bracken": {"plants_per_ha": 2000, "clump_m": 4}}
+    alone, among = (grown(one, {"ground": ground}) for one in (species[5:], species))
+    assert np.array_equal(alone.position_m, among.position_m)
 
 
 @pytest.mark.parametrize("side_m", [30, 300])  # tried when the recipe is checked; too large for that
