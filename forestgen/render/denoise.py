@@ -10,7 +10,8 @@ For the same reason each of a pixel's samples that the sun does not reach has a 
 shade between leaves is in the colours. All pixels have the same places, so that the guide has no noise. Without it
 a beech forest from inside, of 48 samples, has .35 of the power of 1/4 to 1/2 cycles a pixel, with it .46.
 
-Still water has the guides of what it mirrors.
+Still water has the guides of what it mirrors by Fresnel's share of its light, and its own for the rest, which comes
+from the bed: there the guides know a level surface of the water's colour alone.
 
 `benchmarks/sharpness.py` compares power spectra of denoised images with those of nearly noise-free ones.
 """
@@ -61,9 +62,9 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
     mirrors = has_water(tracer.spec)
 
     def values(hits: Hits) -> list[Any]:
-        share = mi.Float(1.0)
+        seen, share = hits, mi.Float(1.0)
         if mirrors:
-            hits, share = in_still_water(tracer, camera, hits)
+            hits, share = in_still_water(tracer, camera, seen)
         facing, corners = tracer.geometric_normal(hits), corners_of(tracer, hits)
         smooth = shading_normal(tracer, hits, corners, facing)
         sunlit = sun_visible(tracer, camera, hits, facing)
@@ -76,12 +77,17 @@ def guide_values(tracer: SceneTracer, camera: Camera) -> Values:
         if casts_shadows(tracer.spec.sky):
             lit = _SHADE + (1.0 - _SHADE) * dr.abs(dr.dot(smooth, tracer.to_light))
             shade = dr.select(sunlit, lit, _SHADE * shade)
-        colour = share * dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
+        colour = dr.select(hits.valid, albedo(tracer, hits, corners) * shade, 1.0)
         smooth = dr.select(hits.valid, smooth, 0.0)
         if fog is not None:  # what is behind it is as faint as its light
-            seen = fog.kept(tracer.start_of(camera, hits.rays), hits.rays.direction, hits.distance_m)
-            seen = dr.select(hits.valid, seen, 0.0)
-            colour, smooth = 1.0 + seen * (colour - 1.0), seen * smooth
+            kept = dr.select(hits.valid, _kept(fog, tracer, camera, hits), 0.0)
+            colour, smooth = 1.0 + kept * (colour - 1.0), kept * smooth
+        if mirrors:
+            own = dr.gather(mi.Color3f, tracer.table.albedo, seen.organ, seen.valid)
+            colour, smooth = share * colour + (1.0 - share) * own, share * smooth + (1.0 - share) * mi.Vector3f(0, 0, 1)
+            if fog is not None:  # before the water
+                kept = dr.select(share < 1.0, _kept(fog, tracer, camera, seen), 1.0)
+                colour, smooth = 1.0 + kept * (colour - 1.0), kept * smooth
         return [*colour, *smooth]
 
     return values
@@ -98,9 +104,15 @@ def in_still_water(tracer: SceneTracer, camera: Camera, hits: Hits) -> tuple[Hit
     ray = mi.Ray3f(tracer.start_of(camera, rays), up)
     found = tracer.looked_up(rays, tracer.scene.ray_intersect_preliminary(ray, coherent=True, active=still), still)
     shift = hits.rays.shift_m if hits.rays.shift_m is not None else mi.Vector3f(0.0)
-    merged = DeviceRays(dr.select(still, up, way), hits.rays.depth_share, dr.select(still, rays.shift_m, shift))
+    shift, ways = dr.select(still, rays.shift_m, shift), dr.select(still, up, way)
+    merged = DeviceRays(ways, hits.rays.depth_share, shift, hits.rays.valid)
     parts = {name: dr.select(still, getattr(found, name), getattr(hits, name)) for name in vars(hits) if name != "rays"}
     return Hits(rays=merged, **parts), dr.select(still, fresnel(up.z, mi.Float(WATER_INDEX)), 1.0)
+
+
+def _kept(fog: Fog, tracer: SceneTracer, camera: Camera, hits: Hits) -> Any:
+    """Float: share of the light of hits that comes through fog."""
+    return fog.kept(tracer.start_of(camera, hits.rays), hits.rays.direction, hits.distance_m)
 
 
 def open_values(hits: Hits) -> list[Any]:

@@ -104,10 +104,11 @@ def test_black_water_mirrors_an_even_sky_as_much_as_measured() -> None:
     assert albedo == pytest.approx(0.061, abs=0.006)
 
 
-@pytest.mark.parametrize("angle", [40.0, 80.0])
-def test_still_water_has_the_guides_of_what_it_mirrors(angle: float) -> None:
-    """A white sky, and in front of it a wall."""
+@pytest.mark.parametrize(("angle", "per_m"), [(5.0, 0.0), (40.0, 0.0), (80.0, 0.0), (40.0, 0.1)])
+def test_still_water_has_the_guides_of_what_it_mirrors_by_fresnels_share(angle: float, per_m: float) -> None:
+    """A white sky, and in front of it a wall; the rest is the water's own; in fog all is that of the way to it, too."""
     spec = pool(0.2, 1.0, 1.0, NIGHT, angle)
+    spec = replace(spec, fog=(FogLayer(per_m, 500.0, 2.0, 0.85),) if per_m else ())
     corners = np.array([[-9, 5, -9], [9, 5, -9], [9, 5, 90], [-9, 5, 90]], np.float32)
     wall = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.uint32))
     behind = Exemplar("wall", (OrganMesh(Part.TRUNK, "wall", wall),), 1.0, 0.01, 1.0, 0.0, 0.0)
@@ -118,10 +119,15 @@ def test_still_water_has_the_guides_of_what_it_mirrors(angle: float) -> None:
         instances=Instances(np.arange(2, dtype=np.uint32), np.stack([np.eye(3, 4)] * 2), np.zeros(2, np.uint32), 2),
     )
     open_sky, wooden = (trace_guides(SceneTracer(one, Timings()), one.cameras[0]) for one in (spec, walled))
-    np.testing.assert_allclose(open_sky.colour, by_fresnel(angle), rtol=0.03)
-    assert not open_sky.normal.any()
-    assert np.allclose(np.abs(wooden.normal), [0.0, 1.0, 0.0], atol=1e-5)
-    np.testing.assert_allclose(wooden.colour[..., 0] / wooden.colour[..., 1], 3.0, rtol=1e-3)
+    share, level = by_fresnel(angle), np.array([0.0, 0.0, 1.0])
+    own = 0.07 * (1.0 - share)
+    here, beyond = np.exp(-3.0 * per_m), np.exp(-per_m * 5.0 / np.sin(np.radians(angle)))
+    np.testing.assert_allclose(open_sky.colour, 1.0 + here * (share + own - 1.0), rtol=0.03)
+    np.testing.assert_allclose(open_sky.normal, np.broadcast_to(here * (1.0 - share) * level, (8, 8, 3)), rtol=0.03)
+    normal = here * (share * beyond * np.array([0.0, -1.0, 0.0]) + (1.0 - share) * level)
+    np.testing.assert_allclose(wooden.normal, np.broadcast_to(normal, (8, 8, 3)), rtol=0.03, atol=1e-5)
+    red, green, blue = wooden.colour.mean(axis=(0, 1))  # the wall's, what is added has the same of all
+    assert (red - green) / (green - blue) == pytest.approx(4.0, rel=1e-3)
 
 
 def test_the_mirrored_sky_is_that_at_the_mirrored_height() -> None:
