@@ -96,6 +96,12 @@ def shipped(name: str, **more: Any) -> Keys:
     return _merged(yaml.safe_load((RECIPES / f"{name}.yaml").read_text(encoding="utf-8")), more)
 
 
+def inside(biome: str, position_m: list[float], look_at_m: list[float], ground: str, layers: list[Keys]) -> Keys:
+    """A biome's recipe amid more of its kind, from among its plants."""
+    recipe = shipped(f"biomes/{biome}", site__surroundings="forest", site__ground={"kind": ground, "layers": layers})
+    return camera_of(recipe, position_m=position_m, look_at_m=look_at_m, obstructed="note")
+
+
 def camera_of(recipe: Keys, **more: Any) -> Keys:
     """The recipe with other keys of its first camera, and that camera alone."""
     return {**recipe, "cameras": [{**recipe["cameras"][0], **more}]}
@@ -200,9 +206,9 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         site__surroundings="forest",
         sky={"sun": {"elevation_deg": 40, "azimuth_deg": 230}, "clouds": "cumulus"},
     ),
-    "meadow": lambda: shipped("biomes/grassland"),
-    "savanna": lambda: shipped("biomes/savanna"),
-    "tropical rain forest": lambda: shipped("biomes/tropical_rain"),
+    "meadow": lambda: inside("grassland", [12, 1, 1.7], [16, 14, 0.8], "grass", []),
+    "savanna": lambda: inside("savanna", [34, 1, 1.8], [31, 30, 2.5], "soil_dry", FLOOR[1:4]),
+    "tropical rain forest": lambda: inside("tropical_rain", [26, 7, 1.7], [22, 30, 5], "litter", FLOOR),
     "fisheye": lambda: forest(
         BEECH, 26, {"kind": "fisheye", "position_m": [30, 30, 1.3], "look": "up"}, sky__clouds="noise"
     ),
