@@ -31,6 +31,13 @@ FLOOR: list[Keys] = [
     {"what": "stones", "cover": 0.005},
     {"what": "moss", "cover": 0.08, "patch_m": 2},
 ]
+HEATH: list[Keys] = [  # floor of conifers
+    {"what": "fallen_leaves", "cover": 0.8},
+    {"what": "moss", "cover": 0.45, "patch_m": 2.5},
+    {"what": "small_plants", "species": "shrub", "height_m": 0.4, "size_sigma": 0.2, "cover": 0.25, "patch_m": 2.5},
+    {"what": "small_plants", "species": "grass", "height_m": 0.25, "size_sigma": 0.4, "cover": 0.08, "patch_m": 1.5},
+    *FLOOR[1:4],
+]
 ROADSIDE: list[Keys] = [
     {"what": "moss", "cover": 0.45, "patch_m": 1.5},
     {"what": "small_plants", "species": "grass", "height_m": 0.2, "size_sigma": 0.5, "cover": 0.7, "on": "roadside"},
@@ -53,11 +60,12 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
     storeys: list[Keys] = [{**main, "dbh": {"cv": 0.35}, "clark_evans": 0.9}]
     if young:
         storeys.append({"species": {young: 1}, "stems_per_ha": 250, "dominant_height_m": 4, "clark_evans": 0.6})
-    names = [*species, *([young] if young else []), "bramble", "bracken", "grass"]
+    names = [*species, *([young] if young else []), "bramble", "bracken", "grass", "shrub"]
     ground = {
         "bramble": {"cover": 0.05, "radius_m": {"median": 0.45, "sigma": 0.3}, "clump_m": 5},
         "bracken": {"cover": 0.08, "clump_m": 7},
     }
+    floor = HEATH if species.get("spruce", 0) + species.get("pine", 0) > 0.5 else FLOOR
     recipe: Keys = {
         "forestgen": 1,
         "seed": 5,
@@ -65,7 +73,7 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
             "size_m": [60, 60],
             "terrain": {"kind": "rolling", "amplitude_m": 0.6, "wavelength_m": 60, "hills_m": 70},
             "surroundings": "forest",
-            "ground": {"kind": "litter", "layers": FLOOR},
+            "ground": {"kind": "litter", "layers": floor},
         },
         "species": dict.fromkeys(names),
         "community": {"model": "stand", "storeys": storeys, "dead_wood": DEAD_WOOD, "ground": ground},
@@ -150,7 +158,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "forest floor": lambda: forest(BEECH, 26, {**EYE, "position_m": [30, 4, 1.2], "look_at_m": [30, 5.4, 0]}),
     "beech, noon": lambda: forest(BEECH, 26, EYE, "beech"),
     "spruce, noon, road": lambda: forest(
-        SPRUCE, 26, EAST, "spruce", site__paths=[ROAD], site__ground__layers=[*FLOOR, *ROADSIDE]
+        SPRUCE, 26, EAST, "spruce", site__paths=[ROAD], site__ground__layers=[*HEATH, *ROADSIDE]
     ),
     "pine, low sun": lambda: forest(PINE, 22, WEST, "birch", sky__sun={"elevation_deg": 9, "azimuth_deg": 290}),
     "birch, spring": lambda: forest(BIRCH, 20, EAST, plants__season="spring"),
@@ -174,6 +182,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         EYE,
         "spruce",
         sky=OVERCAST,
+        site__ground__layers=[*FLOOR, *ROADSIDE],
         site__paths=[{**ROAD, "ground": "soil_moist", "points_m": [[-20, 4], [20, 9], [42, 15], [80, 18]]}],
         wind__speed_m_per_s=2,
         weather=[{"what": "rain", "rate_mm_per_h": 15}, {"what": "ground_fog", "visibility_m": 600, "depth_m": 40}],

@@ -57,7 +57,7 @@ Colour = tuple[float, float, float]
 
 _TEXEL_M = 0.0015
 _LEAST_TEXELS, _MOST_TEXELS = 64, 640
-_COVER_M = 0.003  # thickness of what grows on bark
+_COVER_M, _COVER_EDGE = 0.003, 0.25  # thickness of what grows on bark; half the width of its edges, of the noise
 _STEEPEST = 1.2  # slope of the normal map: without shadows, steeper walls look wrong
 
 
@@ -125,7 +125,7 @@ def covered_texture(
     """
     base = bark_texture(bark, reflectance, name)
     place, tone = _cover_noise(bark, reflectance, name)
-    mask = upper_share(place, share, 0.45)
+    mask = upper_share(place, share, _COVER_EDGE)
     if own is None:
         over, top_m = np.array(cover, dtype=np.float32) * tone[..., None], base.height_m + _COVER_M * (0.7 + 0.3 * tone)
     else:
