@@ -213,7 +213,9 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "vista, cumulus": lambda: shipped(
         "vista",
         site__surroundings="forest",
-        sky={"sun": {"elevation_deg": 40, "azimuth_deg": 230}, "clouds": "cumulus"},
+        sky__sun={"elevation_deg": {"uniform": [40, 41]}, "azimuth_deg": {"uniform": [230, 231]}},
+        sky__clouds={"type": {"choice": ["noise"]}, "cover": 0.4},
+        plants__season={"choice": ["summer"]},
     ),
     "meadow": lambda: inside("grassland", [12, 1, 1.7], [16, 14, 0.8], "grass", []),
     "savanna": lambda: inside("savanna", [34, 1, 1.8], [31, 30, 2.5], "soil_dry", FLOOR[1:4]),
