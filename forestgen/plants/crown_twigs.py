@@ -12,8 +12,6 @@ area, k the extinction of light.
 
 Crowns of most broad-leaved trees are round above: where the hull is narrower than half an ellipsoid above its widest
 place, it is widened, by `dome` of the difference. The generators' branches, which end as they please, leave cones.
-
-Foliage is gathered in clumps with gaps between: points come closer to the middle of the clump that they are in.
 """
 
 from __future__ import annotations
@@ -40,7 +38,6 @@ _LAYERS, _SECTORS = 12, 8  # of the hull's measurement
 _LOBES = 12  # round the crown
 _FINER = 6  # times as many for its volume
 _UNEVEN = 0.25  # of points' mean distance, standard deviation by which they are moved at random
-_CLUMPS, _CLUMPED = 60, 0.25  # of a crown's foliage, and how far twigs come together in them; ours, after photographs
 _IN_SPRAY, _CLOSER = 8, 0.45  # twigs of a flat spray, and how far they come together in plan
 _FLAT = np.array([1.0, 1.0, 2.5])  # of sprays: so many times as wide as high
 _NEAREST = 12  # nodes of branches that a point may be reached from
@@ -119,20 +116,14 @@ def fill_crown(
 
 
 def _gathered(tips: Floats, share: float) -> Floats:
-    """(T, 3) points in clumps, or by `share` in sprays: at the level of the middle of theirs, and closer to it."""
-    tips = tips + (1.0 - share) * _CLUMPED * (_middles(tips, _CLUMPS, 1.0) - tips)
-    if share == 0.0:
-        return tips
-    to_middle = _middles(tips, len(tips) // _IN_SPRAY, _FLAT) - tips
-    return np.asarray(tips + share * np.array([_CLOSER, _CLOSER, 1.0]) * to_middle)
-
-
-def _middles(tips: Floats, groups: int, scale: Floats | float) -> Floats:
-    """(T, 3) middle of the group of each point: the nearest of the first, which are evenly spread."""
+    """(T, 3) points moved to the level of the middle of their group, which is wide and flat, and closer to it."""
     from scipy.spatial import cKDTree  # slow to import
 
-    middles = tips[: max(groups, 1)]
-    return np.asarray(middles[cKDTree(middles * scale).query(tips * scale)[1]])
+    if share == 0.0:
+        return tips
+    middles = tips[: max(len(tips) // _IN_SPRAY, 1)]  # the first of evenly spread points are evenly spread
+    group = cKDTree(middles * _FLAT).query(tips * _FLAT)[1]
+    return np.asarray(tips + share * np.array([_CLOSER, _CLOSER, 1.0]) * (middles[group] - tips))
 
 
 def _stem_at(skeleton: Skeleton, height_m: Floats) -> Floats:
