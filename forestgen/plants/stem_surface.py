@@ -8,8 +8,8 @@ contours are.
 
       s = at_foot exp(-z / fades_m) + weather exp(-z / weather_fades_m) ((1 + cos(a - weather side)) / 2)^2
 
-  times a number of the stem's own. So s of the surface there bears it: thin at the edge of a patch, dense where s is
-  above the noise by `_DENSE`. Both are the bark's own texture with the cover's colour in parts of it
+  times a number of the stem's own. So s of the surface there bears it: thinnest at the edge of a patch, denser where
+  s is above the noise by `_DENSER`. All are the bark's own texture with the cover's colour in parts of it
   (plants/bark/texture.py); `covered_name` names them.
 
 Mosses grow highest on the side from which rain comes and at the foot, where stems are moist longest (Barkman 1958,

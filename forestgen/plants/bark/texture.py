@@ -21,7 +21,7 @@ Blocks that read as these trees from 1 to 3 m; before the colon stands the mater
                                 mark_colour: [0.14, 0.07, 0.045]}
     beech, 0.26 0.26 0.235: {pattern: smooth, tile_m: [1, 1.6], dark: [0.06, 0.06, 0.055], light: [0.36, 0.36, 0.33],
                               lichen: 0.13, lichen_colour: [0.46, 0.48, 0.42]}
-    birch, 0.47 0.44 0.40: {pattern: papery, tile_m: [0.7, 1.2], dark: [0.30, 0.22, 0.16], light: [0.75, 0.73, 0.68],
+    birch, 0.58 0.56 0.51: {pattern: papery, tile_m: [0.7, 1.2], dark: [0.30, 0.22, 0.16], light: [0.75, 0.73, 0.68],
                             mark_colour: [0.03, 0.027, 0.025]}
     palm, 0.22 0.19 0.15: {pattern: ringed, tile_m: [0.6, 0.72]}
     bare wood, 0.24 0.225 0.20: {pattern: fibrous, dark: [0.05, 0.045, 0.04]}
