@@ -132,11 +132,12 @@ def tone_map(radiance: NDArray[np.float32], exposure: float | None = None, view:
 
 def filmic(exposed: NDArray[np.float32], white: float, contrast: float = CONTRAST) -> NDArray[np.uint8]:
     """(H, W, 3) picture of light whose middle grey is 0.18; `white` and what is brighter becomes white."""
-    wide = np.clip(exposed @ _PROPHOTO.T, 0.0, np.float32(white))
-    low, high = wide.min(axis=-1, keepdims=True), wide.max(axis=-1, keepdims=True)
+    red, green, blue = np.moveaxis(np.clip(exposed @ _PROPHOTO.T, 0.0, np.float32(white)), -1, 0)
+    low, high = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
     lowest, highest = _curve(low, white, contrast), _curve(high, white, contrast)
-    place = (wide - low) / np.maximum(high - low, np.float32(_DARKEST))
-    return _encode((lowest + place * (highest - lowest)) @ _REC709.T)
+    slope = (highest - lowest) / np.maximum(high - low, np.float32(_DARKEST))
+    shown = np.stack([lowest + (one - low) * slope for one in (red, green, blue)], axis=-1)
+    return _encode(shown @ _REC709.T)
 
 
 def _developed(exposed: NDArray[np.float32], white: float, view: View) -> NDArray[np.uint8]:
