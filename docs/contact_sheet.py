@@ -56,7 +56,11 @@ DRONE: Keys = {"position_m": [30, -60, 70], "look_at_m": [30, 60, 0], "hfov_deg"
 
 def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str = "", **more: Any) -> Keys:
     """A closed stand of 23 to 30 m2 of basal area over lower trees, with young ones of a species, in forest."""
-    main: Keys = {"species": dict(species), "basal_area_m2_per_ha": round(1.15 * top_m), "stems_per_ha": 480}
+    main: Keys = {
+        "species": dict(species),
+        "basal_area_m2_per_ha": round(1.15 * top_m),
+        "stems_per_ha": round(1500 - 40 * top_m),
+    }
     storeys: list[Keys] = [
         {**main, "dominant_height_m": top_m, "dbh": {"cv": 0.45}, "clark_evans": 0.9},
         {"species": dict(species), "stems_per_ha": 220, "dominant_height_m": top_m / 2, "clark_evans": 0.7},
@@ -79,17 +83,13 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
             "ground": {"kind": "litter", "layers": floor},
         },
         "species": dict.fromkeys(names),
-        "community": {
-            "model": "stand",
-            "storeys": storeys,
-            "leaf_area_index": 5,
-            "dead_wood": DEAD_WOOD,
-            "ground": ground,
-        },
+        "community": {"model": "stand", "storeys": storeys, "dead_wood": DEAD_WOOD, "ground": ground},
         "plants": {"exemplars_per_species": 6, "levels": True, "phenology_classes": 1},
         "sky": {"sun": {"elevation_deg": 48, "azimuth_deg": 215}, "turbidity": 3, "visibility_m": 25000},
         "cameras": [{"obstructed": "note", **camera}],
     }
+    if floor is FLOOR:
+        recipe["community"]["leaf_area_index"] = 5
     return _merged(recipe, more)
 
 
@@ -206,7 +206,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         24,
         WEST,
         sky__sun={"elevation_deg": 25, "azimuth_deg": 30},
-        weather=[{"what": "ground_fog", "visibility_m": 120, "depth_m": 8}],
+        weather=[{"what": "ground_fog", "visibility_m": 90, "depth_m": 5, "fade_m": 4, "patch_m": 40}],
     ),
     "snow": lambda: forest(
         {"spruce": 0.8, "birch": 0.2},
@@ -246,7 +246,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
             plants__season={"choice": ["summer"]},
         ),
         position_m=[200, -60, 75],
-        look_at_m=[200, 180, 55],
+        look_at_m=[200, 180, 40],
     ),
     "meadow": lambda: inside("grassland", [12, 1, 1.7], [16, 14, 0.8], "grass", []),
     "savanna": lambda: inside("savanna", [34, 1, 1.8], [31, 30, 2.5], "soil_dry", FLOOR[1:4]),
