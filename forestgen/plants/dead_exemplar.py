@@ -61,7 +61,7 @@ _MATERIALS: Mapping[str, dict[str, Any]] = {
 # By decay class: share of the stem's surface without bark; of the upper half of what lies, or of a stump, under moss.
 _BARE = (0.0, 0.15, 0.5, 0.85, 1.0)
 _MOSSY = (0.0, 0.03, 0.25, 0.55, 0.8)
-_GREY_BRANCHES = 2  # the class from which branches have no bark
+_GREY_BRANCHES = 2  # the class from which branches have no bark; before, that of dead branches
 _ROTTEN = 4  # the class from which a sawn face is as grey as the rest
 _TWIGS = 0.7  # of the tree's leaf area, by which twigs are counted: the finest are gone
 _UPPER = 0.1  # least z of a normal of the upper side
@@ -87,8 +87,11 @@ def bare_parameters(plant: PlantParameters, dead: DeadTree | None = None) -> Pla
         changed["material"] = bare
     if grey:
         changed |= {"branch_material": bare if has_bark else None, "thick_branch_m": None}
-    if dead is not None and dead.form == DeadForm.STUMP and plant.wood.years is not None:
-        changed["years"] = plant.wood.years.model_copy(update={"roots": None})  # some are higher than it
+    years = plant.wood.years
+    if not grey and years is not None and years.dead_branches is not None:
+        changed |= {"branch_material": years.dead_branches.material, "thick_branch_m": None}
+    if dead is not None and dead.form == DeadForm.STUMP and years is not None:
+        changed["years"] = years.model_copy(update={"roots": None})  # some are higher than it
     return plant.model_copy(update={"wood": plant.wood.model_copy(update=changed)})
 
 

@@ -282,13 +282,14 @@ def _with_roots(skeleton: Skeleton, plate_m: float, rng: np.random.Generator) ->
     """Roots that radiate in the plane of the root plate, those into the ground broken off."""
     foot, thick = skeleton.position_m[0].astype(np.float64), float(skeleton.radius_m[0])
     for k in range(_ROOTS):
-        turn = 2.0 * np.pi * (k + 0.35 * rng.normal()) / _ROOTS
-        reach, back, bend = plate_m * rng.uniform(0.7, 1.5), rng.uniform(-0.45, -0.05), 0.5 * rng.normal(size=2)
+        turn = 2.0 * np.pi * (k + 1.2 * rng.normal()) / _ROOTS
+        reach = plate_m * float(np.clip(np.exp(0.4 * rng.normal()), 0.4, 2.0))
+        back, bend = rng.uniform(-0.45, -0.05), 0.7 * rng.normal(size=2)
         share = np.linspace(0.12, 1.0, 6)[:, None]
         angle = turn + bend[0] * share**2
         out = np.concatenate([np.cos(angle), back * share + 0.25 * bend[1] * share**2, np.sin(angle)], axis=1)
         line = foot + reach * share * out
-        radius = thick * rng.uniform(0.12, 0.4) * np.linspace(1.0, 0.25, 6)
+        radius = thick * 0.4 * rng.uniform(0.3, 1.0) ** 2 * np.linspace(1.0, 0.25, 6)
         if np.sin(turn) > -0.3:
             skeleton = _with_axis(skeleton, line, radius, 0)
     return skeleton

@@ -3,7 +3,8 @@
 A stem's surface is cut along contours, so that each material has a mesh of its own, with fine triangles where the
 contours are.
 
-- A bark zone begins where the share of the height, which noise makes uneven, passes between its two shares.
+- A bark zone begins where the share of the height, which noise makes uneven, passes between its two shares. Between
+  them ever larger parts of the bark below have the zone's bark, as under a cover; from far there is one edge.
 - A cover grows where its share s at the height z, on the side at the azimuth a, is above a noise that is even in 0..1:
 
       s = at_foot exp(-z / fades_m) + weather exp(-z / weather_fades_m) ((1 + cos(a - weather side)) / 2)^2
@@ -32,6 +33,7 @@ from forestgen.recipe.wood import BarkZone, Cover, Wood
 COVERED = "+"  # in the name of a bark under a cover
 LEVELS = (0.12, 0.45, 0.88)  # share of a covered bark's texture that has the cover's colour, from thin to dense
 _DENSER = (0.0, 0.1, 0.25)  # s above the noise, of each
+_BLENDS = (-0.5, -0.17, 0.17, 0.5)  # of the way between a zone's shares: where each of `LEVELS`, and the zone, begins
 _LEAST_SHARE = 0.03  # of a cover
 _UNLIKE = 0.5  # standard deviation of the logarithm of what stems bear
 _LEAST_RADIUS_M = 0.03  # of a stem that bears anything
@@ -40,7 +42,7 @@ _COARSER_M = 2.0  # height at which they are twice as large
 _ROUNDS = 10  # of refinement
 _WAVES_M = (1.6, 0.8, 0.4, 0.2)  # lengths of the noise's waves; shorter ones are weaker
 _ACROSS = 0.6  # of the waves' length up the stem, round it
-_ZONE_NOISE = 0.5  # of the noise in a zone's beginning
+_ZONE_NOISE = 0.25  # of the noise in a zone's beginning
 _NEAR_ZONE, _NEAR_COVER = 0.35, 0.08  # of a contour, within which noise between vertices may cross it
 
 
@@ -60,27 +62,42 @@ def surfaced(
         return [organ]
     waves = _Waves(round(1e6 * base_radius_m))
     edge_m, top_m = max(EDGE_M, 0.5 * pixel_m), float(organ.mesh.vertices_m[:, 2].max())
-    pieces = [_shifted(organ, child_rng(waves.seed, "texture").random(2))]
+    girth_m = 2.0 * np.pi * base_radius_m
+    stretched = girth_m / (tile_m[0] * max(1, round(girth_m / tile_m[0])))
+    pieces = [_shifted(organ, child_rng(waves.seed, "texture").random(2), stretched)]
     for zone in wood.bark_zones:
         field = _ZoneField(zone, waves, top_m)
-        found = [new for one in pieces for new in split(one, field, edge_m, zone.material)]
+        found: list[OrganMesh] = []
+        for one in pieces:
+            steps = {} if pixel_m > 0.0 or COVERED in one.material else _steps(one.material, zone.material, _BLENDS)
+            last = _BLENDS[-1] if steps else 0.0
+            found += _layered(one, field, {**steps, zone.material: last}, edge_m)
         pieces = [_tiled(one, tile_m, zone.tile_m) if one.material == zone.material else one for one in found]
     if pixel_m > 0.0:
         return pieces
     for k, cover in enumerate(wood.covers):
-        bare = [one for one in pieces if COVERED not in one.material]
-        grows = _CoverField(cover, waves, float(k))
-        pieces = [one for one in pieces if COVERED in one.material]
+        grows, bare = _CoverField(cover, waves, float(k)), pieces
+        pieces = [one for one in bare if COVERED in one.material]
         for one in bare:
-            inside = one
-            for level, above in enumerate(_DENSER):
-                name = covered_name(one.material, cover.material, level)
-                *outside, inside = split(inside, _Raised(grows, above), np.inf if level else edge_m, name)
-                pieces += outside
-                if inside.material != name:
-                    break
-            pieces.append(inside)
+            if COVERED not in one.material:
+                pieces += _layered(one, grows, _steps(one.material, cover.material, _DENSER), edge_m)
     return pieces
+
+
+def _steps(bark: str, over: str, begins: tuple[float, ...]) -> dict[str, float]:
+    """Names of a bark that something covers ever more of, and the value of the field at which each begins."""
+    return {covered_name(bark, over, level): begins[level] for level in range(len(LEVELS))}
+
+
+def _layered(organ: OrganMesh, field: Field, steps: dict[str, float], edge_m: float) -> list[OrganMesh]:
+    """The surface in pieces of other materials, each where the field is above its value."""
+    pieces, inside = [], organ
+    for k, (name, above) in enumerate(steps.items()):
+        *outside, inside = split(inside, _Raised(field, above), np.inf if k else edge_m, name)
+        pieces += outside
+        if inside.material != name:
+            break
+    return [*pieces, inside]
 
 
 class _Waves:
@@ -145,12 +162,10 @@ class _CoverField:
 
 
 class _Raised:
-    """The same field, less what thinner cover takes."""
+    """The same field, less a value."""
 
-    near = _NEAR_COVER
-
-    def __init__(self, field: _CoverField, by: float) -> None:
-        self._field, self._by = field, by
+    def __init__(self, field: Field, by: float) -> None:
+        self.near, self._field, self._by = field.near, field, by
 
     def at(self, mesh: Mesh) -> Floats:
         return np.asarray(self._field.at(mesh) - self._by)
@@ -201,10 +216,15 @@ def _piece(organ: OrganMesh, mesh: Mesh, faces: Ints, material: str) -> OrganMes
     return replace(organ, mesh=mesh, material=material, mark=mark)
 
 
-def _shifted(organ: OrganMesh, by: Floats) -> OrganMesh:
-    """The surface with its texture elsewhere: no two stems show the same plates at their feet."""
-    uv = organ.mesh.uv
-    return organ if uv is None else replace(organ, mesh=replace(organ.mesh, uv=uv + by.astype(np.float32)))
+def _shifted(organ: OrganMesh, by: Floats, stretched: float) -> OrganMesh:
+    """The surface with its texture elsewhere, so that no two stems show the same plates at their feet.
+
+    `stretched`: of the texture round the stem; it is as much longer, so that thin stems have small plates.
+    """
+    uv, scale = organ.mesh.uv, np.array([1.0, 1.0 / stretched])
+    if uv is None:
+        return organ
+    return replace(organ, mesh=replace(organ.mesh, uv=(uv * scale + by).astype(np.float32)))
 
 
 def _tiled(organ: OrganMesh, old_m: tuple[float, float], new_m: tuple[float, float] | None) -> OrganMesh:

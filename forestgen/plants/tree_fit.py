@@ -49,6 +49,7 @@ if TYPE_CHECKING:
 
 BELOW_CROWN = 0.02  # share of the leaf area below the crown's base
 _ROUNDS = 12
+_LAYERS = 24  # of a crown that is filled within its reach at each height
 _LEAF_SIZE = (0.5, 1.25)  # factor on the length of leaves; their number makes up for the rest
 _SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the length
 _MOST_LEAVES = 8.0  # times as many leaves as the generator placed, in the mean of a crown
@@ -102,7 +103,7 @@ def fit_tree(
     """The tree at its sizes, its crown filled with twigs where the species has them."""
     blade = blade_areas_m2(plant.shapes)
     leafy = fit_leaves(skeleton, plant.shapes, size, rng)
-    stretch = stretch_to(leafy, templates, blade, size, plant.fullness)
+    stretch = stretch_to(leafy, templates, blade, size, plant.fullness, about_stem=plant.crown_twigs is None)
     made, base = stretch.skeleton(leafy), np.arange(len(skeleton.parent))
     stretches: list[Stretch | Bend] = [stretch]
     leaves = _leaves(made, blade)
@@ -197,28 +198,35 @@ def _numbered(organs: OrganPlacements, number: Floats, skeleton: Skeleton, rng: 
 class Stretch:
     """Straighter below the crown; widths times `wide`; heights below and above `knee`, which comes to `base`, apart.
 
-    Distances r from the axis become reach (1 + fill) r / (reach + fill r), before widths change.
+    Distances r from the axis become reach (1 + fill) r / (reach + fill r), before widths change; the reach is the
+    crown's own at each height, so that a pointed crown stays pointed.
     """
 
     wide: float
     fill: float
-    reach_m: float
+    reach_m: Floats  # (2, K) heights before the stretch, and how far leaves reach there
     knee: float
     base: float
     raw_top: float
     top: float  # where `raw_top` comes to
-    stem_m: Floats  # (K, 3) of the stem below the crown, upwards, whose way aside is made less
+    stem_m: Floats  # (K, 3) of the stem, upwards, whose way aside is made less
+    straightened: float  # share of its way aside that goes
 
     def heights(self, z: Floats) -> Floats:
         above = self.base + (z - self.knee) * ((self.top - self.base) / (self.raw_top - self.knee))
         return np.where(z < self.knee, z * (self.base / self.knee), above)
 
+    def about_stem(self, points: Floats) -> Floats:
+        """(M, 2) x and y of points where the stem is straight."""
+        aside = np.stack([np.interp(points[:, 2], self.stem_m[:, 2], self.stem_m[:, k]) for k in (0, 1)], axis=1)
+        return np.asarray(points[:, :2] - self.straightened * aside)
+
     def points(self, points: Floats) -> Floats:
         """(M, 3) points stretched."""
-        aside = np.stack([np.interp(points[:, 2], self.stem_m[:, 2], self.stem_m[:, k]) for k in (0, 1)], axis=1)
-        across = points[:, :2] - _STRAIGHTENED * aside
+        across = self.about_stem(points)
         away = np.hypot(across[:, :1], across[:, 1:])
-        across *= self.wide * (1.0 + self.fill) / (1.0 + self.fill * away / self.reach_m)
+        reach = np.interp(points[:, 2:], *self.reach_m)
+        across *= self.wide * (1.0 + self.fill) / (1.0 + self.fill * away / reach)
         return np.concatenate([across, self.heights(points[:, 2:])], axis=1)
 
     def skeleton(self, skeleton: Skeleton) -> Skeleton:
@@ -267,11 +275,17 @@ def _carried(skeleton: Skeleton, points: Callable[[Floats], Floats]) -> Skeleton
 
 
 def stretch_to(
-    skeleton: Skeleton, templates: Mapping[str, Mesh], blade: Mapping[str, float], size: TreeSize, fullness: float
+    skeleton: Skeleton,
+    templates: Mapping[str, Mesh],
+    blade: Mapping[str, float],
+    size: TreeSize,
+    fullness: float,
+    about_stem: bool = False,
 ) -> Stretch:
     """What gives the skeleton, with its organs, the tree's height, crown width and crown base.
 
-    `fullness`: see `plants.parameters.PlantParameters`.
+    `fullness`: see `plants.parameters.PlantParameters`. `about_stem`: widths count from the stem, which becomes
+    straight, and the crown is filled within its reach at each height; otherwise from the foot, within one reach.
     """
     feet, low, high = organ_boxes(skeleton.organs, templates)
     area = np.concatenate([np.zeros(1), *(_areas(one, blade) for one in skeleton.organs)])
@@ -283,8 +297,10 @@ def stretch_to(
     wanted = float(np.clip(size.crown_base_m, _LOWEST_BASE * size.height_m, HIGHEST_BASE * size.height_m))
     base = knee * size.height_m / raw_top if found is None else wanted
     wide = size.crown_width_m / max(_mean_width(nodes, feet + low, feet + high), 1e-6)
-    reach = max(float(np.hypot(*np.concatenate([nodes, feet])[:, :2].T).max()), 1e-6)
-    stretch = Stretch(wide, 0.0, reach, knee, base, raw_top, size.height_m, _stem_below(skeleton, knee))
+    stem, share = _stem_below(skeleton, raw_top if about_stem else knee), 1.0 if about_stem else _STRAIGHTENED
+    stretch = Stretch(wide, 0.0, np.ones((2, 1)), knee, base, raw_top, size.height_m, stem, share)
+    reached = [np.column_stack([stretch.about_stem(one), one[:, 2]]) if about_stem else one for one in (nodes, feet)]
+    stretch = replace(stretch, reach_m=_reach(np.concatenate(reached), _LAYERS if about_stem else 1))
     stretch = _filled(stretch, nodes, feet, area, fullness)
     wood, organs = (replace(stretch, wide=1.0).points(one)[:, :2] for one in (nodes, feet))
     span = max(_mean_width(wood, organs, organs), 1e-6)
@@ -304,6 +320,15 @@ def stretch_to(
             top=max(stretch.top + size.height_m - top, 0.2 * size.height_m, 1.02 * base),
         )
     return stretch
+
+
+def _reach(points: Floats, layers: int) -> Floats:
+    """(2, K) heights of layers, and the greatest distance of points from the axis in each of them."""
+    top_m = max(float(points[:, 2].max()), 1e-6)
+    layer = np.clip((points[:, 2] / top_m * layers).astype(np.int64), 0, layers - 1)
+    reach = np.full(layers, 1e-6)
+    np.maximum.at(reach, layer, np.hypot(points[:, 0], points[:, 1]))
+    return np.stack([(np.arange(layers) + 0.5) * top_m / layers, reach])
 
 
 def _filled(stretch: Stretch, nodes: Floats, feet: Floats, area: Floats, fullness: float) -> Stretch:

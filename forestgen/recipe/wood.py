@@ -43,7 +43,7 @@ class DeadBranches(Section):
 
 
 class BarkZone(Section):
-    """Another bark of a part of the stem: above a height or below one. Where it begins is uneven."""
+    """Another bark of a part of the stem: above a height or below one. It begins unevenly, in ever more flakes."""
 
     material: Name = Field(description="One of the species' materials.")
     above: Shares | None = Field(None, description="Shares of the height between which it begins, for the upper stem.")

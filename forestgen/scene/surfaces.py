@@ -201,17 +201,18 @@ def materials_of(
 
 
 def _covered(name: str, species: Species, found: Mapping[tuple[str, str], Material]) -> dict[str, Material]:
-    """The barks of a species' stem under each of its covers, which have no season."""
+    """The barks of a species' stem under each of its covers, and its own bark where a zone's begins; without season."""
     made: dict[str, Material] = {}
     wood = species.wood
-    if wood is None or not wood.covers:
+    if wood is None:
         return made
     plants = (one for one in (species.plant, species.modules_plant) if one is not None)
     own = (one.parameters.get("wood", {}).get("material") for one in plants)
-    barks = {*own, *(zone.material for zone in wood.bark_zones)} & species.materials.keys()
-    for bark, cover, level in product(sorted(barks), wood.covers, range(len(LEVELS))):
-        key, below = covered_name(bark, cover.material, level), species.materials[bark]
-        under, over = found[name, bark], found[name, cover.material]
+    barks, zones = species.materials.keys() & own, [zone.material for zone in wood.bark_zones]
+    pairs = {*product(barks, zones), *product({*barks, *zones}, (one.material for one in wood.covers))}
+    for (bark, cover), level in product(sorted(pairs), range(len(LEVELS))):
+        key, below = covered_name(bark, cover, level), species.materials[bark]
+        under, over = found[name, bark], found[name, cover]
         made[key] = _mixed(under, over, LEVELS[level], below.bark, f"{name}/{bark}")
     return made
 

@@ -53,10 +53,20 @@ def covered(pieces: list[OrganMesh]) -> list[OrganMesh]:
 
 def test_a_bark_zone_begins_between_its_heights() -> None:
     pieces = pieces_of(Wood(bark_zones=(BarkZone(material="upper", above=(0.4, 0.6)),)))
-    assert {one.material for one in pieces} == {"bark", "upper"}
+    blends = [covered_name("bark", "upper", level) for level in range(len(LEVELS))]
+    assert {one.material for one in pieces} == {"bark", *blends, "upper"}
     assert np.isclose(sum(surface_area_m2(one.mesh) for one in pieces), surface_area_m2(stem().mesh), rtol=1e-4)
-    place, area = middles([one for one in pieces if one.material == "upper"])
-    assert np.isclose(area.sum() / (2.0 * np.pi * RADIUS_M * TOP_M), 0.5, atol=0.06)
+    shares = dict(zip(blends, LEVELS, strict=True)) | {"upper": 1.0}
+    upper_m2 = sum(
+        share * surface_area_m2(one.mesh) for one in pieces for name, share in shares.items() if one.material == name
+    )
+    assert np.isclose(upper_m2 / (2.0 * np.pi * RADIUS_M * TOP_M), 0.5, atol=0.06)
+    heights_m = [
+        np.average(middles([one for one in pieces if one.material == name])[0][:, 2])
+        for name in ("bark", *blends, "upper")
+    ]
+    assert np.all(np.diff(heights_m) > 0.0)  # ever more of it upwards
+    place, _ = middles([one for one in pieces if one.material == "upper"])
     assert np.percentile(place[:, 2], 1) > 0.2 * TOP_M
 
 

@@ -83,6 +83,21 @@ def test_crowns_of_spruces_end_in_a_tip(height_m: float, grown: str) -> None:
     assert radius_m[2] < 0.3 * 0.5 * exemplar.crown_width_m
 
 
+@pytest.mark.parametrize("name", ["spruce", "pine"])
+def test_crowns_of_conifers_are_wide_about_their_stem(name: str) -> None:
+    """A stem that is not straight counts as no part of the crown's width: layers are nearly as wide as the crown."""
+    plan = plan_of(name, 0)
+    for seed in range(4):
+        request = request_of(plan, name, 20.0, seed)
+        exemplar = grow_exemplar(request)
+        assert request.tree is not None
+        leaves = [one.mesh for one in exemplar.organs if one.part == Part.LEAF]
+        place = np.concatenate([mesh.vertices_m.astype(float)[mesh.faces].mean(axis=1) for mesh in leaves])
+        layer = (place[:, 2] / 20.0 * 40).astype(int)
+        widths_m = [np.ptp(place[layer == k, :2], axis=0).mean() for k in np.unique(layer)]
+        assert 0.75 < max(widths_m) / request.tree.crown_width_m < 1.05
+
+
 def test_open_grown_trees_are_stout_with_a_low_crown() -> None:
     plan = plan_of("oak", 0)
     trees = [request_of(plan, "oak", 16.0, 1, grown).tree for grown in ("suppressed", "stand", "open")]  # type: ignore[arg-type]
