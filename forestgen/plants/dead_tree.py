@@ -29,9 +29,9 @@ from forestgen.plants.tree_fit import with_taper
 
 # By decay class, 1 to 5. Where no number is in the sources of `core.dead_wood`, they are ours.
 _THINNEST_M = (0.0, 0.005, 0.012, 0.03, 0.05)  # diameter
-_LOST = (0.0, 0.12, 0.3, 0.5, 0.8)  # share of the axes
+_LOST = (0.0, 0.12, 0.3, 0.6, 0.96)  # share of the axes
 _LOST_TWIGS = (0.0, 0.01, 0.04, 0.2, 1.0)  # of twigs, each of which bears others
-_REACH = (20.0, 2.5, 0.8, 0.3, 0.12)  # share of the length that is left of the axis of which most is left
+_REACH = (20.0, 2.5, 0.8, 0.3, 0.07)  # share of the length that is left of the axis of which most is left
 _SUNK = (0.02, 0.04, 0.12, 0.3, 0.45)  # share of a lying stem's diameter in the ground
 _PLATE = (1.0, 0.95, 0.85, 0.65, 0.45)  # radius of the root plate over the first class'
 _LEAN_DEG, _LEANING, _LEANING_DEG = 2.0, 0.15, (8.0, 22.0)  # of most; share of trees that lean more, and how far

@@ -75,7 +75,7 @@ _AGES = (
     _Age(0.45, 0.35, 0.2, 0.45, 0.1, is_wet=True, shapes=4),
 )
 # Leaves below: brightness over the mean, and `_Age.deep`.
-_OLD = ((0.4, 0.5), (0.65, 0.2), (0.9, 0.6), (1.1, 0.1), (1.5, 0.2))
+_OLD = ((0.25, 0.5), (0.5, 0.2), (0.9, 0.6), (1.2, 0.1), (2.1, 0.2))
 _FALLEN = "leaves/"  # at the beginning of the names of materials
 _IN_DECAY = 0.3  # brightness of decayed patches over sound ones, about
 _CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG = 50.0, 60.0, 25.0, 22.0  # standard deviations on top
@@ -88,7 +88,7 @@ _SIZE_SIGMA = 0.25
 _WET_GLOSS, _WET_ROUGHNESS = 0.04, 0.3  # a film of water's
 _NEEDLE_SHADES = (0.68, 0.95, 1.22, 1.63)  # a floor of them reflects as measured: spectra/ground/litter_needles
 _TRAPPED = {"needle": 0.52}  # share of light, by type of leaf: benchmarks/ground_cover.py
-_TRAPPED_BY_BLADES = 0.26
+_TRAPPED_BY_BLADES = 0.33
 _HEAPED_M, _BLADES_HEAPED_M = {"needle": 0.08}, 0.16  # against stems
 _LEAST_SHARE = 0.03  # of the leaf area: rarer species leave nothing that one sees
 _TEXTURED = 10.0  # pixels that a leaf covers that shows veins
