@@ -55,11 +55,18 @@ DRONE: Keys = {"position_m": [30, -60, 70], "look_at_m": [30, 60, 0], "hfov_deg"
 
 
 def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str = "", **more: Any) -> Keys:
-    """A closed stand of 30 m2 of basal area, with young trees of a species below, in forest."""
-    main: Keys = {"species": dict(species), "basal_area_m2_per_ha": 30, "dominant_height_m": top_m}
-    storeys: list[Keys] = [{**main, "dbh": {"cv": 0.35}, "clark_evans": 0.9}]
+    """A closed stand of 23 to 30 m2 of basal area over lower trees, with young ones of a species, in forest."""
+    main: Keys = {
+        "species": dict(species),
+        "basal_area_m2_per_ha": round(1.15 * top_m),
+        "stems_per_ha": round(1500 - 40 * top_m),
+    }
+    storeys: list[Keys] = [
+        {**main, "dominant_height_m": top_m, "dbh": {"cv": 0.45}, "clark_evans": 0.9},
+        {"species": dict(species), "stems_per_ha": 220, "dominant_height_m": top_m / 2, "clark_evans": 0.7},
+    ]
     if young:
-        storeys.append({"species": {young: 1}, "stems_per_ha": 250, "dominant_height_m": 4, "clark_evans": 0.6})
+        storeys.append({"species": {young: 1}, "stems_per_ha": 350, "dominant_height_m": 4, "clark_evans": 0.6})
     names = [*species, *([young] if young else []), "bramble", "bracken", "grass", "shrub"]
     ground = {
         "bramble": {"cover": 0.05, "radius_m": {"median": 0.45, "sigma": 0.3}, "clump_m": 5},
@@ -81,6 +88,8 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
         "sky": {"sun": {"elevation_deg": 48, "azimuth_deg": 215}, "turbidity": 3, "visibility_m": 25000},
         "cameras": [{"obstructed": "note", **camera}],
     }
+    if floor is FLOOR:
+        recipe["community"]["leaf_area_index"] = 5
     return _merged(recipe, more)
 
 
@@ -131,7 +140,7 @@ def _merged(keys: Keys, more: Mapping[str, Any]) -> Keys:
 
 BEECH, SPRUCE, PINE, BIRCH = {"beech": 1.0}, {"spruce": 1.0}, {"pine": 0.9, "birch": 0.1}, {"birch": 1.0}
 MIXED = {"beech": 0.4, "spruce": 0.35, "maple": 0.15, "birch": 0.1}
-AUTUMN = "2026-10-19"  # half of the beeches' leaves are coloured, most of the birches'
+AUTUMN = "2026-10-15"  # two fifths of the beeches' leaves are coloured, most of the birches'
 OVERCAST = {"kind": "overcast", "sun": {"elevation_deg": 40, "azimuth_deg": 215}}
 ROAD = {"what": "forest_road", "points_m": [[-20, 22], [10, 27.5], [30, 31], [55, 30], [80, 40]]}
 POND = {"what": "pond", "position_m": [31, 20], "radius_m": 9, "depth_m": 1.2, "dissolved_per_m": 7}
@@ -164,7 +173,12 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "birch, spring": lambda: forest(BIRCH, 20, EAST, plants__season="spring"),
     "mixed, autumn": lambda: forest(MIXED, 24, {**WEST, "position_m": [50, 43, 1.7]}, "beech", site__date=AUTUMN),
     "beech, winter": lambda: forest(
-        BEECH, 26, EAST, plants__season="winter", sky__sun={"elevation_deg": 14, "azimuth_deg": 210}
+        BEECH,
+        26,
+        {**EAST, "look_at_m": [40, 25, 3]},
+        "spruce",
+        plants__season="winter",
+        sky__sun={"elevation_deg": 14, "azimuth_deg": 210},
     ),
     "pond, overcast": lambda: forest(
         MIXED,
@@ -192,7 +206,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         24,
         WEST,
         sky__sun={"elevation_deg": 25, "azimuth_deg": 30},
-        weather=[{"what": "ground_fog", "visibility_m": 120, "depth_m": 8}],
+        weather=[{"what": "ground_fog", "visibility_m": 90, "depth_m": 5, "fade_m": 4, "patch_m": 40}],
     ),
     "snow": lambda: forest(
         {"spruce": 0.8, "birch": 0.2},
@@ -202,20 +216,37 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         sky=OVERCAST,
         weather=[{"what": "snow_cover", "depth_m": 0.35, "on_plants": 0.85}],
     ),
-    "dusk": lambda: forest(PINE, 22, {**DRONE, "position_m": [30, -60, 40]}, sky__sun={"elevation_deg": -4}),
+    "dusk": lambda: forest(
+        PINE,
+        22,
+        {**DRONE, "position_m": [30, -60, 50], "look_at_m": [30, 120, 30]},
+        site__terrain__hills_m=150,
+        sky__sun={"elevation_deg": -4},
+        sky__visibility_m=60000,
+    ),
     "moonlit night": lambda: forest(
-        PINE, 22, WEST, sky__sun={"elevation_deg": -30}, sky__moon={"elevation_deg": 40, "azimuth_deg": 200}
+        PINE,
+        22,
+        WEST,
+        sky__sun={"elevation_deg": -30},
+        sky__moon={"elevation_deg": 40, "azimuth_deg": 200, "illuminated": 1},
     ),
     "drone, conifers": lambda: forest({"spruce": 0.6, "pine": 0.4}, 24, DRONE),
-    "drone, autumn": lambda: forest(MIXED, 24, DRONE, site__date=AUTUMN),
+    "drone, autumn": lambda: forest(MIXED, 24, DRONE, site__date=AUTUMN, plants__phenology_classes=3),
     "nadir, mixed": lambda: forest(MIXED, 24, {"position_m": [30, 30, 90], "look": "down", "hfov_deg": 40}),
     "nadir, open pines": lambda: camera_of(shipped("places/neon_osbs")),
-    "vista, cumulus": lambda: shipped(
-        "vista",
-        site__surroundings="forest",
-        sky__sun={"elevation_deg": {"uniform": [40, 41]}, "azimuth_deg": {"uniform": [230, 231]}},
-        sky__clouds={"type": {"choice": ["noise"]}, "cover": 0.4},
-        plants__season={"choice": ["summer"]},
+    "vista, cumulus": lambda: camera_of(
+        shipped(
+            "vista",
+            site__surroundings="forest",
+            site__terrain__hills_m=110,
+            sky__sun={"elevation_deg": {"uniform": [40, 41]}, "azimuth_deg": {"uniform": [230, 231]}},
+            sky__clouds={"type": {"choice": ["noise"]}, "cover": 0.4},
+            sky__visibility_m=18000,
+            plants__season={"choice": ["summer"]},
+        ),
+        position_m=[200, -60, 75],
+        look_at_m=[200, 180, 40],
     ),
     "meadow": lambda: inside("grassland", [12, 1, 1.7], [16, 14, 0.8], "grass", []),
     "savanna": lambda: inside("savanna", [34, 1, 1.8], [31, 30, 2.5], "soil_dry", FLOOR[1:4]),

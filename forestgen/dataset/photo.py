@@ -10,7 +10,7 @@
 4. Brightness: a metered mean, which lies at 12.7% of saturation, comes to 18%, the half stop of ISO 12232.
 5. Saturation: each pixel's difference from its luminance.
 6. A curve that is steep about middle grey and reaches white where the first colour, balanced, is saturated, so that
-   clipped highlights are white; the sRGB encoding.
+   clipped highlights are white, and keeps hues (dataset/tonemap.py); the sRGB encoding.
 7. Sharpening: each value's difference from a mean about it is added by a share, an unsharp mask. The mean is Pillow's
    approximation, by boxes, of a Gaussian of a standard deviation of 1 pixel.
 8. JPEG, 4:2:0.

@@ -1,19 +1,27 @@
 """From linear radiance to a picture for people: exposure, then a named view transform. Deterministic.
 
 Exposure brings the picture's key to middle grey (0.18). The key is the geometric mean of luminance clipped at
-its 5th and 95th percentile: black gaps and the sun's disc hardly count. Pictures of the eye's channels whose key is
+its 5th and 95th percentile: black gaps and the sun's disc hardly count. It is shorter, by up to a stop, where the 95th
+percentile would be brighter than a camera's saturation, 1.42, where middle grey is 0.18 (ISO 12232: a metered mean is
+12.7% of saturation): cameras hold highlights so; the stop is ours. Pictures of the eye's channels whose key is
 below 10 cd/m², as at dusk and by night, are darker, as people see them: by the key a(Y) = 1.03 - 2 / (2 + log10(Y + 1))
-of Krawczyk et al. (2005, Perceptual effects in real-time tone mapping, eq. 11; from memory) over that of 10 cd/m². Then
-follows one of the views:
+of Krawczyk et al. (2005, Perceptual effects in real-time tone mapping, eq. 11; from memory) over that of 10 cd/m², but
+not below 0.3, as photographs of moonlight are readable (the number is ours). Then follows one of the views:
 
-- ``filmic``: each channel follows
+- ``filmic``: first, at a key of Y cd/m², by the share 0.04 / (0.04 + Y) that rods see (Krawczyk et al.), light is that
+  of a picture of the night: white is that of 3200 K, to which film of type B and cameras' setting for lamps are
+  balanced, so that moonlight of 4100 K is blue, and colours are less by two fifths (ours). The largest and the smallest
+  channel follow
 
       y = x^n (1 + (c/w)^n) / (x^n + c^n),        n = 1.5
 
   which is steep around middle grey, bends highlights over as film does and reaches 1 at w, the exposed luminance of
-  the 99.7th percentile (at least 4: a dull picture is not stretched). c is such that middle grey maps to itself. Then
-  the sRGB encoding. n is that of photographs: with w = 1.91 the curve is within 5% of the default one of Adobe's raw
-  converters (DNG SDK 1.7.1, dng_tone_curve_acr3_default) from a seventh of middle grey to saturation, 2.5% on average.
+  the 99.7th percentile (at least 4: a dull picture is not stretched). c is such that middle grey maps to itself. The
+  middle channel keeps its place between the two, so that the hue stays; the channels are those of linear ProPhoto RGB
+  (ISO 22028-2), so that bright colours become pale. Raw converters do so (DNG SDK 1.7.1, RefBaselineRGBTone): curves
+  of each channel of Rec. 709 turn sunlit leaves yellow. Then the sRGB encoding. n is that of photographs: with
+  w = 1.91 the curve is within 5% of the default one of Adobe's raw converters (the SDK's dng_tone_curve_acr3_default)
+  from a seventh of middle grey to saturation, 2.5% on average.
 - ``srgb``: the sRGB encoding alone (IEC 61966-2-1); what is brighter than 1 is white. Values below white can be undone
   to radiance.
 - ``acescct``: the logarithmic encoding of Academy S-2016-001, on AP1's primaries: flat to look at, made to be graded.
@@ -43,7 +51,17 @@ MIDDLE_GREY = 0.18
 KEY_PERCENTILES = (5.0, 95.0)
 WHITE_PERCENTILE = 99.7
 _BRIGHT_CD_PER_M2 = 10.0  # of a key: pictures of brighter scenes are equally bright
+_DIMMEST = 0.3
+_SATURATION, _LEAST_HELD = MIDDLE_GREY / 0.127, 0.5
 LEAST_WHITE = 4.0
+# From linear Rec. 709, adapted from D65 to D50 by Bradford's matrix: colour-science's, with rows that sum to 1.
+_PROPHOTO = np.array(
+    [[0.529269, 0.330158, 0.140573], [0.098372, 0.873481, 0.028146], [0.016875, 0.117659, 0.865465]],
+    dtype=np.float32,
+)
+_REC709 = np.linalg.inv(_PROPHOTO)
+_RODS_CD_PER_M2, _NIGHT_COLOURS = 0.04, np.float32(0.6)
+_NIGHT_GAINS = np.array([0.517, 1.0, 2.66], dtype=np.float32)  # on Rec. 709: Planck's radiator of 3200 K is neutral
 CONTRAST = 1.5
 _STEPS = 1 << 12
 _RED_WEIGHT, _GREEN_WEIGHT, _BLUE_WEIGHT = (np.float32(weight) for weight in LUMINANCE)
@@ -66,17 +84,25 @@ def preview_of(radiance: Radiance, view: View = "filmic") -> Preview:
     """A frame's picture, of the denoised radiance where there is one."""
     light, colours = picture_light(radiance)
     light = _cleaned(light)
-    exposure, white = _metered(light)
-    if not radiance.bands:
-        exposure = np.float32(exposure * _dim(MIDDLE_GREY / float(exposure)))
+    exposure, white, key = _metered(light)
+    if not radiance.bands and key < _BRIGHT_CD_PER_M2:
+        exposure = np.float32(exposure * _dim(key))
+        light = _at_night(light, key) if view == "filmic" else light
     texts = {"view": view, "colours": colours, "exposure": f"{exposure:.6g}"}
     return Preview(_developed(light * exposure, white, view), texts)
 
 
 def _dim(key_cd_per_m2: float) -> float:
-    """How much darker than middle grey a picture's key is: 1 by day, 0.09 by the full moon."""
+    """How much darker than middle grey the key of a dim picture is: 0.6 at 1 cd/m²."""
     key, bright = (1.03 - 2.0 / (2.0 + np.log10(one + 1.0)) for one in (key_cd_per_m2, _BRIGHT_CD_PER_M2))
-    return float(min(key / bright, 1.0))
+    return float(max(key / bright, _DIMMEST))
+
+
+def _at_night(light: NDArray[np.float32], key_cd_per_m2: float) -> NDArray[np.float32]:
+    share = np.float32(_RODS_CD_PER_M2 / (_RODS_CD_PER_M2 + key_cd_per_m2))
+    night = light * _NIGHT_GAINS
+    grey = _luminance(night)[..., None]
+    return np.asarray((1 - share) * light + share * (grey + _NIGHT_COLOURS * (night - grey)))
 
 
 def picture_light(radiance: Radiance) -> tuple[NDArray[np.float32], str]:
@@ -100,13 +126,18 @@ def tone_map(radiance: NDArray[np.float32], exposure: float | None = None, view:
     are compared; by default the one that the picture's key asks for.
     """
     light = _cleaned(radiance)
-    factor, white = _metered(light) if exposure is None else (np.float32(exposure), LEAST_WHITE)
+    factor, white = _metered(light)[:2] if exposure is None else (np.float32(exposure), LEAST_WHITE)
     return _developed(light * factor, white, view)
 
 
 def filmic(exposed: NDArray[np.float32], white: float, contrast: float = CONTRAST) -> NDArray[np.uint8]:
     """(H, W, 3) picture of light whose middle grey is 0.18; `white` and what is brighter becomes white."""
-    return _encode(_curve(exposed, white, contrast))
+    red, green, blue = np.moveaxis(np.clip(exposed @ _PROPHOTO.T, 0.0, np.float32(white)), -1, 0)
+    low, high = np.minimum(np.minimum(red, green), blue), np.maximum(np.maximum(red, green), blue)
+    lowest, highest = _curve(low, white, contrast), _curve(high, white, contrast)
+    slope = (highest - lowest) / np.maximum(high - low, np.float32(_DARKEST))
+    shown = np.stack([lowest + (one - low) * slope for one in (red, green, blue)], axis=-1)
+    return _encode(shown @ _REC709.T)
 
 
 def _developed(exposed: NDArray[np.float32], white: float, view: View) -> NDArray[np.uint8]:
@@ -115,17 +146,22 @@ def _developed(exposed: NDArray[np.float32], white: float, view: View) -> NDArra
     return filmic(exposed, white) if view == "filmic" else _encode(exposed)
 
 
-def _metered(light: NDArray[np.float32]) -> tuple[np.float32, float]:
-    """Factor that brings the key of (H, W, 3) light to middle grey, and the exposed luminance that becomes white."""
-    red, green, blue = np.moveaxis(light, -1, 0)
-    luminance = _RED_WEIGHT * red + _GREEN_WEIGHT * green + _BLUE_WEIGHT * blue
+def _metered(light: NDArray[np.float32]) -> tuple[np.float32, float, float]:
+    """Factor on (H, W, 3) light, the exposed luminance that becomes white, and the key, of the light."""
+    luminance = _luminance(light)
     lit = luminance[luminance > _DARKEST]
     if lit.size == 0:
-        return np.float32(1.0), LEAST_WHITE
+        return np.float32(1.0), LEAST_WHITE, _BRIGHT_CD_PER_M2
     low, high, top = np.percentile(lit, [*KEY_PERCENTILES, WHITE_PERCENTILE])
     key = float(np.exp(np.mean(np.log(lit.clip(low, high)), dtype=np.float64)))
     exposure = MIDDLE_GREY / key
-    return np.float32(exposure), max(LEAST_WHITE, float(top) * exposure)
+    exposure *= float(np.clip(_SATURATION / (exposure * high), _LEAST_HELD, 1.0))
+    return np.float32(exposure), max(LEAST_WHITE, float(top) * exposure), key
+
+
+def _luminance(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    red, green, blue = np.moveaxis(light, -1, 0)
+    return np.asarray(_RED_WEIGHT * red + _GREEN_WEIGHT * green + _BLUE_WEIGHT * blue)
 
 
 def _cleaned(radiance: NDArray[np.float32]) -> NDArray[np.float32]:

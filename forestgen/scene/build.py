@@ -28,7 +28,7 @@ from forestgen.scene.growth import choose_exemplars, errors_of_sizes, grow_plann
 from forestgen.scene.leaf_variation import vary_leaves
 from forestgen.scene.lying import laid_along_y, lying_plants, on_the_ground
 from forestgen.scene.near_foliage import leaves_of, with_near_plants
-from forestgen.scene.phenology import colour_stages, leaf_states
+from forestgen.scene.phenology import colour_stages, inside_first, leaf_states
 from forestgen.scene.plan import Plan
 from forestgen.scene.site import sky_of, sun_notes, wetness_of
 from forestgen.scene.snow_depth import Circles, FinerGround
@@ -103,7 +103,9 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         instances = _instances(plan, population, chosen, exemplars)
         plant = chosen.first_plant(population.plant_id)
         base_materials = _materials(plan, population)
-        varied = vary_leaves(exemplars, base_materials, plant, drawn.image_seed, colour_stages(drawn))
+        varied = vary_leaves(
+            exemplars, base_materials, plant, drawn.image_seed, colour_stages(drawn), inside_first(drawn)
+        )
         site = SurroundedStand.of(population, instances, *varied)
         labelled = recipe.site.surroundings.labelled
         around = surrounded(site, layers, height, drawn.image_seed, labelled)

@@ -18,6 +18,10 @@ In autumn plants differ in stage, too: green, yellow and brown ones stand side b
 is 1 the plants of an exemplar have the colours of a day of their own, spread as the species' `autumn_sd_days`; as many
 of their leaves have fallen as of the mean plant. More classes have their own colours, and leaves that fell.
 
+Of a plant whose leaves are of several seasons, those that turned stand together: its green, coloured and withered
+leaves are patches of 0.5 to 4 m, of the areas that their shares have. Shade-tolerant species turn from the outside,
+others from the inside (Koike 1990: late and early successional ones); how much the place counts is ours.
+
 Materials with `leaf_type` take part. An exemplar has one chlorophyll, so plants that share an exemplar are alike,
 whatever their detail and season. One of its plants, of the lowest plant_id, decides on its place among the exemplars of
 its species, which are evenly spread over the normal distribution: their standard deviation is that of plants, however
@@ -26,13 +30,13 @@ Far meshes around a site are of its plants, each with its leaves.
 
 References
 ----------
-Serbin et al. 2014 (Ecological Applications 24, 1651-1669). Shiklomanov et al. 2016 (Remote Sensing of Environment 183,
-226-238).
+Koike 1990 (Tree Physiology 7, 21-32). Serbin et al. 2014 (Ecological Applications 24, 1651-1669). Shiklomanov et al.
+2016 (Remote Sensing of Environment 183, 226-238).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from statistics import NormalDist
@@ -44,11 +48,11 @@ from numpy.typing import NDArray
 from forestgen.core.parts import Part
 from forestgen.core.randomness import child_rng
 from forestgen.core.spectrum import Spectrum
-from forestgen.geometry.mesh import part_of
+from forestgen.geometry.mesh import part_of, triangle_areas
 from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.organs.sprays import LeafKind
 from forestgen.recipe.phenology import TimeOfYear
-from forestgen.recipe.spectra import Columns, load_table
+from forestgen.recipe.spectra import SEASONS, Columns, load_table
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.spec import Material
 
@@ -66,6 +70,9 @@ _BY_SEASON = {"spring": 0.9, "summer": 0.3}  # paleness at a season without a da
 # Broad leaves paler and deeper than others by chlorophyll, standard deviations, and the share of each: with those
 # between, leaves of one plant and height differ as measured ones do.
 _GREENS, _EITHER_SIDE = {"pale": 1.4, "deep": -1.4}, 0.25
+_WAVES, _PATCHES_M = 24, (0.5, 4.0)  # that make patches of turned leaves, and their lengths
+_OUTSIDE = 0.8  # by how much sun leaves turn before, standard deviations of the waves
+_LEAST_MIXED = 0.02  # share of another season from which on a crown has patches
 _RAREST = 0.02  # share of plants that are cut off at each end of the distribution
 
 
@@ -75,11 +82,13 @@ def vary_leaves(
     plant: Ints,
     seed: int,
     stages: Mapping[str, Stages] = MappingProxyType({}),
+    inside_first: Collection[str] = (),
 ) -> tuple[tuple[Exemplar, ...], Materials]:
     """Exemplars with their leaves in classes, and the materials of all.
 
     `plant`: (E,) id of the plant that decides on each exemplar's chlorophyll, see `ExemplarPlan.first_plant`; 0: none.
     `stages`: of species whose plants are early or late in autumn by their colours alone, see `colour_stages`.
+    `inside_first`: species whose crowns turn from the inside.
     """
     found, varied = dict(materials), []
     species = [one.species for one in exemplars]
@@ -97,24 +106,83 @@ def vary_leaves(
         if not leafy:
             varied.append(exemplar)
             continue
-        classes = iter(light_classes(leafy))
+        bases = {organ.material: materials[exemplar.species, organ.material] for organ in leafy}
+        if number and exemplar.species in stages:
+            bases = {name: _at_stage(base, stages[exemplar.species](late)) for name, base in bases.items()}
+        by_light = light_classes(leafy)
+        outside = -_OUTSIDE if exemplar.species in inside_first else _OUTSIDE
+        rng = child_rng(seed, "turned leaves", exemplar.species, number)
+        classes = iter(zip(by_light, _turned(leafy, by_light, bases, outside, rng), strict=True))
         organs: list[OrganMesh] = []
         for organ in exemplar.organs:
             if not any(organ is one for one in leafy):
                 organs.append(organ)
                 continue
-            of_face = next(classes)
-            for index in np.unique(of_face).tolist():
-                name = f"{organ.material} ({CLASSES[index]}, {number})"
+            light, season = next(classes)
+            for index, of in np.unique([light, season], axis=1).T.tolist():
+                base = bases[organ.material]
+                part = "" if of < 0 else f", {SEASONS[of]}"
+                name = f"{organ.material} ({CLASSES[index]}, {number}{part})"
                 key = exemplar.species, name
                 if key not in found:
-                    base = materials[exemplar.species, organ.material]
-                    if number and exemplar.species in stages:
-                        base = _at_stage(base, stages[exemplar.species](late))
+                    if of >= 0:
+                        base = _at_stage(base, _season_alone(base, of))
                     found[key] = varied_material(base, CLASSES[index], deviation)
-                organs.append(_some_faces(organ, of_face == index, name))
+                organs.append(_some_faces(organ, (light == index) & (season == of), name))
         varied.append(replace(exemplar, organs=tuple(organs)))
     return tuple(varied), found
+
+
+def _is_mixed(base: Material) -> bool:
+    """Whether a crown has leaves that have turned beside others."""
+    if len(base.seasons) < len(SEASONS) or base.reflectance_spectrum is None or base.transmittance_spectrum is None:
+        return False
+    _, _, autumn, dry = (one.share for one in base.seasons)
+    return autumn + dry > _LEAST_MIXED and max(autumn, dry, 1.0 - autumn - dry) < 1.0 - _LEAST_MIXED
+
+
+def _turned(
+    leafy: Sequence[OrganMesh],
+    by_light: Sequence[NDArray[np.intp]],
+    bases: Mapping[str, Material],
+    outside: float,
+    rng: np.random.Generator,
+) -> list[NDArray[np.intp]]:
+    """(F,) of each organ, index into `SEASONS` of faces, summer for all green ones; -1: of leaves that are all alike.
+
+    `outside`: by how much leaves in the sun turn before those between, standard deviations.
+    """
+    if not any(_is_mixed(base) for base in bases.values()):
+        return [np.full(len(one), -1) for one in by_light]
+    shortest_m, longest_m = _PATCHES_M
+    length_m = shortest_m * (longest_m / shortest_m) ** rng.random(_WAVES)
+    direction, phase = rng.normal(size=(_WAVES, 3)), rng.uniform(0.0, 2.0 * np.pi, _WAVES)
+    waves = 2.0 * np.pi * direction / (length_m * np.linalg.norm(direction, axis=1))[:, None]
+    early = []
+    for organ, light in zip(leafy, by_light, strict=True):
+        middle = organ.mesh.vertices_m[organ.mesh.faces].mean(axis=1)
+        sines = sum((np.sin(middle @ wave + start) for wave, start in zip(waves, phase, strict=True)), np.zeros(1))
+        early.append(sines / np.sqrt(0.5 * _WAVES) - outside * (light - 1.0))
+    area = np.concatenate([triangle_areas(organ.mesh.vertices_m, organ.mesh.faces) for organ in leafy])
+    order = np.argsort(-np.concatenate(early), kind="stable")
+    before = np.empty(len(order))  # share of the crown's leaf area that turns before each face
+    before[order] = (np.cumsum(area[order]) - 0.5 * area[order]) / area.sum()
+    turned = []
+    for organ, share in zip(leafy, np.split(before, np.cumsum([len(one) for one in early])[:-1]), strict=True):
+        base = bases[organ.material]
+        _, _, autumn, dry = (one.share for one in base.seasons) if _is_mixed(base) else (0.0, 0.0, 0.0, -1.0)
+        season = np.where(share < dry, 3, np.where(share < dry + autumn, 2, 1))
+        turned.append(season if dry >= 0.0 else np.full(len(share), -1))
+    return turned
+
+
+def _season_alone(base: Material, of: int) -> Sequence[float]:
+    """Shares of `SEASONS`; green leaves are of spring and summer as they are in the crown."""
+    if of > 1:
+        return [float(one == of) for one in range(len(SEASONS))]
+    spring, summer, _, _ = (one.share for one in base.seasons)
+    young = spring / max(spring + summer, 1e-9)
+    return young, 1.0 - young, 0.0, 0.0
 
 
 def _at_stage(base: Material, shares: Sequence[float]) -> Material:

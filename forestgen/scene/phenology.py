@@ -19,6 +19,8 @@ from forestgen.core.randomness import child_rng
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.phenology import BARE, LeafState, Phenology, TimeOfYear, leaf_state
 
+_TOLERANT = 0.5
+
 
 def class_days(classes: int) -> NDArray[np.float64]:
     """(classes,) days of each class after its species, for a standard deviation of 1 day: the quantiles, rescaled."""
@@ -60,6 +62,11 @@ def colour_stages(drawn: DrawnRecipe) -> dict[str, Callable[[float], tuple[float
         for name, one in drawn.species.items()
         if one.phenology is not None and all(leaf.season is None for leaf in one.materials.values())
     }
+
+
+def inside_first(drawn: DrawnRecipe) -> frozenset[str]:
+    """Species whose crowns turn from the inside in autumn: those that are not tolerant of shade."""
+    return frozenset(name for name, one in drawn.species.items() if one.ecology.shade_tolerance < _TOLERANT)
 
 
 def _colours(phenology: Phenology, time: TimeOfYear, late: float) -> tuple[float, ...]:

@@ -241,6 +241,9 @@ class WetFilm:
     absorption: Spectrum  # of water, 1/m
 
 
+Wave = tuple[tuple[float, float, float], float, float]  # vector in 1/m, phase and amplitude of a sine
+
+
 @dataclass(frozen=True)
 class FogLayer:
     """A level layer of drops that scatter and do not absorb: even up to its top, thinner by e in `fade_m` above it."""
@@ -249,6 +252,7 @@ class FogLayer:
     top_m: float  # height, world
     fade_m: float
     asymmetry: float  # Henyey and Greenstein's g
+    patches: tuple[Wave, ...] = ()  # of its extinction over its mean, amplitudes less than 1 together
 
 
 @dataclass(frozen=True)

@@ -147,10 +147,41 @@ def test_bands_become_pictures(made, expected):
     np.testing.assert_array_equal(preview.picture, tone_map(light[..., shown]))
 
 
+def lit(key, spread=0.5):
+    return np.random.default_rng(1).lognormal(np.log(key), spread, (32, 32, 1)).astype(np.float32).repeat(3, axis=2)
+
+
 def test_pictures_of_the_night_are_darker_than_those_of_the_day() -> None:
-    means = []
-    for key in (0.005, 0.5, 10.0, 5000.0):
-        light = np.random.default_rng(1).lognormal(np.log(key), 0.5, (32, 32, 1)).astype(np.float32).repeat(3, axis=2)
-        means.append(float(preview_of(Radiance(light, light, None, 4)).picture.mean()))
-    assert 10.0 < means[0] < 0.6 * means[1] < 0.5 * means[2]
-    assert means[2] == pytest.approx(means[3], abs=2.0)
+    pictures = [
+        preview_of(Radiance(light, light, None, 4)).picture for light in map(lit, (1e-4, 0.005, 0.5, 10.0, 5e3))
+    ]
+    means = [float(picture.mean()) for picture in pictures]
+    assert 40.0 < means[2] < 0.7 * means[3]
+    assert means[0] == pytest.approx(means[1], abs=4.0)  # readable
+    assert means[3] == pytest.approx(means[4], abs=2.0)
+    blue = [float(picture[..., 2].mean() / picture[..., 0].mean()) for picture in pictures]
+    assert blue == sorted(blue, reverse=True)
+    assert blue[0] > 1.3
+    assert blue[-1] == pytest.approx(1.0, abs=0.01)
+
+
+def test_highlights_are_held_by_a_stop_at_most() -> None:
+    for spread, stops in ((0.3, 0.0), (3.0, 1.0)):
+        light = lit(5000.0, spread)
+        low, high = np.percentile(light, [5.0, 95.0])
+        key = np.exp(np.log(light.clip(low, high)).mean())
+        found = float(preview_of(Radiance(light, light, None, 4)).texts["exposure"])
+        assert found == pytest.approx(MIDDLE_GREY / key * 2.0**-stops, rel=1e-3)
+
+
+def test_bright_colours_become_pale_and_keep_their_hue() -> None:
+    """By the hexagon's hue in ProPhoto RGB, as colour-science has it."""
+    colour = colour_science()
+    leaf = np.array([0.63, 1.0, 0.05], np.float32)
+    light = (np.geomspace(0.02, 2.0, 30)[None, :, None] * leaf).astype(np.float32)
+    shown = linear_of_srgb(tone_map(light, exposure=1.0) / 255)
+    hue, saturation, _ = colour.RGB_to_HSV(colour.RGB_to_RGB(shown, "ITU-R BT.709", "ProPhoto RGB", "Bradford"))[0].T
+    bright = shown[0].max(axis=1) > 0.1
+    assert np.ptp(hue[bright]) < 0.02
+    assert (np.diff(saturation[bright]) < 0.005).all()
+    assert saturation[-1] < 0.7 * saturation[bright][0]

@@ -1,5 +1,6 @@
 """Sun and shade leaves, and plants that differ in chlorophyll: areas, order, energy, and what measured leaves do."""
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -61,19 +62,36 @@ def test_no_leaf_is_lost_and_each_class_has_a_material():
 
 
 def test_plants_differ_in_their_stage_of_autumn_and_share_its_mean():
+    """Leaves that turned stand together, of the area that their share is."""
     made, plants = materials("birch", season="autumn"), np.arange(1, 13)
 
     def shares(late):
-        coloured = min(max(0.5 - 0.2 * late, 0.0), 1.0)
-        return 0.0, 1.0 - coloured, coloured, 0.0
+        coloured = min(max(0.5 - 0.15 * late, 0.0), 1.0)
+        return 0.0, 1.0 - coloured, 0.8 * coloured, 0.2 * coloured
 
-    found = vary_leaves([tree()] * 12, made, plants, seed=5, stages={"birch": shares})[1]
-    red = np.array([found["birch", f"leaf (middle, {one})"].seasons[2].share for one in plants])
-    assert len(np.unique(red)) == 12
-    assert red.mean() == pytest.approx(0.5, abs=1e-6)
-    assert red.std() == pytest.approx(0.2, rel=1e-3)
-    one = found["birch", "leaf (middle, 1)"]
-    assert sum(kind.share for kind in one.seasons) == pytest.approx(1.0)
+    varied, found = vary_leaves([tree()] * 12, made, plants, seed=5, stages={"birch": shares})
+    area = [Counter({key.rpartition(", ")[2][:-1]: 0.0 for key in areas(one)}) for one in varied]
+    for count, one in zip(area, varied, strict=True):
+        for key, value in areas(one).items():
+            count[key.rpartition(", ")[2][:-1]] += value / sum(areas(one).values())
+    turned = np.array([one["autumn"] + one["dry"] for one in area])
+    assert len(np.unique(turned.round(3))) == 12
+    assert turned.mean() == pytest.approx(0.5, abs=0.01)
+    assert turned.std() == pytest.approx(0.15, rel=0.05)
+    assert [one["dry"] / (one["autumn"] + one["dry"]) for one in area] == pytest.approx([0.2] * 12, abs=0.01)
+    assert [kind.share for kind in found["birch", "leaf (middle, 1, autumn)"].seasons] == [0.0, 0.0, 1.0, 0.0]
+
+
+def test_crowns_turn_from_the_outside_or_from_the_inside():
+    made = materials("birch", season="autumn")
+    stages = {"birch": lambda late: (0.0, 0.5, 0.5, 0.0)}
+    turned_of_sun = []
+    for inside in ((), ("birch",)):
+        ((varied,), _) = vary_leaves([tree()], made, ONE, seed=1, stages=stages, inside_first=inside)
+        found = areas(varied)
+        turned_of_sun.append(found["leaf (sun, 1, autumn)"] / (found["leaf (shade, 1, autumn)"]))
+    assert turned_of_sun[0] > 1.5
+    assert turned_of_sun[1] < 1 / 1.5
 
 
 def test_leaves_without_a_type_stay_as_they_are():

@@ -19,7 +19,7 @@ from forestgen.scene.weather.kind import check_weather, in_weather, laid_m, rais
 from support.error_messages import raises_error
 from support.scenes import plain_ground, scattered_scene
 
-FOG, RAIN, SNOW = {"what": "ground_fog"}, {"what": "rain"}, {"what": "snow_cover", "depth_m": 2}
+FOG, RAIN, SNOW = {"what": "ground_fog", "patch_m": 40}, {"what": "rain"}, {"what": "snow_cover", "depth_m": 2}
 RECIPE = {
     "forestgen": 1,
     "species": {"poplar": None},
@@ -46,6 +46,14 @@ def test_the_order_of_the_list_is_the_same_scene() -> None:
     assert not one.film.ground.any()
     assert one.terrain.wet is other.terrain.wet is None
     assert np.array_equal(one.terrain.texture, other.terrain.texture)
+
+
+def test_fog_in_patches_is_nowhere_less_than_none() -> None:
+    (layer,) = scene_in(FOG).fog
+    assert 0.9 < sum(amplitude for _, _, amplitude in layer.patches) < 1.0
+    length_m = [2.0 * np.pi / np.hypot(*wave[:2]) for wave, _, _ in layer.patches]
+    assert 40.0 / 3.0 <= min(length_m) < max(length_m) <= 40.0
+    assert scene_in({**FOG, "patch_m": None}).fog == (replace(layer, patches=()),)
 
 
 def test_light_rain_leaves_wet_soil_wet() -> None:
