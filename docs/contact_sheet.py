@@ -113,12 +113,6 @@ def shipped(name: str, **more: Any) -> Keys:
     return _merged(yaml.safe_load((RECIPES / f"{name}.yaml").read_text(encoding="utf-8")), more)
 
 
-def inside(biome: str, position_m: list[float], look_at_m: list[float], ground: str, layers: list[Keys]) -> Keys:
-    """A biome's recipe amid more of its kind, from among its plants."""
-    recipe = shipped(f"biomes/{biome}", site__surroundings="forest", site__ground={"kind": ground, "layers": layers})
-    return camera_of(recipe, position_m=position_m, look_at_m=look_at_m, obstructed="note")
-
-
 def camera_of(recipe: Keys, **more: Any) -> Keys:
     """The recipe with other keys of its first camera, and that camera alone."""
     return {**recipe, "cameras": [{**recipe["cameras"][0], **more}]}
@@ -231,7 +225,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         sky__sun={"elevation_deg": -30},
         sky__moon={"elevation_deg": 40, "azimuth_deg": 200, "illuminated": 1},
     ),
-    "drone, conifers": lambda: forest({"spruce": 0.6, "pine": 0.4}, 24, DRONE),
+    "drone, conifers": lambda: forest({"spruce": 0.6, "pine": 0.4}, 24, DRONE, community__canopy_cover=0.75),
     "drone, autumn": lambda: forest(MIXED, 24, DRONE, site__date=AUTUMN, plants__phenology_classes=3),
     "nadir, mixed": lambda: forest(MIXED, 24, {"position_m": [30, 30, 90], "look": "down", "hfov_deg": 40}),
     "nadir, open pines": lambda: camera_of(shipped("places/neon_osbs")),
@@ -248,9 +242,9 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         position_m=[200, -60, 75],
         look_at_m=[200, 180, 40],
     ),
-    "meadow": lambda: inside("grassland", [12, 1, 1.7], [16, 14, 0.8], "grass", []),
-    "savanna": lambda: inside("savanna", [34, 1, 1.8], [31, 30, 2.5], "soil_dry", FLOOR[1:4]),
-    "tropical rain forest": lambda: inside("tropical_rain", [26, 7, 1.7], [22, 30, 5], "litter", FLOOR),
+    "meadow": lambda: shipped("biomes/grassland"),
+    "savanna": lambda: shipped("biomes/savanna"),
+    "tropical rain forest": lambda: shipped("biomes/tropical_rain"),
     "fisheye": lambda: forest(
         BEECH, 26, {"kind": "fisheye", "position_m": [30, 30, 1.3], "look": "up"}, sky__clouds="noise"
     ),

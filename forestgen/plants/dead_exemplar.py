@@ -53,14 +53,20 @@ _MATERIALS: Mapping[str, dict[str, Any]] = {
         "bark": {"pattern": "end_grain", "tile_m": [0.4, 0.4], "dark": [0.10, 0.06, 0.03]},
     },
     SOIL: {
-        "spectrum": "ground/litter",
-        "roughness": 0.9,
-        "bark": {"pattern": "scaly", "tile_m": [0.5, 0.5], "scale_m": 0.04, "depth_m": 0.02},
+        "spectrum": "bark/log",  # browner than the tables of soil, which are of a dry and a wet pale one
+        "roughness": 0.95,
+        "bark": {
+            "pattern": "scaly",
+            "tile_m": [0.5, 0.5],
+            "scale_m": 0.012,
+            "depth_m": 0.012,
+            "dark": [0.03, 0.022, 0.016],
+        },
     },
 }
 # By decay class: share of the stem's surface without bark; of the upper half of what lies, or of a stump, under moss.
 _BARE = (0.0, 0.15, 0.5, 0.85, 1.0)
-_MOSSY = (0.0, 0.03, 0.25, 0.55, 0.8)
+_MOSSY = (0.0, 0.03, 0.25, 0.5, 0.6)
 _GREY_BRANCHES = 2  # the class from which branches have no bark; before, that of dead branches
 _ROTTEN = 4  # the class from which a sawn face is as grey as the rest
 _TWIGS = 0.7  # of the tree's leaf area, by which twigs are counted: the finest are gone
@@ -68,7 +74,7 @@ _UPPER = 0.1  # least z of a normal of the upper side
 _UNEVEN = (0.02, 0.03, 0.06, 0.09, 0.12)  # by decay class, of the radius: standard deviation of the surface, about
 _BARK = 0.06, 0.012  # how much lower bare wood is than bark: of the radius, at most metres
 _FLAT_M = 1e-3  # of a sawn face
-_PLATE_SIDES, _PLATE_RINGS, _PLATE_DEEP = 48, 9, 0.12
+_PLATE_SIDES, _PLATE_RINGS, _PLATE_DEEP, _PLATE_UNEVEN, _PLATE_SOIL = 48, 9, 0.14, 0.3, 0.85
 
 
 def with_dead_wood(species: Species) -> Species:
@@ -294,12 +300,12 @@ def _sawn(organs: tuple[OrganMesh, ...], left: DeadSkeleton, dead: DeadTree) -> 
 
 
 def _root_plate(radius_m: float, middle_m: float, rng: np.random.Generator) -> Mesh:
-    """A lens of soil that stands on its edge, its middle at a height, bulging away from the tree."""
+    """Uneven soil that stands on its edge, its middle at a height, bulging away from the tree."""
     turn = np.arange(_PLATE_SIDES) * (2.0 * np.pi / _PLATE_SIDES)
-    waves = ((k, rng.normal(), rng.uniform(0.0, 2.0 * np.pi)) for k in (2, 3, 5, 8, 13, 21))
-    rim = 1.0 + sum(0.2 / np.sqrt(k) * size * np.cos(k * turn + phase) for k, size, phase in waves)
+    waves = ((k, rng.normal(), rng.uniform(0.0, 2.0 * np.pi)) for k in (1, 2, 3, 4, 6, 9, 14, 21))
+    rim = 1.0 + sum(_PLATE_UNEVEN / k**0.8 * size * np.cos(k * turn + phase) for k, size, phase in waves)
     share = (np.arange(_PLATE_RINGS) + 1.0) / _PLATE_RINGS
-    out = radius_m * share[:, None] * np.clip(rim, 0.55, 1.45)
+    out = _PLATE_SOIL * radius_m * share[:, None] * np.clip(rim, 0.35, 1.4)
     out *= 1.0 + 0.25 / _PLATE_RINGS * rng.normal(size=out.shape)
     rough = 1.0 + 0.6 * rng.normal(size=(2, _PLATE_RINGS, _PLATE_SIDES))
     deep = _PLATE_DEEP * radius_m * (0.25 + 0.75 * np.sqrt(1.0 - share**2))[:, None] * np.clip(rough, 0.2, 1.8)

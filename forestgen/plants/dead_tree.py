@@ -29,9 +29,9 @@ from forestgen.plants.tree_fit import with_taper
 
 # By decay class, 1 to 5. Where no number is in the sources of `core.dead_wood`, they are ours.
 _THINNEST_M = (0.0, 0.005, 0.012, 0.03, 0.05)  # diameter
-_LOST = (0.0, 0.12, 0.3, 0.5, 0.8)  # share of the axes
+_LOST = (0.0, 0.12, 0.3, 0.6, 0.96)  # share of the axes
 _LOST_TWIGS = (0.0, 0.01, 0.04, 0.2, 1.0)  # of twigs, each of which bears others
-_REACH = (20.0, 2.5, 0.8, 0.3, 0.12)  # share of the length that is left of the axis of which most is left
+_REACH = (20.0, 2.5, 0.8, 0.3, 0.07)  # share of the length that is left of the axis of which most is left
 _SUNK = (0.02, 0.04, 0.12, 0.3, 0.45)  # share of a lying stem's diameter in the ground
 _PLATE = (1.0, 0.95, 0.85, 0.65, 0.45)  # radius of the root plate over the first class'
 _LEAN_DEG, _LEANING, _LEANING_DEG = 2.0, 0.15, (8.0, 22.0)  # of most; share of trees that lean more, and how far
@@ -40,7 +40,8 @@ _LIES = 0.7  # of its radius: how high a branch on the ground is
 _STEP_RADII = 0.8  # between nodes of a stem, over its radius
 _SPLINTER_RADII, _MOST_SPLINTERS = 2.6, 18  # length of the longest over the break's radius
 _BREAK_M = 0.02  # radius of a broken stem that shows splinters
-_ROOTS = 26  # of a root plate
+_ROOTS, _ROOT_NODES, _ROOT_WANDER_RAD = 60, 9, 0.13  # of a root plate: number, nodes of one, turn at each
+_LOST_ROOTS = (0.0, 0.1, 0.3, 0.6, 0.85)  # share of them
 _THREAD_M = 1e-6  # see `Skeleton.is_thread`
 _BEHIND = 0.6  # of the stem's diameter, between a high stump and the stem that has fallen off it
 
@@ -203,7 +204,7 @@ def _uprooted(bare: Skeleton, dead: DeadTree, dbh_m: float, rng: np.random.Gener
     volume = _stem_volume_m3(broken)
     laid = _laid(broken, dead.decay)
     plate = _PLATE[dead.decay - 1] * float(np.clip(0.35 + 3.2 * dbh_m, 0.4, 2.6))
-    return DeadSkeleton(_with_roots(laid, plate, rng), volume, plate_m=plate)
+    return DeadSkeleton(_with_roots(laid, plate, dead.decay, rng), volume, plate_m=plate)
 
 
 def _snapped(bare: Skeleton, dead: DeadTree, whole_m: float, rng: np.random.Generator) -> DeadSkeleton:
@@ -278,18 +279,19 @@ def _laid(skeleton: Skeleton, decay: int) -> Skeleton:
     return _cut(replace(skeleton, position_m=placed.astype(np.float32)), left)
 
 
-def _with_roots(skeleton: Skeleton, plate_m: float, rng: np.random.Generator) -> Skeleton:
-    """Roots that radiate in the plane of the root plate, those into the ground broken off."""
-    foot, thick = skeleton.position_m[0].astype(np.float64), float(skeleton.radius_m[0])
-    for k in range(_ROOTS):
-        turn = 2.0 * np.pi * (k + 1.2 * rng.normal()) / _ROOTS
-        reach = plate_m * float(np.clip(np.exp(0.4 * rng.normal()), 0.4, 2.0))
-        back, bend = rng.uniform(-0.45, -0.05), 0.7 * rng.normal(size=2)
-        share = np.linspace(0.12, 1.0, 6)[:, None]
-        angle = turn + bend[0] * share**2
-        out = np.concatenate([np.cos(angle), back * share + 0.25 * bend[1] * share**2, np.sin(angle)], axis=1)
-        line = foot + reach * share * out
-        radius = thick * 0.4 * rng.uniform(0.3, 1.0) ** 2 * np.linspace(1.0, 0.25, 6)
-        if np.sin(turn) > -0.3:
-            skeleton = _with_axis(skeleton, line, radius, 0)
+def _with_roots(skeleton: Skeleton, plate_m: float, decay: int, rng: np.random.Generator) -> Skeleton:
+    """Roots about the plane of the root plate, few of them thick, those into the ground broken off; fine ones rot."""
+    foot, thick_m = skeleton.position_m[0].astype(np.float64), float(skeleton.radius_m[0])
+    share = np.linspace(0.1, 1.0, _ROOT_NODES)
+    for _ in range(_ROOTS):
+        size, turn, is_left = rng.random() ** 2, rng.uniform(0.0, 2.0 * np.pi), rng.random() >= _LOST_ROOTS[decay - 1]
+        reach_m, back = plate_m * (0.6 + 0.6 * size + 0.5 * rng.random()), rng.uniform(-0.45, 0.05)
+        sides = np.cumsum(rng.normal(size=(2, _ROOT_NODES)), axis=1) * _ROOT_WANDER_RAD
+        angle = turn + sides[0]
+        behind = np.minimum(back + sides[1] - 0.3 * size * share, 0.0)
+        out = np.stack([np.cos(angle), behind, np.sin(angle)], axis=1)
+        line = foot + reach_m * share[:, None] * out
+        radius_m = thick_m * (0.03 + 0.3 * size) * (1.0 - 0.85 * share**0.7)
+        if is_left and np.sin(turn) > -0.3 and radius_m[0] > _THINNEST_M[decay - 1]:
+            skeleton = _with_axis(skeleton, line, radius_m, 0)
     return skeleton

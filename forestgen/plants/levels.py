@@ -160,11 +160,11 @@ def _pruned_twigs(skeleton: Skeleton, pixel_m: float, rng: np.random.Generator) 
     thin = ~bears & (skeleton.order[first] > 0) & (2.0 * radius < _TWIG_PIXELS * pixel_m)
     for column in skeleton.position_m.T:  # the outermost stay
         thin[number[[column.argmin(), column.argmax()]]] = False
-    if not thin.any():
-        return skeleton
     way = skeleton.position_m - skeleton.position_m[np.maximum(parent, 0)]
     segment = np.asarray(np.linalg.norm(way, axis=1) * skeleton.radius_m, dtype=np.float64)
     shown = np.bincount(number, weights=segment)
+    if not shown[thin].any():  # also of axes without length
+        return skeleton
     width = float(np.sum(shown[thin] * 2.0 * radius[thin]) / np.sum(shown[thin]))
     share = max(width / (_TWIG_PIXELS * pixel_m), _LEAST_TWIGS)
     kept = thin.copy()

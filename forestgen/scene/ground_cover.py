@@ -149,7 +149,9 @@ def _placed(layer: Layer, on: str, height: HeightField) -> Layer:
         return np.asarray(mean if where is None else mean * where(x, y))
 
     spread = replace(layer.spread, tilt_deg=0.0, depth_m=0.0) if on == "water" else layer.spread
-    return replace(layer, where=density, is_painted=on == "ground", floats=on == "water", spread=spread)
+    return replace(
+        layer, where=density, is_painted=layer.is_painted and on == "ground", floats=on == "water", spread=spread
+    )
 
 
 def _notes(name: str, layers: Sequence[Layer]) -> list[str]:

@@ -6,6 +6,10 @@ second one face down, every fifth one with bites, a few in pieces. Their colours
 autumn with that of leaves that fell lately, to deeper browns and the grey of weathered wood; older ones are flat, wet,
 and dark in patches (`_AGES`; shares are ours). Near a camera they show veins (`plants/organs/leaf_texture.py`).
 
+Where a camera sees more than the texels of the ground's paint, older leaves lie below in the gaps: flat, eaten, in
+pieces, with twigs between them, on litter alone. They are as bright as the painted litter, in the mean, but without its
+green of moss.
+
 Example
 -------
     site: {ground: {kind: litter, layers: [{what: fallen_leaves, cover: 0.8}]}}
@@ -27,6 +31,7 @@ from forestgen.plants.organs.leaf_texture import LeafLooks, leaf_texture
 from forestgen.plants.organs.wear import piece, worn
 from forestgen.recipe.ground import GroundLayer
 from forestgen.recipe.phenology import LeafState, fallen_lately
+from forestgen.recipe.registries import GROUND_COVERS
 from forestgen.recipe.spectra import load_spectra
 from forestgen.scene.colour import colours_of_surface
 from forestgen.scene.ground_layers.layer import (
@@ -37,11 +42,15 @@ from forestgen.scene.ground_layers.layer import (
     Thing,
     centred,
     mean_surface,
+    opaque,
     shades,
     sheet,
 )
+from forestgen.scene.ground_layers.twigs import twig
+from forestgen.scene.grounds.litter import Litter
 from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import surface_of, wet_spectrum
+from forestgen.scene.terrain import TEXTURE_PX, TEXTURE_TILE_M, GroundCover
 
 
 class _Age(NamedTuple):
@@ -55,19 +64,22 @@ class _Age(NamedTuple):
 
 
 _AGES = (
-    _Age(1.18, 0.0, 0.05, 0.02, shapes=2),
-    _Age(1.2, 0.12, 0.05, 0.03),
-    _Age(0.95, 0.22, 0.1, 0.05),
-    _Age(0.85, 0.15, 0.3, 0.12, 0.7),
-    _Age(0.62, 0.1, 0.4, 0.2, 0.3),
-    _Age(0.7, 0.25, 0.15, 0.3, 0.2),
-    _Age(0.75, 0.3, 0.1, 0.2, 0.15, is_wet=True),
-    _Age(0.55, 0.35, 0.2, 0.45, 0.1, is_wet=True, shapes=4),
+    _Age(1.2, -0.05, 0.15, 0.02),
+    _Age(1.2, 0.12, 0.05, 0.03, shapes=4),
+    _Age(0.95, 0.35, 0.0, 0.05, shapes=4),
+    _Age(0.85, 0.3, 0.1, 0.15, 0.9),
+    _Age(0.8, 0.0, 0.55, 0.12, 0.6),
+    _Age(0.55, 0.1, 0.5, 0.2, 0.3),
+    _Age(0.7, 0.35, 0.1, 0.3, 0.2),
+    _Age(0.7, 0.4, 0.1, 0.2, 0.15, is_wet=True),
+    _Age(0.45, 0.35, 0.2, 0.45, 0.1, is_wet=True, shapes=4),
 )
+# Leaves below: brightness over the mean, and `_Age.deep`.
+_OLD = ((0.25, 0.5), (0.5, 0.2), (0.9, 0.6), (1.2, 0.1), (2.1, 0.2))
 _FALLEN = "leaves/"  # at the beginning of the names of materials
 _IN_DECAY = 0.3  # brightness of decayed patches over sound ones, about
-_CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG = 40.0, 45.0, 22.0, 18.0  # standard deviations on top
-_FLATTEST = 0.2  # of these, of leaves below others
+_CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG = 50.0, 60.0, 25.0, 22.0  # standard deviations on top
+_FLATTEST = 0.12  # of these, of leaves below others
 _FACE_DOWN, _TORN, _IN_PIECES, _LARGER_BITES = 0.5, 0.2, 0.15, 1.4
 _WRINKLES, _WRINKLE = 5, 0.012  # number, height over the length
 _WAVES, _WAVE = 6.0, 0.05  # of the margin, height over the half-width
@@ -76,12 +88,21 @@ _SIZE_SIGMA = 0.25
 _WET_GLOSS, _WET_ROUGHNESS = 0.04, 0.3  # a film of water's
 _NEEDLE_SHADES = (0.68, 0.95, 1.22, 1.63)  # a floor of them reflects as measured: spectra/ground/litter_needles
 _TRAPPED = {"needle": 0.52}  # share of light, by type of leaf: benchmarks/ground_cover.py
-_TRAPPED_BY_BLADES = 0.26
+_TRAPPED_BY_BLADES = 0.33
 _HEAPED_M, _BLADES_HEAPED_M = {"needle": 0.08}, 0.16  # against stems
 _LEAST_SHARE = 0.03  # of the leaf area: rarer species leave nothing that one sees
 _TEXTURED = 10.0  # pixels that a leaf covers that shows veins
 _FEWEST_TORN = 20  # triangles of a leaf that is drawn so finely that one sees tears
 _IN_ONE = 60  # needles that make one thing
+_BELOW = "below"  # at the end of the name of the layer of older leaves
+_BELOW_COVER, _BELOW_DEPTH_M, _BELOW_TILT_DEG, _BELOW_SIGMA = 0.97, 0.006, 7.0, 0.3
+_BELOW_RISE, _OLD_GREY, _MIDDLE_NM = 0.25, 0.15, 600.0
+# Whether each is a piece, and its size over the leaf's.
+_BELOW_PIECES = (
+    *((False, 1.0), (True, 1.0), (True, 0.7), (True, 0.4), (False, 0.8)),
+    *((True, 1.0), (True, 0.6), (True, 0.3), (True, 0.8)),
+)
+_BELOW_TWIGS, _BELOW_TWIG_M = 2, 0.07
 
 
 class LeavesKeys(GroundLayer):
@@ -94,7 +115,7 @@ class Leaves(GroundLayerKind[LeavesKeys]):
     Parameters = LeavesKeys
 
     def layers(self, keys: LeavesKeys, request: Request, rng: np.random.Generator) -> Sequence[Layer]:
-        found = []
+        found, seen_near = [], []
         for name, (share, where) in request.leaf_share.items():
             species = request.drawn.species.get(name)  # none: a building
             if species is None:
@@ -122,6 +143,8 @@ class Leaves(GroundLayerKind[LeavesKeys]):
                 length_m = species.tissue.leaf_length_m or float(getattr(shape, "length_m", 0.1))
                 things = _fallen(shape, name, length_m, request.detail(length_m), rng)
                 near = shape if length_m > _TEXTURED * request.pixel_m else None
+                if near is not None:
+                    seen_near.append((_flat(shape, length_m, detail=1), dry.reflectance_spectrum))
                 materials = {
                     f"{_FALLEN}{name}-{index}": _aged(lately if age.rise == 1.0 else dry, age, near, f"{name}-{index}")
                     for index, age in enumerate(_AGES)
@@ -135,13 +158,56 @@ class Leaves(GroundLayerKind[LeavesKeys]):
                     cover=cover,
                     leaf=mean_surface(list(materials.values()), _seen(things, list(materials), cover)),
                     trapped=_TRAPPED.get(str(species.materials[key].leaf_type), _TRAPPED_BY_BLADES),
-                    spread=Spread(tilt_deg=16.0, depth_m=0.02, size_sigma=_SIZE_SIGMA),
+                    spread=Spread(tilt_deg=20.0, depth_m=0.025, size_sigma=_SIZE_SIGMA),
                     patch_m=keys.patch_m,
                     where=where,
                     heaped_m=_HEAPED_M.get(str(species.materials[key].leaf_type), _BLADES_HEAPED_M),
                 )
             )
-        return found
+        below = _older(seen_near, request, rng)
+        return found if below is None else [below, *found]
+
+
+def _older(leaves: Sequence[tuple[Patch, Spectrum]], request: Request, rng: np.random.Generator) -> Layer | None:
+    """What lies between leaves that are seen well: older ones, in pieces; None: on no litter, or without such leaves.
+
+    `leaves`: flat, and the reflectance of dry ones, by species.
+    """
+    ground: GroundCover = GROUND_COVERS.load(request.drawn.recipe.site.ground.kind)
+    if not leaves or not isinstance(ground, Litter):
+        return None
+    names, things = [f"{_FALLEN}{_BELOW}-{index}" for index in range(len(_OLD))], []
+    for leaf, _ in leaves:
+        for number, (is_torn, size) in enumerate(_BELOW_PIECES):
+            old = _dried(leaf, _BELOW_RISE, rng, is_torn=is_torn)
+            old = old._replace(points=size * old.points)
+            things.append(_lying(old, names[number % len(names)]))
+    things += [_lying(twig(_BELOW_TWIG_M, rng), names[number]) for number in range(_BELOW_TWIGS)]
+    grid = leaves[0][1].wavelength_nm
+    dry = np.mean([one.at(grid) for _, one in leaves], axis=0)
+    grey = load_spectra("wood/snag")["reflectance"].at(grid)
+    tones = np.array([bright * (dry ** (1.0 + deep) + _OLD_GREY * grey) for bright, deep in _OLD])
+    mean = np.average(tones, axis=0, weights=_seen(things, names, _BELOW_COVER))
+    floor, p = ground.reflectance().at(grid), _TRAPPED_BY_BLADES
+    equal = floor / (1.0 - p + p * floor) / mean  # with this scale `Layer.spectrum` is the floor's
+    # But moss makes that green: so where the eye sees, the scale is that of one wavelength.
+    one_scale = float(np.interp(_MIDDLE_NM, grid, equal))
+    scale = one_scale + (equal - one_scale) * np.clip((grid - 650.0) / 100.0, 0.0, 1.0)
+    return Layer(
+        name=f"{_FALLEN}{_BELOW}",
+        things=tuple(things),
+        materials={name: opaque(Spectrum(grid, scale * one)) for name, one in zip(names, tones, strict=True)},
+        cover=_BELOW_COVER,
+        leaf=opaque(Spectrum(grid, scale * mean)),
+        trapped=p,
+        spread=Spread(_BELOW_TILT_DEG, _BELOW_DEPTH_M, _BELOW_SIGMA),
+        is_painted=False,
+    )
+
+
+def _lying(patch: Patch, material: str) -> Thing:
+    """A thing below leaves, drawn where a texel of the paint is more than a pixel."""
+    return Thing(centred([sheet(Part.LITTER, material, patch)]), TEXTURE_TILE_M / TEXTURE_PX)
 
 
 def _seen(things: Sequence[Thing], materials: Sequence[str], cover: float) -> Floats:
@@ -162,15 +228,20 @@ def _shape_of(request: Request, name: str, key: str) -> Any:
     return max(shapes, key=lambda one: getattr(one, "length_m", 0.0), default=None)
 
 
-def _fallen(shape: Any, name: str, length_m: float, detail: int, rng: np.random.Generator) -> tuple[Thing, ...]:
-    """Leaves of all ages, each in some attitudes."""
-    known, things = type(shape).model_fields, []
+def _flat(shape: Any, length_m: float, detail: int) -> Patch:
+    """A species' leaf of a length, without fold and curl."""
+    known = type(shape).model_fields
     update: dict[str, float] = {key: 0.0 for key in ("curl_deg", "fold_deg") if key in known}
     if "detail" in known:
         update["detail"] = detail
     form: OrganForm = shape.model_copy(update=update)
     flat = join([one.patch for one in form.patches()])
-    flat = flat._replace(points=length_m / float(getattr(shape, "length_m", 0.1)) * flat.points)
+    return flat._replace(points=length_m / float(getattr(shape, "length_m", 0.1)) * flat.points)
+
+
+def _fallen(shape: Any, name: str, length_m: float, detail: int, rng: np.random.Generator) -> tuple[Thing, ...]:
+    """Leaves of all ages, each in some attitudes."""
+    things, flat = [], _flat(shape, length_m, detail)
     for index, age in enumerate(_AGES):
         for _ in range(age.shapes):
             shaped = sheet(Part.LITTER, f"{_FALLEN}{name}-{index}", _dried(flat, age.rise, rng))
@@ -178,16 +249,18 @@ def _fallen(shape: Any, name: str, length_m: float, detail: int, rng: np.random.
     return tuple(things)
 
 
-def _dried(leaf: Patch, rise: float, rng: np.random.Generator) -> Patch:
+def _dried(leaf: Patch, rise: float, rng: np.random.Generator, *, is_torn: bool = False) -> Patch:
     """A flat leaf along y, as it lies: bent, rolled, folded, twisted, wrinkled, some with pieces missing.
 
-    `rise`: 1: as on top; 0: as flat as below others.
+    `rise`: 1: as on top; 0: as flat as below others. `is_torn`: a piece of it in any case.
     """
     bends = np.radians([_CURL_DEG, _ROLL_DEG, _TWIST_DEG, _FOLD_DEG]) * (_FLATTEST + (1.0 - _FLATTEST) * rise)
     curl, roll, twist, fold = bends * rng.normal(size=4)
-    is_down, is_torn, is_piece = rng.random(3) < (_FACE_DOWN, _TORN, _IN_PIECES * (1.5 - rise))
-    if len(leaf.faces) >= _FEWEST_TORN and (is_torn or is_piece):
-        leaf = piece(leaf, rng) if is_piece else worn(leaf, rng, _LARGER_BITES)
+    is_down, is_eaten, is_piece = rng.random(3) < (_FACE_DOWN, _TORN, _IN_PIECES * (1.5 - rise))
+    if is_torn or (is_piece and len(leaf.faces) >= _FEWEST_TORN):
+        leaf = piece(leaf, rng)
+    elif is_eaten and len(leaf.faces) >= _FEWEST_TORN:
+        leaf = worn(leaf, rng, _LARGER_BITES)
     points = leaf.points
     half_m, length_m = float(np.abs(points[:, 0]).max()), float(np.ptp(points[:, 1]))
     wave = rng.normal(size=(_WRINKLES, 2)) * 6.0 / length_m

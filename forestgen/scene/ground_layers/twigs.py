@@ -47,7 +47,7 @@ class Twigs(GroundLayerKind[TwigsKeys]):
         materials = {f"twigs-{index}": opaque(one) for index, one in enumerate(spectra)}
         things = [
             Thing(
-                centred([sheet(Part.LITTER, f"twigs-{index % len(_SURFACES)}", _twig(keys.length_m, rng))]),
+                centred([sheet(Part.LITTER, f"twigs-{index % len(_SURFACES)}", twig(keys.length_m, rng))]),
                 keys.length_m,
                 closed=True,
             )
@@ -59,7 +59,7 @@ class Twigs(GroundLayerKind[TwigsKeys]):
         return [Layer("twigs", tuple(things), materials, keys.cover, mean, _TRAPPED, spread, keys.patch_m)]
 
 
-def _twig(length_m: float, rng: np.random.Generator) -> Patch:
+def twig(length_m: float, rng: np.random.Generator) -> Patch:
     """A crooked twig along y, often with a side branch; longer ones are branches, and lie on theirs."""
     radius = 0.5 * _THICKNESS * length_m
     path = _crooked(length_m, np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, radius]), rng)

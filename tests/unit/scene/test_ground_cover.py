@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -269,6 +270,24 @@ def test_flat_dark_leaves_lie_below_those_that_are_curled() -> None:
     first, *_, last = sorted(tops)
     assert tops[last] < 0.6 * tops[first]
     assert whole.leaf.reflectance[0] > 1.03 * thin.leaf.reflectance[0]  # of what is seen, more lies on top
+
+
+def test_older_leaves_lie_between_those_that_are_seen_well() -> None:
+    """On litter alone, unpainted, as bright as it where the eye sees and in the near infrared."""
+    litter, soil = scene(ground={"kind": "litter"}), scene()
+    keys, share = FALLEN.Parameters.model_validate({"what": "fallen_leaves"}), {"beech": (1.0, lambda x, y: x)}
+
+    def found(built: BuiltScene, pixel_m: float) -> Sequence[Layer]:
+        request = Request(built.plan.drawn, built.plan.plants.generators, share, pixel_m, ())
+        return FALLEN.layers(keys, request, np.random.default_rng(1))
+
+    assert len(found(litter, 0.02)) == len(found(soil, 0.002)) == 1
+    older, top = found(litter, 0.002)
+    assert not older.is_painted
+    assert older.cover > top.cover
+    floor = load_spectra("ground/litter")["reflectance"]
+    for wavelength_nm in (600.0, 850.0):
+        assert float(older.spectrum.at(wavelength_nm)) == pytest.approx(float(floor.at(wavelength_nm)), rel=0.01)
 
 
 @pytest.mark.parametrize("size_m", [0.3, 1.0, 3.0])
