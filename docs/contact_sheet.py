@@ -25,14 +25,14 @@ COLUMNS, CAPTION_PX = 4, 22
 Keys = dict[str, Any]
 
 FLOOR: list[Keys] = [
-    {"what": "fallen_leaves", "cover": 0.8},
+    {"what": "fallen_leaves", "cover": 0.9},
     {"what": "twigs", "cover": 0.04},
     {"what": "twigs", "cover": 0.04, "length_m": 0.9, "patch_m": 3},
     {"what": "stones", "cover": 0.005},
     {"what": "moss", "cover": 0.08, "patch_m": 2},
 ]
 HEATH: list[Keys] = [  # floor of conifers
-    {"what": "fallen_leaves", "cover": 0.8},
+    {"what": "fallen_leaves", "cover": 0.9},
     {"what": "moss", "cover": 0.45, "patch_m": 2.5},
     {"what": "small_plants", "species": "shrub", "height_m": 0.4, "size_sigma": 0.2, "cover": 0.25, "patch_m": 2.5},
     {"what": "small_plants", "species": "grass", "height_m": 0.25, "size_sigma": 0.4, "cover": 0.08, "patch_m": 1.5},
