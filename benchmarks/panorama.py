@@ -4,8 +4,8 @@
     PYTHONPATH=tests uv run python benchmarks/panorama.py --panorama package/hdri/forest.exr.js [--picture both.png]
 
 The panorama is one of Poly Haven (CC0), 512 x 256 pixels. Ours is rendered twice as large each way and made smaller by
-Lanczos' filter, as the values below zero of the measured one show that it was. Its colours are balanced as cameras do:
-the light of sun and sky on open level ground is neutral. One factor gives both the same mean log luminance over the
+Lanczos' filter, as the values below zero of the measured one show that it was. Sunlight is neutral in ours, as on a
+chart in the sun: so the colours of our sky, by angle from the sun, are those of the measured one. One factor gives both the same mean log luminance over the
 sphere. The figures are those of tests/support/panoramas.py; about five minutes. Exit 1 where a bound is broken.
 """
 
@@ -23,8 +23,7 @@ from forestgen.core.progress import Silent, Timings
 from forestgen.dataset.tonemap import tone_map
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.load import load_recipe
-from forestgen.render.skies.model import daylight_of
-from forestgen.scene.colour import colour_of_radiance
+from forestgen.render.light import sun_irradiance
 from forestgen.scene.plan import check_plan
 from support.panoramas import BANDS_DEG, GAPS_ABOVE_DEG, Floats, compare, exact_gaps, halved, mean_log, read_panorama
 
@@ -37,7 +36,7 @@ def rendered(samples: int | None) -> tuple[Floats, list[float]]:
     overrides = [] if samples is None else [f"render.samples={samples}"]
     scene = assemble_image(check_plan(load_recipe(RECIPE, overrides)), Silent(), Timings())
     frame = next(iter(image_frames(scene, Silent(), Timings()))).labelled.frame
-    white = colour_of_radiance(daylight_of(scene.spec.sky).on_level)
+    white = sun_irradiance(scene.spec.sky, RGB)
     light = frame.radiance.mean if frame.radiance.denoised is None else frame.radiance.denoised
     return halved(light * (white[1] / white)), exact_gaps(frame.surface.part == Part.NOTHING)
 

@@ -159,7 +159,7 @@ def _notes(name: str, layers: Sequence[Layer]) -> list[str]:
     if not layers:
         return [f"{name}: nothing lies there, for no plant that sheds it stands on the site"]
     notes = []
-    for one in (layer for layer in layers if layer.things):
+    for one in (layer for layer in layers if layer.things and layer.is_painted):  # what is not painted is ours
         fully = float(number_per_m2(one, np.array(1.0 - np.exp(-1.0)))) * TILE_M**2  # on a tile that they cover once
         most = 1.0 - float(np.exp(-MOST_THINGS / fully))
         if most < one.cover:

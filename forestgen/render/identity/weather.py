@@ -40,8 +40,8 @@ _STEEPEST, _LEVEL_LEAF = 0.15, 0.35
 _ON_BRANCHES = 0.35  # by how much steeper the wood of branches may be: loads are as thick as they are
 _CUSHION = (0.35, 0.9)  # sine of the angle from below to which the thinnest and thickest loads hide what bears them
 # Of snow on stems: how far strips reach around, in cosines, and how uneven their edges are, by long waves and blotches.
-_STRIP, _STRIP_EDGE = 0.45, (0.12, 0.25)
-_GRAINS = 8.0 * np.pi  # radians of blotches by a tile of the bark's texture
+_STRIP, _STRIP_EDGE = 0.45, (0.15, 0.1)
+_GRAINS = 2.0 * np.pi  # radians of blotches by a tile of the bark's texture
 _UNLABELLED = 1 << 31  # added to the row of what is no plant: other numbers than plants'
 
 
@@ -152,7 +152,10 @@ def under_snow(tracer: SceneTracer, hits: Hits, corners: Places, around: Any, al
     windward = sum(
         dr.opaque(mi.Float, one) * axis for one, axis in zip(snow.windward, (smooth.x, smooth.y), strict=True)
     )
-    blotches = _bands(_GRAINS * around, along, plant) * _bands(_GRAINS * along, around, plant)
+    # Waves aslant, each way: such as run around and along make a lattice of dots.
+    blotches = _bands(_GRAINS * (2.0 * around + along), along, plant) + _bands(
+        _GRAINS * (along - around), around, plant
+    )
     uneven = _STRIP_EDGE[0] * _bands(along, along, plant) + _STRIP_EDGE[1] * blotches
     strip = windward > 1.0 - _STRIP * share + uneven
     on_wood = (up > least) | ((part == int(Part.TRUNK)) & strip)

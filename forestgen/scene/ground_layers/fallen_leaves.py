@@ -6,8 +6,9 @@ second one face down, every fifth one with bites, a few in pieces. Their colours
 autumn with that of leaves that fell lately, to deeper browns and the grey of weathered wood; older ones are flat, wet,
 and dark in patches (`_AGES`; shares are ours). Near a camera they show veins (`plants/organs/leaf_texture.py`).
 
-Where a camera sees more than the texels of the ground's paint, older leaves lie below in the gaps: flat, eaten, in
-pieces, with twigs between them, on litter alone. They are as bright as the painted litter, in the mean, but without its
+On litter, where some camera sees leaves of 45 mm or more at least ten pixels long, older ones lie below in the gaps, as
+far as a texel of the ground's paint is more than a pixel: flat, eaten, in pieces, with twigs between them, once for all
+sections of a recipe, not on paths and water. They are as bright as the painted litter, in the mean, but without its
 green of moss.
 
 Example
@@ -18,6 +19,7 @@ Example
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,14 +97,17 @@ _TEXTURED = 10.0  # pixels that a leaf covers that shows veins
 _FEWEST_TORN = 20  # triangles of a leaf that is drawn so finely that one sees tears
 _IN_ONE = 60  # needles that make one thing
 _BELOW = "below"  # at the end of the name of the layer of older leaves
-_BELOW_COVER, _BELOW_DEPTH_M, _BELOW_TILT_DEG, _BELOW_SIGMA = 0.97, 0.006, 7.0, 0.3
+_BELOW_COVER, _BELOW_DEPTH_M, _BELOW_TILT_DEG, _BELOW_SIGMA = 0.9, 0.006, 7.0, 0.3
+_BELOW_FROM_M, _BELOW_PIECE_M = 0.045, 0.065  # least leaf, and piece before it tears: there would be too many
+_INFRARED_NM, _INFRARED = (650.0, 750.0), 0.25  # where older leaves become alike, and share of the differences left
+_BRIGHTEST = 0.9
 _BELOW_RISE, _OLD_GREY, _MIDDLE_NM = 0.25, 0.15, 600.0
 # Whether each is a piece, and its size over the leaf's.
 _BELOW_PIECES = (
     *((False, 1.0), (True, 1.0), (True, 0.7), (True, 0.4), (False, 0.8)),
-    *((True, 1.0), (True, 0.6), (True, 0.3), (True, 0.8)),
+    *((True, 1.0), (True, 0.6), (False, 0.9), (True, 0.8)),
 )
-_BELOW_TWIGS, _BELOW_TWIG_M = 2, 0.07
+_BELOW_TWIG_M = 0.07
 
 
 class LeavesKeys(GroundLayer):
@@ -113,6 +118,7 @@ class Leaves(GroundLayerKind[LeavesKeys]):
     """Fallen leaves."""
 
     Parameters = LeavesKeys
+    most_triangles = 1_500_000
 
     def layers(self, keys: LeavesKeys, request: Request, rng: np.random.Generator) -> Sequence[Layer]:
         found, seen_near = [], []
@@ -143,7 +149,7 @@ class Leaves(GroundLayerKind[LeavesKeys]):
                 length_m = species.tissue.leaf_length_m or float(getattr(shape, "length_m", 0.1))
                 things = _fallen(shape, name, length_m, request.detail(length_m), rng)
                 near = shape if length_m > _TEXTURED * request.pixel_m else None
-                if near is not None:
+                if near is not None and length_m >= _BELOW_FROM_M:
                     seen_near.append((_flat(shape, length_m, detail=1), dry.reflectance_spectrum))
                 materials = {
                     f"{_FALLEN}{name}-{index}": _aged(lately if age.rise == 1.0 else dry, age, near, f"{name}-{index}")
@@ -164,8 +170,15 @@ class Leaves(GroundLayerKind[LeavesKeys]):
                     heaped_m=_HEAPED_M.get(str(species.materials[key].leaf_type), _BLADES_HEAPED_M),
                 )
             )
-        below = _older(seen_near, request, rng)
+        below = _older(seen_near, request, rng) if _is_first(keys, request) else None
         return found if below is None else [below, *found]
+
+
+def _is_first(keys: LeavesKeys, request: Request) -> bool:
+    """Whether these are the first leaves of the recipe that lie on the ground, neither on paths nor on water."""
+    sections = request.drawn.recipe.site.ground.layers
+    on_ground = [one for one in sections if isinstance(one, LeavesKeys) and one.on == "ground"]
+    return keys.on == "ground" and keys is (on_ground or [keys])[0]
 
 
 def _older(leaves: Sequence[tuple[Patch, Spectrum]], request: Request, rng: np.random.Generator) -> Layer | None:
@@ -180,9 +193,10 @@ def _older(leaves: Sequence[tuple[Patch, Spectrum]], request: Request, rng: np.r
     for leaf, _ in leaves:
         for number, (is_torn, size) in enumerate(_BELOW_PIECES):
             old = _dried(leaf, _BELOW_RISE, rng, is_torn=is_torn)
+            size = max(size, min(_BELOW_PIECE_M / float(np.ptp(leaf.points[:, 1])), 1.0))
             old = old._replace(points=size * old.points)
             things.append(_lying(old, names[number % len(names)]))
-    things += [_lying(twig(_BELOW_TWIG_M, rng), names[number]) for number in range(_BELOW_TWIGS)]
+    things.append(replace(_lying(twig(_BELOW_TWIG_M, rng), names[1]), closed=True))
     grid = leaves[0][1].wavelength_nm
     dry = np.mean([one.at(grid) for _, one in leaves], axis=0)
     grey = load_spectra("wood/snag")["reflectance"].at(grid)
@@ -192,11 +206,14 @@ def _older(leaves: Sequence[tuple[Patch, Spectrum]], request: Request, rng: np.r
     equal = floor / (1.0 - p + p * floor) / mean  # with this scale `Layer.spectrum` is the floor's
     # But moss makes that green: so where the eye sees, the scale is that of one wavelength.
     one_scale = float(np.interp(_MIDDLE_NM, grid, equal))
-    scale = one_scale + (equal - one_scale) * np.clip((grid - 650.0) / 100.0, 0.0, 1.0)
+    infrared = np.clip((grid - _INFRARED_NM[0]) / np.ptp(_INFRARED_NM), 0.0, 1.0)
+    scale = one_scale + (equal - one_scale) * infrared
+    # There dead leaves are more alike: pigments and their decay change them little.
+    tones = np.minimum(scale * (mean + (1.0 - (1.0 - _INFRARED) * infrared) * (tones - mean)), _BRIGHTEST)
     return Layer(
         name=f"{_FALLEN}{_BELOW}",
         things=tuple(things),
-        materials={name: opaque(Spectrum(grid, scale * one)) for name, one in zip(names, tones, strict=True)},
+        materials={name: opaque(Spectrum(grid, one)) for name, one in zip(names, tones, strict=True)},
         cover=_BELOW_COVER,
         leaf=opaque(Spectrum(grid, scale * mean)),
         trapped=p,

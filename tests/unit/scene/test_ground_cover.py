@@ -25,13 +25,14 @@ from forestgen.scene import ground_cover, ground_view
 from forestgen.scene.build import BuiltScene
 from forestgen.scene.ground_cover import leaf_shares, local_cover, tile_numbers
 from forestgen.scene.ground_layers.fallen_leaves import LAYER as FALLEN
+from forestgen.scene.ground_layers.fallen_leaves import _seen
 from forestgen.scene.ground_layers.layer import GROUND, Layer, Request, Spread, Thing
 from forestgen.scene.ground_layers.moss import LAYER as MOSS
 from forestgen.scene.ground_layers.twigs import LAYER as TWIGS
 from forestgen.scene.ground_paint import bare_share, painted
-from forestgen.scene.ground_tiles import COVERS, VARIANTS, tile
+from forestgen.scene.ground_tiles import COVERS, MOST_THINGS, VARIANTS, number_per_m2, tile
 from forestgen.scene.ground_view import TILE_M, nearest, tiles_before
-from forestgen.scene.plan import check_plan
+from forestgen.scene.plan import Plan, check_plan
 from forestgen.scene.projection import projection_of
 from forestgen.scene.spec import Camera, Material
 from forestgen.scene.stem_litter import heaps
@@ -61,6 +62,10 @@ def scene(*layers: dict[str, object], **site: object) -> BuiltScene:
     ground = {"kind": "soil_wet", "layers": list(layers)}
     data = {**DATA, "site": {"size_m": [10, 10], "ground": ground, **site}}
     return assemble_image(check_plan(load_recipe_data(data, "test")), Silent(), Timings())
+
+
+def with_ground(kind: str, *layers: dict[str, object]) -> dict[str, Any]:
+    return {**DATA, "site": {"size_m": [10, 10], "ground": {"kind": kind, "layers": list(layers)}}}
 
 
 def twigs(**more: object) -> Layer:
@@ -273,21 +278,49 @@ def test_flat_dark_leaves_lie_below_those_that_are_curled() -> None:
 
 
 def test_older_leaves_lie_between_those_that_are_seen_well() -> None:
-    """On litter alone, unpainted, as bright as it where the eye sees and in the near infrared."""
-    litter, soil = scene(ground={"kind": "litter"}), scene()
-    keys, share = FALLEN.Parameters.model_validate({"what": "fallen_leaves"}), {"beech": (1.0, lambda x, y: x)}
+    """On litter alone, not on its paths and water, once in a recipe; as bright as litter where the eye sees and in the
+    near infrared.
+    """
+    two = [{"what": "fallen_leaves", "cover": cover} for cover in (0.3, 0.5)]
+    litter, soil = (check_plan(load_recipe_data(with_ground(kind, *two), "test")) for kind in ("litter", "soil_wet"))
+    share = {"beech": (1.0, lambda x, y: x)}
 
-    def found(built: BuiltScene, pixel_m: float) -> Sequence[Layer]:
-        request = Request(built.plan.drawn, built.plan.plants.generators, share, pixel_m, ())
+    def found(plan: Plan, pixel_m: float, keys: Any) -> Sequence[Layer]:
+        request = Request(plan.drawn, plan.plants.generators, share, pixel_m, ())
         return FALLEN.layers(keys, request, np.random.default_rng(1))
 
-    assert len(found(litter, 0.02)) == len(found(soil, 0.002)) == 1
-    older, top = found(litter, 0.002)
+    first, second = litter.drawn.recipe.site.ground.layers
+    assert len(found(litter, 0.02, first)) == len(found(soil, 0.002, soil.drawn.recipe.site.ground.layers[0])) == 1
+    assert len(found(litter, 0.002, second)) == 1
+    for place in ("path", "water", "shore"):
+        assert len(found(litter, 0.002, FALLEN.Parameters(what="fallen_leaves", on=place))) == 1
+    older, top = found(litter, 0.002, first)
     assert not older.is_painted
     assert older.cover > top.cover
     floor = load_spectra("ground/litter")["reflectance"]
     for wavelength_nm in (600.0, 850.0):
         assert float(older.spectrum.at(wavelength_nm)) == pytest.approx(float(floor.at(wavelength_nm)), rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["beech", "birch", "oak", "maple", "willow"])
+def test_older_leaves_reflect_less_than_all_light(name: str) -> None:
+    """Each of them; and in the mean what their layer does. In the near infrared they are more alike than in red."""
+    plants = [{"species": name, "position_m": [2, 5], "height_m": 5}]
+    data = {**with_ground("litter"), "species": {name: name}, "community": {"model": "placed", "plants": plants}}
+    plan = check_plan(load_recipe_data(data, "test"))
+    request = Request(plan.drawn, plan.plants.generators, {name: (1.0, lambda x, y: x)}, 0.001, ())
+    keys = FALLEN.Parameters.model_validate({"what": "fallen_leaves"})
+    older, _ = FALLEN.layers(keys, request, np.random.default_rng(1))
+    assert number_per_m2(older, np.array(older.cover)) * TILE_M**2 < MOST_THINGS
+    spectra = [one.reflectance_spectrum for one in older.materials.values()]
+    grid = np.arange(400.0, 2501.0, 10.0)
+    values = np.array([one.at(grid) for one in spectra if one is not None])
+    assert values.max() < 0.9
+    share = _seen(older.things, list(older.materials), older.cover)
+    assert older.leaf.reflectance_spectrum is not None
+    np.testing.assert_allclose(share @ values / share.sum(), older.leaf.reflectance_spectrum.at(grid), rtol=1e-6)
+    red, infrared = (np.ptp(values[:, grid == one]) / values[:, grid == one].mean() for one in (600.0, 850.0))
+    assert infrared < 0.4 * red
 
 
 @pytest.mark.parametrize("size_m", [0.3, 1.0, 3.0])
