@@ -72,7 +72,7 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
         "bramble": {"cover": 0.05, "radius_m": {"median": 0.45, "sigma": 0.3}, "clump_m": 5},
         "bracken": {"cover": 0.08, "clump_m": 7},
     }
-    floor = HEATH if species.get("spruce", 0) + species.get("pine", 0) > 0.5 else FLOOR
+    conifers = species.get("spruce", 0) + species.get("pine", 0) > 0.5
     recipe: Keys = {
         "forestgen": 1,
         "seed": 5,
@@ -80,7 +80,7 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
             "size_m": [60, 60],
             "terrain": {"kind": "rolling", "amplitude_m": 0.6, "wavelength_m": 60, "hills_m": 70},
             "surroundings": "forest",
-            "ground": {"kind": "litter", "layers": floor},
+            "ground": {"kind": "litter", "layers": HEATH if conifers else FLOOR},
         },
         "species": dict.fromkeys(names),
         "community": {"model": "stand", "storeys": storeys, "dead_wood": DEAD_WOOD, "ground": ground},
@@ -88,7 +88,7 @@ def forest(species: Mapping[str, float], top_m: float, camera: Keys, young: str 
         "sky": {"sun": {"elevation_deg": 48, "azimuth_deg": 215}, "turbidity": 3, "visibility_m": 25000},
         "cameras": [{"obstructed": "note", **camera}],
     }
-    if floor is FLOOR:
+    if not conifers:
         recipe["community"]["leaf_area_index"] = 5
     return _merged(recipe, more)
 

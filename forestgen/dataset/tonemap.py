@@ -1,4 +1,5 @@
-"""From linear radiance to a picture for people: exposure, then a named view transform. Deterministic.
+"""From linear radiance to a picture for people: exposure, then a named view transform. One machine
+always makes the same picture; on others, a few of its numbers may be another by 1.
 
 Exposure brings the picture's key to middle grey (0.18). The key is the geometric mean of luminance clipped at
 its 5th and 95th percentile: black gaps and the sun's disc hardly count. It is shorter, by up to a stop, where the 95th
@@ -93,12 +94,13 @@ def preview_of(radiance: Radiance, view: View = "filmic") -> Preview:
 
 
 def _dim(key_cd_per_m2: float) -> float:
-    """How much darker than middle grey the key of a dim picture is: 0.6 at 1 cd/m²."""
+    """How much darker than middle grey the key of a dim picture is: 0.43 at 1 cd/m², 0.3 below 0.5."""
     key, bright = (1.03 - 2.0 / (2.0 + np.log10(one + 1.0)) for one in (key_cd_per_m2, _BRIGHT_CD_PER_M2))
     return float(max(key / bright, _DIMMEST))
 
 
 def _at_night(light: NDArray[np.float32], key_cd_per_m2: float) -> NDArray[np.float32]:
+    """(H, W, 3) light, of linear Rec. 709 in cd/m², as a picture of the night has it at this key; in the same unit."""
     share = np.float32(_RODS_CD_PER_M2 / (_RODS_CD_PER_M2 + key_cd_per_m2))
     night = light * _NIGHT_GAINS
     grey = _luminance(night)[..., None]
@@ -160,6 +162,7 @@ def _metered(light: NDArray[np.float32]) -> tuple[np.float32, float, float]:
 
 
 def _luminance(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(H, W) luminance of (H, W, 3) linear Rec. 709, in the light's unit."""
     red, green, blue = np.moveaxis(light, -1, 0)
     return np.asarray(_RED_WEIGHT * red + _GREEN_WEIGHT * green + _BLUE_WEIGHT * blue)
 

@@ -292,6 +292,6 @@ def _with_roots(skeleton: Skeleton, plate_m: float, decay: int, rng: np.random.G
         out = np.stack([np.cos(angle), behind, np.sin(angle)], axis=1)
         line = foot + reach_m * share[:, None] * out
         radius_m = thick_m * (0.03 + 0.3 * size) * (1.0 - 0.85 * share**0.7)
-        if is_left and np.sin(turn) > -0.3 and radius_m[0] > _THINNEST_M[decay - 1]:
+        if is_left and np.sin(turn) > -0.3 and 2.0 * radius_m[0] > _THINNEST_M[decay - 1]:
             skeleton = _with_axis(skeleton, line, radius_m, 0)
     return skeleton

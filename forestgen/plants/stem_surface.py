@@ -71,7 +71,7 @@ def surfaced(
         for one in pieces:
             steps = {} if pixel_m > 0.0 or COVERED in one.material else _steps(one.material, zone.material, _BLENDS)
             last = _BLENDS[-1] if steps else 0.0
-            found += _layered(one, field, {**steps, zone.material: last}, edge_m)
+            found += _layered(one, field, {**steps, zone.material: last}, edge_m, edge_m)
         pieces = [_tiled(one, tile_m, zone.tile_m) if one.material == zone.material else one for one in found]
     if pixel_m > 0.0:
         return pieces
@@ -80,7 +80,7 @@ def surfaced(
         pieces = [one for one in bare if COVERED in one.material]
         for one in bare:
             if COVERED not in one.material:
-                pieces += _layered(one, grows, _steps(one.material, cover.material, _DENSER), edge_m)
+                pieces += _layered(one, grows, _steps(one.material, cover.material, _DENSER), edge_m, np.inf)
     return pieces
 
 
@@ -89,11 +89,14 @@ def _steps(bark: str, over: str, begins: tuple[float, ...]) -> dict[str, float]:
     return {covered_name(bark, over, level): begins[level] for level in range(len(LEVELS))}
 
 
-def _layered(organ: OrganMesh, field: Field, steps: dict[str, float], edge_m: float) -> list[OrganMesh]:
-    """The surface in pieces of other materials, each where the field is above its value."""
+def _layered(organ: OrganMesh, field: Field, steps: dict[str, float], edge_m: float, later_m: float) -> list[OrganMesh]:
+    """The surface in pieces of other materials, each where the field is above its value.
+
+    `edge_m`, `later_m`: edges of the finest triangles at the first contour, and at the others.
+    """
     pieces, inside = [], organ
     for k, (name, above) in enumerate(steps.items()):
-        *outside, inside = split(inside, _Raised(field, above), np.inf if k else edge_m, name)
+        *outside, inside = split(inside, _Raised(field, above), later_m if k else edge_m, name)
         pieces += outside
         if inside.material != name:
             break
@@ -219,7 +222,8 @@ def _piece(organ: OrganMesh, mesh: Mesh, faces: Ints, material: str) -> OrganMes
 def _shifted(organ: OrganMesh, by: Floats, stretched: float) -> OrganMesh:
     """The surface with its texture elsewhere, so that no two stems show the same plates at their feet.
 
-    `stretched`: of the texture round the stem; it is as much longer, so that thin stems have small plates.
+    `stretched`: width of the texture's repeat on the stem over its own. Its height is multiplied by it too: plates keep
+    their shape, and thin stems have small ones.
     """
     uv, scale = organ.mesh.uv, np.array([1.0, 1.0 / stretched])
     if uv is None:

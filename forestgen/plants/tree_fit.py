@@ -4,10 +4,12 @@ A generator grows a plant of about the right height and width. Here it gets the 
 
 - Leaves: their number and their size share the change. Of what is too many, some are left out; of what is too few, some
   get others beside them. Leaves are fewer where others above shade them, of the tree itself and of neighbours like it.
-- Stems below the crown lose most of their way aside: those of forests are straight.
+- Stems below the crown lose most of their way aside: those of forests are straight. Where the species has a `sweep`,
+  which bends stems, and no `crown_twigs`, they become straight up to the tip, and widths count from the stem.
 - Heights are stretched apart above and below the crown's base, which is the height that 2% of the leaf area lie below,
   widths throughout, until the geometry's extents fit. Organs keep their attitude. Where a few long branches make the
-  extents, the others are stretched further: leaves are as far from the axis as the species' `fullness` says.
+  extents, the others are stretched further: leaves are as far from the axis as the species' `fullness` says. About a
+  stem that is straight up to the tip, what is farthest at each height counts: a pointed crown stays pointed.
 - Where the species has `crown_twigs`, they take the place of the thin wood and its leaves, and what has moved is fitted
   once more.
 - Where the species has a `sweep`, all that is at a height moves aside by as much as the stem there.
@@ -103,7 +105,9 @@ def fit_tree(
     """The tree at its sizes, its crown filled with twigs where the species has them."""
     blade = blade_areas_m2(plant.shapes)
     leafy = fit_leaves(skeleton, plant.shapes, size, rng)
-    stretch = stretch_to(leafy, templates, blade, size, plant.fullness, about_stem=plant.crown_twigs is None)
+    sweep = None if plant.wood.years is None else plant.wood.years.sweep
+    about_stem = sweep is not None and plant.crown_twigs is None
+    stretch = stretch_to(leafy, templates, blade, size, plant.fullness, about_stem)
     made, base = stretch.skeleton(leafy), np.arange(len(skeleton.parent))
     stretches: list[Stretch | Bend] = [stretch]
     leaves = _leaves(made, blade)
@@ -113,9 +117,8 @@ def fit_tree(
         made = fit_leaves(made, plant.shapes, size, rng)
         stretches.append(stretch_to(made, templates, blade, size, plant.fullness))
         made = stretches[-1].skeleton(made)
-    years = plant.wood.years
-    if years is not None and years.sweep is not None:
-        stretches.append(Bend.of(years.sweep, size.height_m, rng.spawn(1)[0]))
+    if sweep is not None:
+        stretches.append(Bend.of(sweep, size.height_m, rng.spawn(1)[0]))
         made = stretches[-1].skeleton(made)
     return FittedTree(fit_wood(made, plant.wood.flare, size.dbh_m), base, tuple(stretches))
 
@@ -196,20 +199,20 @@ def _numbered(organs: OrganPlacements, number: Floats, skeleton: Skeleton, rng: 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Straighter below the crown; widths times `wide`; heights below and above `knee`, which comes to `base`, apart.
+    """Straighter along `stem_m`; widths times `wide`; heights below and above `knee`, which comes to `base`, apart.
 
-    Distances r from the axis become reach (1 + fill) r / (reach + fill r), before widths change; the reach is the
-    crown's own at each height, so that a pointed crown stays pointed.
+    Distances r from the axis become reach (1 + fill) r / (reach + fill r), before widths change. The reach is that of
+    the whole plant, or, of more than one height, at least that of all points there: none comes nearer to the axis.
     """
 
     wide: float
     fill: float
-    reach_m: Floats  # (2, K) heights before the stretch, and how far leaves reach there
+    reach_m: Floats  # (2, K) heights before the stretch, and how far from the axis points are there
     knee: float
     base: float
     raw_top: float
     top: float  # where `raw_top` comes to
-    stem_m: Floats  # (K, 3) of the stem, upwards, whose way aside is made less
+    stem_m: Floats  # (K, 3) of the stem, upwards, whose way aside is made less; all above goes aside with its top
     straightened: float  # share of its way aside that goes
 
     def heights(self, z: Floats) -> Floats:
@@ -323,11 +326,13 @@ def stretch_to(
 
 
 def _reach(points: Floats, layers: int) -> Floats:
-    """(2, K) heights of layers, and the greatest distance of points from the axis in each of them."""
+    """(2, K) heights of layers, and the greatest distance of points from the axis in each and the two next to it."""
     top_m = max(float(points[:, 2].max()), 1e-6)
     layer = np.clip((points[:, 2] / top_m * layers).astype(np.int64), 0, layers - 1)
     reach = np.full(layers, 1e-6)
     np.maximum.at(reach, layer, np.hypot(points[:, 0], points[:, 1]))
+    reach = np.pad(reach, 1)
+    reach = np.maximum(np.maximum(reach[:-2], reach[2:]), reach[1:-1])
     return np.stack([(np.arange(layers) + 0.5) * top_m / layers, reach])
 
 

@@ -19,7 +19,7 @@ from forestgen.core.randomness import child_rng
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.phenology import BARE, LeafState, Phenology, TimeOfYear, leaf_state
 
-_TOLERANT = 0.5
+_TOLERANT = 0.5  # of `ecology.shade_tolerance`, from which on a species is tolerant of shade; ours
 
 
 def class_days(classes: int) -> NDArray[np.float64]:

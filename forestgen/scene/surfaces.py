@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,7 +201,7 @@ def materials_of(
 
 
 def _covered(name: str, species: Species, found: Mapping[tuple[str, str], Material]) -> dict[str, Material]:
-    """The barks of a species' stem under each of its covers, and its own bark where a zone's begins; without season."""
+    """The barks of a species' stem under each of its covers, and where a zone's bark begins; without season."""
     made: dict[str, Material] = {}
     wood = species.wood
     if wood is None:
@@ -209,7 +209,11 @@ def _covered(name: str, species: Species, found: Mapping[tuple[str, str], Materi
     plants = (one for one in (species.plant, species.modules_plant) if one is not None)
     own = (one.parameters.get("wood", {}).get("material") for one in plants)
     barks, zones = species.materials.keys() & own, [zone.material for zone in wood.bark_zones]
-    pairs = {*product(barks, zones), *product({*barks, *zones}, (one.material for one in wood.covers))}
+    pairs = {
+        *product(barks, zones),
+        *combinations(zones, 2),
+        *product({*barks, *zones}, (one.material for one in wood.covers)),
+    }
     for (bark, cover), level in product(sorted(pairs), range(len(LEVELS))):
         key, below = covered_name(bark, cover, level), species.materials[bark]
         under, over = found[name, bark], found[name, cover]

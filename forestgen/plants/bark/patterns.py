@@ -198,8 +198,8 @@ def furrowed(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
 
 
 def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
-    """Long uneven plates of thin scales on each other, between wide furrows; their flanks and fresh scales are `marks`
-    (pine).
+    """Long uneven plates of thin scales on each other, between furrows with ragged edges; their flanks and fresh scales
+    are `marks` (pine).
 
     Furrows along the stem part and meet. Cracks across fade out where a noise is low, so that plates differ in length
     and many cracks end within a plate. Warps move places by less than they stretch: none folds into a curl.
@@ -209,31 +209,34 @@ def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
     fray = 0.022 * s * tile.noise(rng, (0.45 * s, 0.7 * s), 2.4)
     uneven = tile.noise(rng, (0.9 * s, 2 * s))
     width = np.exp(0.55 * uneven)
-    plates = tile.cells(rng, (1.15 * s, 4.2 * s), (sway[0] + fray, sway[1] + fray))
-    blocks = tile.cells(rng, (1.4 * s, 2.4 * s), (sway[0] + 2 * fray, sway[1] + 2 * fray))
-    furrow = np.clip(plates.border_m / (0.23 * s * width), 0.0, 1.0)
+    plates = tile.cells(rng, (1.05 * s, 4.2 * s), (sway[0] + fray, sway[1] + fray))
+    blocks = tile.cells(rng, (1.3 * s, 2.2 * s), (sway[0] + 2 * fray, sway[1] + 2 * fray))
+    ragged = np.maximum(width, 0.8) * np.exp(0.4 * tile.noise(rng, (0.15 * s, 0.4 * s), 1.8))
+    furrow = np.clip(plates.border_m / (0.15 * s * ragged), 0.0, 1.0)
     fading = step(uneven, -0.6, 0.8)
-    crack = 1.0 - fading * (1.0 - np.clip(blocks.border_m / (0.06 * s * width), 0.0, 1.0))
+    crack = 1.0 - fading * (1.0 - np.clip(blocks.border_m / (0.06 * s * ragged), 0.0, 1.0))
     wall = step(np.minimum(furrow, crack), 0.1, 0.75)
-    scales, fresh, rim = _scales(tile, rng, s, 1.5, (sway[0] + 2 * fray, sway[1] + 2 * fray))
+    scales, fresh, rim = _scales(tile, rng, s, 1.7, (sway[0] + 2 * fray, sway[1] + 2 * fray), (0.75, 0.5, 0.3))
     lean = blocks.values(rng) - 0.5, plates.values(rng) - 0.5
-    tilt = 0.16 * (lean[0] * blocks.offset_u - blocks.offset_v * (0.35 + lean[1]))
+    tilt = 0.10 * (lean[0] * blocks.offset_u - blocks.offset_v * (0.35 + lean[1]))
     grain = tile.noise(rng, (0.06 * s, 0.35 * s), 1.6)
     fine = tile.noise(rng, (0.05 * s, 0.05 * s), 1.2)
-    height = wall * (0.62 + 0.22 * scales + 0.05 * rim + tilt) + 0.012 * grain + 0.010 * fine
-    tone = 0.48 + 0.20 * scales + 0.20 * rim + 0.42 * lean[0] + 0.30 * lean[1] + 0.08 * grain + 0.09 * fine
+    height = wall * (0.52 + 0.32 * scales + 0.08 * rim + tilt) + 0.015 * grain + 0.012 * fine
+    tone = 0.38 + 0.30 * scales + 0.24 * rim + 0.34 * lean[0] + 0.28 * lean[1] + 0.09 * grain + 0.10 * fine
     red = np.maximum(marks * fresh, 0.8 * step(wall, 0.95, 0.55)) * step(wall, 0.02, 0.35)
     return Relief(height, wall * (0.25 + 0.75 * wall) * tone, red)
 
 
-def _scales(tile: Tile, rng: Rng, s: float, tall: float, warp_m: tuple[Image, Image]) -> tuple[Image, Image, Image]:
-    """Scales on each other: how high the uppermost is, 0 to 1, whether it is fresh, and its loose lower rim."""
+def _scales(
+    tile: Tile, rng: Rng, s: float, tall: float, warp_m: tuple[Image, Image], sizes: tuple[float, ...] = (0.7, 0.45)
+) -> tuple[Image, Image, Image]:
+    """Scales of some sizes on each other: how high the uppermost is, 0 to 1, if fresh, and its loose lower rim."""
     high, fresh, rim = (np.zeros((tile.rows, tile.columns), np.float32) for _ in range(3))
-    for layer, size in enumerate((0.7, 0.45)):
+    for layer, size in enumerate(sizes):
         scale = tile.cells(rng, (size * s, tall * size * s), warp_m)
         draw = scale.values(rng)
         on = step(scale.border_m, 0.0, 0.02 * s) * (draw < np.float32(0.55))
-        high += on * (np.float32(0.5 * (layer + 1)) + 0.3 * (draw - 0.2) - high)
+        high += on * (np.float32((layer + 1) / len(sizes)) + 0.3 * (draw - 0.2) - high)
         fresh += on * ((draw < np.float32(0.15)).astype(np.float32) - fresh)
         rim += on * (step(scale.border_m, 0.05 * s, 0.015 * s) * step(scale.offset_v, 0.1, -0.4) - rim)
     return high, fresh, rim

@@ -15,8 +15,8 @@ Blocks that read as these trees from 1 to 3 m; before the colon stands the mater
 
     oak, 0.130 0.112 0.088: {pattern: furrowed, dark: [0.035, 0.028, 0.02], light: [0.24, 0.21, 0.17], lichen: 0.05}
     maple, 0.16 0.15 0.13: {pattern: furrowed, scale_m: 0.03, depth_m: 0.008, dark: [0.06, 0.055, 0.045]}
-    pine, 0.19 0.12 0.08: {pattern: plated, dark: [0.025, 0.015, 0.011], light: [0.36, 0.27, 0.21],
-                           mark_colour: [0.19, 0.085, 0.05]}
+    pine, 0.19 0.12 0.08: {pattern: plated, dark: [0.042, 0.026, 0.018], light: [0.34, 0.26, 0.21],
+                           mark_colour: [0.22, 0.115, 0.075]}
     spruce, 0.125 0.105 0.085: {pattern: scaly, dark: [0.05, 0.035, 0.025], light: [0.25, 0.20, 0.17], marks: 0.5,
                                 mark_colour: [0.14, 0.07, 0.045]}
     beech, 0.26 0.26 0.235: {pattern: smooth, tile_m: [1, 1.6], dark: [0.06, 0.06, 0.055], light: [0.36, 0.36, 0.33],

@@ -67,7 +67,7 @@ class Fog:
         for layer in self._layers:
             own = layer.column(start.z) / dr.maximum(direction.z, 1e-6)
             if layer.waves:
-                own += layer.in_patches(start, direction, layer.out_m(start.z, direction.z))
+                own += layer.excess_depth(start, direction, layer.out_m(start.z, direction.z))
             depth += dr.maximum(own, 0.0)
         return dr.exp(-depth)
 
@@ -123,9 +123,9 @@ class _Layer:
         level = self.even(start.z) * distance_m
         is_level = dr.abs(direction.z) < _LEVEL
         depth = dr.select(is_level, level, (here - there) / dr.select(is_level, 1.0, direction.z))
-        return depth + self.in_patches(start, direction, distance_m) if self.waves else depth
+        return depth + self.excess_depth(start, direction, distance_m) if self.waves else depth
 
-    def in_patches(self, start: Any, direction: Any, distance_m: Any) -> Any:
+    def excess_depth(self, start: Any, direction: Any, distance_m: Any) -> Any:
         """Float: by how much the optical depth of a way is more than that of an even layer."""
         climb, is_level = direction.z, dr.abs(direction.z) < _LEVEL
         cut = dr.clip((self.top - start.z) / dr.select(is_level, 1.0, climb), 0.0, distance_m)

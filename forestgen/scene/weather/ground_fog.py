@@ -74,6 +74,10 @@ class GroundFog(WeatherKind[GroundFogKeys]):
 
 
 def _patches(longest_m: float, rng: np.random.Generator) -> tuple[Wave, ...]:
+    """Waves of the extinction over its mean: vectors in radians a metre, phases in radians, amplitudes, 0.95 in all.
+
+    `longest_m`: length of the longest one, metres.
+    """
     waves = []
     for index in range(_WAVES):
         length = 2.0 * np.pi / (longest_m * _SHORTEST ** ((index + rng.random()) / _WAVES))

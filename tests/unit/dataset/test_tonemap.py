@@ -6,11 +6,12 @@ from typing import get_args
 import numpy as np
 import pytest
 from dataset_shots import SETTINGS, make_shot
+from numpy.typing import NDArray
 from PIL import Image
 
 from forestgen.core.spectrum import Band, Spectrum
 from forestgen.dataset.exr import read_exr_attributes
-from forestgen.dataset.tonemap import MIDDLE_GREY, preview_of, tone_map
+from forestgen.dataset.tonemap import MIDDLE_GREY, _dim, preview_of, tone_map
 from forestgen.dataset.writer import write_frame
 from forestgen.recipe.dataset import Dataset, View
 from forestgen.render.frame import Radiance
@@ -147,11 +148,12 @@ def test_bands_become_pictures(made, expected):
     np.testing.assert_array_equal(preview.picture, tone_map(light[..., shown]))
 
 
-def lit(key, spread=0.5):
+def lit(key: float, spread: float = 0.5) -> NDArray[np.float32]:
     return np.random.default_rng(1).lognormal(np.log(key), spread, (32, 32, 1)).astype(np.float32).repeat(3, axis=2)
 
 
 def test_pictures_of_the_night_are_darker_than_those_of_the_day() -> None:
+    assert [_dim(key) for key in (1e-4, 0.5, 1.0, 10.0)] == pytest.approx([0.3, 0.3, 0.43, 1.0], abs=0.005)
     pictures = [
         preview_of(Radiance(light, light, None, 4)).picture for light in map(lit, (1e-4, 0.005, 0.5, 10.0, 5e3))
     ]

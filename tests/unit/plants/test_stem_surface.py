@@ -170,6 +170,20 @@ def test_the_bark_of_plants_of_modules_has_covers_too() -> None:
     assert {("spruce", covered_name(bark, "moss", 0)) for bark in ("bark", "twig")} <= found.keys()
 
 
+def test_every_bark_of_a_stem_of_two_zones_is_a_material() -> None:
+    zones = (
+        BarkZone(material="upper_bark", above=(0.2, 0.5)),
+        BarkZone(material="dead_branch", above=(0.4, 0.7)),
+        BarkZone(material="upper_bark", below=(0.05, 0.1)),
+    )
+    species = plan_of("pine", 1).drawn.species["pine"]
+    assert species.wood is not None
+    own = species.model_copy(update={"wood": species.wood.model_copy(update={"bark_zones": zones})})
+    found = {one.material for one in grown("pine", bark_zones=zones).organs if one.part == Part.TRUNK}
+    assert covered_name("upper_bark", "dead_branch", 0) in found
+    assert {("pine", material) for material in found} <= materials_of({"pine": own}).keys()
+
+
 @pytest.mark.parametrize("name", ["pine", "birch"])
 def test_the_zones_of_shipped_species_are_seen(name: str) -> None:
     found = {one.material for one in grown(name).organs if one.part == Part.TRUNK}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,8 @@ from forestgen.core.parts import Part
 from forestgen.plants.build import leaf_area_m2
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.growing import grow_exemplar
-from forestgen.plants.tree_fit import BELOW_CROWN
+from forestgen.plants.tree_fit import BELOW_CROWN, Stretch, _reach
+from forestgen.recipe.wood import Sweep, Wood
 from forestgen.scene.plant_measures import stem_diameter_m
 from support.error_messages import raises_error
 
@@ -96,6 +99,29 @@ def test_crowns_of_conifers_are_wide_about_their_stem(name: str) -> None:
         layer = (place[:, 2] / 20.0 * 40).astype(int)
         widths_m = [np.ptp(place[layer == k, :2], axis=0).mean() for k in np.unique(layer)]
         assert 0.75 < max(widths_m) / request.tree.crown_width_m < 1.05
+
+
+def test_filling_a_crown_draws_no_point_in() -> None:
+    """Whorls on a stem of which most layers are bare: each keeps its place at least."""
+    points = np.zeros((400, 3))
+    points[:, 2] = np.linspace(0.0, 20.0, 400)
+    points[::57, 0] = np.random.default_rng(3).uniform(0.5, 3.0, len(points[::57]))
+    stretch = Stretch(1.0, 1.5, _reach(points, 24), 10.0, 10.0, 20.0, 20.0, np.zeros((1, 3)), 1.0)
+    assert (stretch.points(points)[:, 0] > points[:, 0] - 1e-9).all()
+
+
+@pytest.mark.parametrize(("name", "is_straight"), [("pine", True), ("eucalyptus", False)])
+def test_stems_alone_that_a_sweep_bends_are_straight_before(name: str, is_straight: bool) -> None:
+    request = request_of(plan_of(name, 0), name, 20.0, 1)
+    parameters = request.parameters
+    if is_straight:
+        wood = parameters.wood.model_copy(update={"years": Wood(sweep=Sweep())})
+        request = replace(request, parameters=parameters.model_copy(update={"wood": wood}))
+    stem = [one.mesh.vertices_m for one in grow_exemplar(request).organs if one.part == Part.TRUNK]
+    place = np.concatenate(stem).astype(float)
+    layer = np.digitize(place[:, 2], np.arange(1.0, 19.0, 2.0))
+    middle = np.array([np.median(place[layer == k, :2], axis=0) for k in np.unique(layer)])
+    assert (np.ptp(middle, axis=0).max() < 0.03) == is_straight
 
 
 def test_open_grown_trees_are_stout_with_a_low_crown() -> None:

@@ -5,12 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import surface_area_m2
+from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import load_recipe_data
 from forestgen.recipe.phenology import LeafState, TimeOfYear
 from forestgen.scene.leaf_variation import CLASSES, light_classes, single_leaves, varied_material, vary_leaves
+from forestgen.scene.spec import Material
 from forestgen.scene.surfaces import materials_of
 from support.scenes import simple_tree
 
@@ -18,23 +21,23 @@ ONE = np.ones(1, dtype=np.int64)
 VARIED = ("acacia", "beech", "birch", "eucalyptus", "larch", "pine", "rosemary", "spruce", "willow")
 
 
-def materials(*names: str, season: str = "summer"):
+def materials(*names: str, season: str = "summer") -> dict[tuple[str, str], Material]:
     data = {"forestgen": 1, "species": {name: name for name in names}, "community": {"model": "placed"}}
     species = load_recipe_data(data, "test").draw(0).species
     return materials_of(species, {name: [LeafState.of_season(season)] for name in species})
 
 
-def tree():
+def tree() -> Exemplar:
     return simple_tree("birch", 12.0, 3000, np.random.default_rng(4))
 
 
-def greens(made, plants):
+def greens(made: dict[tuple[str, str], Material], plants: NDArray[np.int64]) -> dict[int, float]:
     """By plant: reflectance at the red edge of exemplars' leaves in half shade."""
     found = vary_leaves([tree()] * len(plants), made, plants, seed=5)[1]
     return {int(one): found["birch", f"leaf (middle, {one})"].reflectance_spectrum.at(705) for one in plants}
 
 
-def areas(exemplar):
+def areas(exemplar: Exemplar) -> dict[str, float]:
     return {organ.material: surface_area_m2(organ.mesh) for organ in exemplar.organs if organ.part == Part.LEAF}
 
 
@@ -61,11 +64,11 @@ def test_no_leaf_is_lost_and_each_class_has_a_material():
     ]
 
 
-def test_plants_differ_in_their_stage_of_autumn_and_share_its_mean():
+def test_plants_differ_in_their_stage_of_autumn_and_share_its_mean() -> None:
     """Leaves that turned stand together, of the area that their share is."""
     made, plants = materials("birch", season="autumn"), np.arange(1, 13)
 
-    def shares(late):
+    def shares(late: float) -> tuple[float, ...]:
         coloured = min(max(0.5 - 0.15 * late, 0.0), 1.0)
         return 0.0, 1.0 - coloured, 0.8 * coloured, 0.2 * coloured
 
@@ -82,7 +85,7 @@ def test_plants_differ_in_their_stage_of_autumn_and_share_its_mean():
     assert [kind.share for kind in found["birch", "leaf (middle, 1, autumn)"].seasons] == [0.0, 0.0, 1.0, 0.0]
 
 
-def test_crowns_turn_from_the_outside_or_from_the_inside():
+def test_crowns_turn_from_the_outside_or_from_the_inside() -> None:
     made = materials("birch", season="autumn")
     stages = {"birch": lambda late: (0.0, 0.5, 0.5, 0.0)}
     turned_of_sun = []
@@ -138,7 +141,7 @@ def test_plants_keep_their_order_of_green_whatever_other_exemplars_there_are():
     assert greens(made, np.array([0, 0]))[0] == made["birch", "leaf"].reflectance_spectrum.at(705)
 
 
-def at(material, wavelength_nm):
+def at(material: Material, wavelength_nm: float) -> tuple[float, float]:
     return material.reflectance_spectrum.at(wavelength_nm), material.transmittance_spectrum.at(wavelength_nm)
 
 
