@@ -4,9 +4,10 @@
     PYTHONPATH=tests uv run python benchmarks/panorama.py --panorama package/hdri/forest.exr.js [--picture both.png]
 
 The panorama is one of Poly Haven (CC0), 512 x 256 pixels. Ours is rendered twice as large each way and made smaller by
-Lanczos' filter, as the values below zero of the measured one show that it was. Sunlight is neutral in ours, as on a
-chart in the sun: so the colours of our sky, by angle from the sun, are those of the measured one. One factor gives both the same mean log luminance over the
-sphere. The figures are those of tests/support/panoramas.py; about five minutes. Exit 1 where a bound is broken.
+Lanczos' filter, as the values below zero of the measured one show that it was. Ours is balanced by sunlight, as on a
+chart in the sun; then the colours of both skies agree at all angles from the sun. One factor gives both the same mean
+log luminance over the sphere. The figures are those of tests/support/panoramas.py; about five minutes. Exit 1 where a
+bound is broken.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from forestgen.dataset.tonemap import tone_map
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.load import load_recipe
 from forestgen.render.light import sun_irradiance
+from forestgen.scene.colour import RGB
 from forestgen.scene.plan import check_plan
 from support.panoramas import BANDS_DEG, GAPS_ABOVE_DEG, Floats, compare, exact_gaps, halved, mean_log, read_panorama
 
