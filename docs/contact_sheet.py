@@ -187,7 +187,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "rain": lambda: forest(
         MIXED,
         24,
-        EYE,
+        {**EYE, "position_m": [35, 3, 1.7]},
         "spruce",
         sky=OVERCAST,
         site__ground__layers=[*FLOOR, *ROADSIDE],
