@@ -4,8 +4,8 @@
     PYTHONPATH=tests uv run python benchmarks/panorama.py --panorama package/hdri/forest.exr.js [--picture both.png]
 
 The panorama is one of Poly Haven (CC0), 512 x 256 pixels. Ours is rendered twice as large each way and made smaller by
-Lanczos' filter, as the values below zero of the measured one show that it was. Ours is balanced by sunlight, as on a
-chart in the sun; then the colours of both skies agree at all angles from the sun. One factor gives both the same mean
+Lanczos' filter, as the values below zero of the measured one show that it was. Its balance of colours is not known:
+ours is balanced by sunlight, as on a chart in the sun, which makes the skies alike. One factor gives both the same mean
 log luminance over the sphere. The figures are those of tests/support/panoramas.py; about five minutes. Exit 1 where a
 bound is broken.
 """

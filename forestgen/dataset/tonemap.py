@@ -1,8 +1,9 @@
-"""From linear radiance to a picture for people: exposure, then a named view transform. One machine
-always makes the same picture; on others, a few of its numbers may be another by 1.
+"""From linear radiance to a picture for people: exposure, then a named view transform.
+
+One machine always makes the same picture; on another machine a few values may differ by 1.
 
 Exposure brings the picture's key to middle grey (0.18). The key is the geometric mean of luminance clipped at
-its 5th and 95th percentile: black gaps and the sun's disc hardly count. It is shorter, by up to a stop, where the 95th
+its 5th and 95th percentile: black gaps and the sun's disc hardly count. Exposure is up to a stop less where the 95th
 percentile would be brighter than a camera's saturation, 1.42, where middle grey is 0.18 (ISO 12232: a metered mean is
 12.7% of saturation): cameras hold highlights so; the stop is ours. Pictures of the eye's channels whose key is
 below 10 cd/m², as at dusk and by night, are darker, as people see them: by the key a(Y) = 1.03 - 2 / (2 + log10(Y + 1))

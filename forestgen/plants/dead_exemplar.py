@@ -67,7 +67,7 @@ _MATERIALS: Mapping[str, dict[str, Any]] = {
 # By decay class: share of the stem's surface without bark; of the upper half of what lies, or of a stump, under moss.
 _BARE = (0.0, 0.15, 0.5, 0.85, 1.0)
 _MOSSY = (0.0, 0.03, 0.25, 0.5, 0.6)
-_GREY_BRANCHES = 2  # the class from which branches have no bark; before, that of dead branches
+_GREY_BRANCHES = 2  # the class from which branches have no bark; below it they have that of dead branches
 _ROTTEN = 4  # the class from which a sawn face is as grey as the rest
 _TWIGS = 0.7  # of the tree's leaf area, by which twigs are counted: the finest are gone
 _UPPER = 0.1  # least z of a normal of the upper side

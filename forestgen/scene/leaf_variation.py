@@ -170,9 +170,11 @@ def _turned(
     turned = []
     for organ, share in zip(leafy, np.split(before, np.cumsum([len(one) for one in early])[:-1]), strict=True):
         base = bases[organ.material]
-        _, _, autumn, dry = (one.share for one in base.seasons) if _is_mixed(base) else (0.0, 0.0, 0.0, -1.0)
-        season = np.where(share < dry, 3, np.where(share < dry + autumn, 2, 1))
-        turned.append(season if dry >= 0.0 else np.full(len(share), -1))
+        if not _is_mixed(base):
+            turned.append(np.full(len(share), -1))
+            continue
+        _, _, autumn, dry = (one.share for one in base.seasons)
+        turned.append(np.where(share < dry, 3, np.where(share < dry + autumn, 2, 1)))
     return turned
 
 
