@@ -1,6 +1,7 @@
 """Views of three recipes beside the airborne tiles that they imitate: light, colours, gradients, local contrast.
 
     uv run python benchmarks/airborne_tiles.py --tiles FOLDER [--quick] [--picture FILE]
+    uv run python benchmarks/airborne_tiles.py --cameras
 
 Real windows are squares of 20 m, 10 m apart, of the tile; their spread is the 5th to the 95th percentile. Ours are
 those of three stands of the recipe (`--quick`: two with half the samples); their median is inside the spread or not.
@@ -9,6 +10,9 @@ real windows' distances to the others. `labels` are crowns and ground as our lab
 methods that tiles allow: by boxes, and by a split of colours (tests/support/airborne.py). Light is linear, of sRGB:
 what a picture shows. So ours are developed as photographs, with their recipe's blur, contrast and saturation, which
 are estimates of what the camera, its raw converter and the rectification did to each tile.
+
+`--cameras` shows how much of a colour is the camera's: leaves and ground under D65 as an eye and as the two measured
+cameras see them, each with the colour matrix of least error. The camera of the tiles is not published.
 
 The tiles are not part of the repository; without them the command says how to get them.
 """
@@ -23,7 +27,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from forestgen.core.spectrum import LUMINANCE
+from forestgen.core.spectrum import LUMINANCE, Spectrum
+from forestgen.dataset.colour_matrix import colour_matrix
+from forestgen.dataset.photo import saturated
+from forestgen.dataset.raw import d65
+from forestgen.recipe.spectra import load_bands, load_spectra
+from forestgen.scene.colour import colour_of_reflectance
 from support.airborne import (
     HISTOGRAMS,
     Floats,
@@ -41,6 +50,8 @@ from support.airborne_views import HOW_TO_GET, PLACES, Place, as_bright, jpeg_of
 RECIPES = Path(__file__).parents[1] / "recipes" / "places"
 STANDS, SAMPLES = 3, 64
 _GAP_PX = 8
+_SURFACES = ("leaves/pine", "leaves/larch", "leaves/oak", "leaves/cotton_grass", "ground/sand", "ground/litter_grass")
+_SATURATION = 0.6
 
 
 @dataclass(frozen=True)
@@ -98,6 +109,25 @@ def _held(low: float, value: float, high: float) -> str:
     return "inside" if low <= value <= high else "OUTSIDE"
 
 
+def print_cameras() -> None:
+    """u'v' of leaves and ground by camera, at the saturation of the recipes' photographs."""
+    light = d65()
+    cameras = {name: load_bands(name) for name in ("nikon_5100", "sigma_sdmerill")}
+    matrices = {name: colour_matrix(bands, light) for name, bands in cameras.items()}
+    print(f"{'u, v of a photograph':<24}" + "".join(f"{name:>18}" for name in ("eye", *cameras)) + "   apart")
+    for surface in _SURFACES:
+        columns = load_spectra(surface)
+        spectrum = next(columns[name] for name in ("reflectance_summer", "reflectance") if name in columns)
+        seen = [colour_of_reflectance(spectrum)]
+        product = Spectrum(light.wavelength_nm, spectrum.at(light.wavelength_nm) * light.value)
+        for name, bands in cameras.items():
+            balanced = np.array([band.mean(product) / band.mean(light) for band in bands])
+            seen.append(matrices[name] @ balanced)
+        found = np.array([chromaticity(saturated(one[None, None], _SATURATION)[0]) for one in seen])
+        apart = np.hypot(*(found[:, None] - found[None]).T).max()
+        print(f"{surface:<24}" + "".join(f"{u:>11.3f} {v:.3f} " for u, v in found) + f"{apart:>8.3f}")
+
+
 def side_by_side(rows: Sequence[Sequence[Picture]]) -> Image.Image:
     """A row a place: squares of the tile and of our views."""
     side = min(min(one.rgb.shape[:2]) for row in rows for one in row)
@@ -119,7 +149,11 @@ def main() -> None:
     parser.add_argument("--place", choices=[place.recipe for place in PLACES], help="one recipe; by default all")
     parser.add_argument("--out", type=Path, default=Path("outputs/airborne"), help="folder of the views")
     parser.add_argument("--picture", type=Path, help="where to write real tiles beside ours")
+    parser.add_argument("--cameras", action="store_true", help="show how colours differ by camera instead")
     arguments = parser.parse_args()
+    if arguments.cameras:
+        print_cameras()
+        return
     if arguments.tiles is None:
         raise SystemExit(HOW_TO_GET)
     stands, samples = (2, SAMPLES // 2) if arguments.quick else (STANDS, SAMPLES)
