@@ -48,9 +48,16 @@ ROADSIDE: list[Keys] = [
 ]
 DEAD_WOOD: Keys = {"type": "managed_beech", "lying_m3_per_ha": 12}
 GRASS: Keys = {"what": "small_plants", "species": "grass", "height_m": 0.25, "cover": 0.3, "patch_m": 4}
+UNDERGROWTH: list[Keys] = [  # where light comes through gaps
+    {"what": "moss", "cover": 0.2, "patch_m": 1.5},
+    {**GRASS, "height_m": 0.2, "size_sigma": 0.4, "patch_m": 2},
+    {"what": "small_plants", "species": "bramble", "height_m": 0.4, "size_sigma": 0.3, "cover": 0.3, "patch_m": 3},
+    {"what": "small_plants", "species": "bracken", "height_m": 0.7, "size_sigma": 0.3, "cover": 0.25, "patch_m": 4},
+]
 EYE: Keys = {"position_m": [32, 4, 1.7], "look_at_m": [29, 30, 4.5], "hfov_deg": 62}
 EAST: Keys = {"position_m": [6, 28, 1.6], "look_at_m": [40, 33, 3], "hfov_deg": 54}
 WEST: Keys = {"position_m": [52, 40, 1.7], "look_at_m": [20, 24, 6], "hfov_deg": 70}
+SIDE = {"elevation_deg": 34, "azimuth_deg": 285}  # of the sun, beside and before DRONE: crowns have shaded sides
 DRONE: Keys = {"position_m": [30, -60, 70], "look_at_m": [30, 60, 0], "hfov_deg": 62}
 
 
@@ -108,6 +115,30 @@ def tree(species: str, height_m: float, camera: Keys, **more: Any) -> Keys:
     return _merged({**recipe, "community": {"model": "placed", "plants": plants}}, more)
 
 
+def meadow() -> Keys:
+    """A hay meadow in flower; trees stand in its far corner, and in groups beyond."""
+    recipe = shipped("biomes/grassland", sky__clouds=CUMULUS, sky__visibility_m=20000)
+    own: list[Keys] = [
+        {**GRASS, "height_m": 0.15, "size_sigma": 0.4, "cover": 0.6, "patch_m": 1.5},
+        {**GRASS, "height_m": 0.45, "size_sigma": 0.4, "cover": 0.35},
+        {**GRASS, "species": "redgrass", "height_m": 0.5, "size_sigma": 0.25, "cover": 0.08, "patch_m": 8},
+        {**GRASS, "species": "daisy", "size_sigma": 0.4, "cover": 0.15, "patch_m": 3},
+        {**GRASS, "species": "fireweed", "height_m": 0.7, "size_sigma": 0.25, "cover": 0.01, "patch_m": 3},
+    ]
+    recipe["site"] |= {"size_m": [120, 120], "ground": {"kind": "grass", "layers": own}}
+    recipe["site"]["terrain"] |= {"amplitude_m": 0.8, "wavelength_m": 150, "hills_m": 70}
+    recipe["species"] = dict.fromkeys(("grass", "redgrass", "daisy", "fireweed", "beech", "birch", "shrub"))
+    kinds = (("beech", 16.0), ("shrub", 2.5), ("birch", 13.0), ("shrub", 2.0))
+    plants: list[Keys] = []
+    for k in range(40):
+        kind, height_m = kinds[k % 4]
+        place = [round(62 + 1.4 * k, 2), round(116 - 22 * (0.618 * k % 1.0) ** 2, 2)]
+        tall_m = round(height_m * (0.7 + 0.6 * (0.414 * k % 1.0)), 2)
+        plants.append({"species": kind, "position_m": place, "height_m": tall_m})
+    recipe["community"] = {"model": "placed", "plants": plants}
+    return camera_of(recipe, position_m=[50, 6, 1.2], look_at_m=[60, 60, 1.6])
+
+
 def shipped(name: str, **more: Any) -> Keys:
     """A recipe of the package."""
     return _merged(yaml.safe_load((RECIPES / f"{name}.yaml").read_text(encoding="utf-8")), more)
@@ -135,6 +166,7 @@ def _merged(keys: Keys, more: Mapping[str, Any]) -> Keys:
 BEECH, SPRUCE, PINE, BIRCH = {"beech": 1.0}, {"spruce": 1.0}, {"pine": 0.9, "birch": 0.1}, {"birch": 1.0}
 MIXED = {"beech": 0.4, "spruce": 0.35, "maple": 0.15, "birch": 0.1}
 AUTUMN = "2026-10-15"  # two fifths of the beeches' leaves are coloured, most of the birches'
+CUMULUS = {"type": "cumulus", "seed": 7}  # of one seed: it is simulated once
 OVERCAST = {"kind": "overcast", "sun": {"elevation_deg": 40, "azimuth_deg": 215}}
 ROAD = {"what": "forest_road", "points_m": [[-20, 22], [10, 27.5], [30, 31], [55, 30], [80, 40]]}
 POND = {"what": "pond", "position_m": [31, 20], "radius_m": 9, "depth_m": 1.2, "dissolved_per_m": 7}
@@ -213,37 +245,50 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "dusk": lambda: forest(
         PINE,
         22,
-        {**DRONE, "position_m": [30, -60, 50], "look_at_m": [30, 120, 30]},
+        {**DRONE, "position_m": [30, -60, 50], "look_at_m": [30, 120, 42]},
         site__terrain__hills_m=150,
-        sky__sun={"elevation_deg": -4},
+        sky__sun={"elevation_deg": -2, "azimuth_deg": 190},
         sky__visibility_m=60000,
     ),
     "moonlit night": lambda: forest(
         PINE,
         22,
-        WEST,
+        {**WEST, "look_at_m": [20, 24, 4]},
         sky__sun={"elevation_deg": -30},
-        sky__moon={"elevation_deg": 40, "azimuth_deg": 200, "illuminated": 1},
+        sky__moon={"elevation_deg": 40, "azimuth_deg": 125, "illuminated": 1},
     ),
-    "drone, conifers": lambda: forest({"spruce": 0.6, "pine": 0.4}, 24, DRONE, community__canopy_cover=0.75),
-    "drone, autumn": lambda: forest(MIXED, 24, DRONE, site__date=AUTUMN, plants__phenology_classes=3),
-    "nadir, mixed": lambda: forest(MIXED, 24, {"position_m": [30, 30, 90], "look": "down", "hfov_deg": 40}),
+    "drone, conifers": lambda: forest(
+        {"spruce": 0.6, "pine": 0.4}, 24, DRONE, community__canopy_cover=0.75, sky__sun=SIDE
+    ),
+    "drone, autumn": lambda: forest(MIXED, 24, DRONE, site__date=AUTUMN, plants__phenology_classes=3, sky__sun=SIDE),
+    "nadir, mixed": lambda: forest(
+        MIXED,
+        24,
+        {"position_m": [30, 30, 90], "look": "down", "hfov_deg": 40},
+        "beech",
+        site__ground__layers=[*FLOOR, *UNDERGROWTH],
+    ),
     "nadir, open pines": lambda: camera_of(shipped("places/neon_osbs")),
     "vista, cumulus": lambda: camera_of(
-        shipped(
-            "vista",
-            site__surroundings="forest",
-            site__terrain__hills_m=110,
-            sky__sun={"elevation_deg": {"uniform": [40, 41]}, "azimuth_deg": {"uniform": [230, 231]}},
-            sky__clouds={"type": {"choice": ["noise"]}, "cover": 0.4},
-            sky__visibility_m=18000,
-            plants__season={"choice": ["summer"]},
-        ),
+        {
+            **shipped("vista", site__surroundings="forest", site__terrain__hills_m=110, plants__season="summer"),
+            "sampling": {"variables": {"conifers": 0.5}},
+            "sky": {
+                "sun": {"elevation_deg": 36, "azimuth_deg": 255},
+                "turbidity": 2.5,
+                "clouds": CUMULUS,
+                "visibility_m": 30000,
+            },
+        },
         position_m=[200, -60, 75],
-        look_at_m=[200, 180, 40],
+        look_at_m=[200, 180, 55],
     ),
-    "meadow": lambda: shipped("biomes/grassland"),
-    "savanna": lambda: shipped("biomes/savanna"),
+    "meadow": meadow,
+    "savanna": lambda: camera_of(
+        shipped("biomes/savanna", site__terrain__hills_m=60, sky__clouds=CUMULUS, sky__visibility_m=25000),
+        position_m=[34, 1, 1.1],
+        look_at_m=[31, 30, 3.2],
+    ),
     "tropical rain forest": lambda: shipped("biomes/tropical_rain"),
     "fisheye": lambda: forest(
         BEECH, 26, {"kind": "fisheye", "position_m": [30, 30, 1.3], "look": "up"}, sky__clouds="noise"

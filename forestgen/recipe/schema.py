@@ -59,7 +59,7 @@ class Surroundings(fields.Section):
         description="open: nothing, on bare ground: a plot in a clearing. repeat: copies of the site's plants, side by "
         "side: the endless stand of which the site is a period, for measurements and light. forest: the site's blocks "
         "in random order and turned, stems kept apart: no visible repetition, for pictures with a horizon. Far ones "
-        "are simplified; statistics are the site's alone.",
+        "are simplified, of several heights, with clearings; statistics are the site's alone.",
     )
     labelled: fields.Flag = Field(
         True,

@@ -32,6 +32,8 @@ from forestgen.scene.terrain import TEXTURE_TILE_M, tile_noise
 
 LONGEST_PATCH_M = 0.5 * TEXTURE_TILE_M
 _SOFT, _SHARP = 0.35, 0.08  # widths of the edges of patches, in standard deviations of the noise
+# Around patches of bare soil lie spots of it, and in them spots of what is around: of so many standard deviations.
+_SPOTS, _SPOT_M, _SPOT_SLOPE = 0.5, 1.2, 2.0  # the longest, their spectrum
 _FINEST_M = 0.12  # ragged edges have bays of this size
 _SLOPE = 3.0  # of the noise: its power goes with the wave number to the power -_SLOPE
 _GRAIN, _BARE_GRAIN = 0.25, 0.08  # standard deviation of brightness within patches
@@ -46,15 +48,21 @@ def patches_of(sections: Sequence[GroundLayer], seed: int) -> dict[int, Images]:
     found = {}
     for index, keys in enumerate(sections):
         if keys.patch_m is not None and keys.patch_m <= LONGEST_PATCH_M:
-            edge = _SOFT if keys.has_things else _SHARP
-            found[index] = patches(keys.cover, keys.patch_m, edge, child_rng(seed, "ground", "patches", index))
+            rng = child_rng(seed, "ground", "patches", index)
+            found[index] = patches(keys.cover, keys.patch_m, keys.has_things, rng)
     return found
 
 
-def patches(cover: float, patch_m: float, edge: float, rng: np.random.Generator) -> Images:
-    """(P, P) share of each texel that patches of a size hide, of a mean; row 0 is the texture's southern edge."""
-    longest_m = min(4.0 * patch_m, TEXTURE_TILE_M)
+def patches(cover: float, patch_m: float, has_things: bool, rng: np.random.Generator) -> Images:
+    """(P, P) share of each texel that patches of a size hide, of a mean; row 0 is the texture's southern edge.
+
+    `has_things`: their edges are even; those of bare soil are in spots.
+    """
+    longest_m, edge = min(4.0 * patch_m, TEXTURE_TILE_M), _SOFT if has_things else _SHARP
     noise = tile_noise(longest_m, min(_FINEST_M, 0.5 * patch_m), _SLOPE, rng).astype(np.float32)
+    if not has_things:
+        spots = tile_noise(_SPOT_M, 0.05, _SPOT_SLOPE, rng).astype(np.float32)
+        noise = np.asarray((noise + _SPOTS * spots) / np.hypot(1.0, _SPOTS), dtype=np.float32)
     some = noise[::_EVERY, ::_EVERY].astype(np.float64)
     low, high = -8.0, 8.0
     for _ in range(40):

@@ -141,6 +141,10 @@ class ShapedGround(HeightField):
         return SITE_CELL_M if self.relief is None else self.relief.longest_m / _RELIEF_CELLS
 
     @property
+    def coarsest_m(self) -> tuple[float, float]:
+        return self.base.coarsest_m
+
+    @property
     def fine_m2(self) -> float:
         area = sum(len(one.course.places_m) * STEP_M * (one.keys.wide_m + 2.0 * _VERGE_M) for one in self.tracks)
         for body in self.bodies:

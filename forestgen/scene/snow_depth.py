@@ -152,6 +152,10 @@ class FinerGround(HeightField):
         return self.base.cell_m
 
     @property
+    def coarsest_m(self) -> tuple[float, float]:
+        return self.base.coarsest_m
+
+    @property
     def fine_m2(self) -> float:
         """Above 0, so that the mesh asks for fine cells; estimates count them apart, by `FINE_TRIANGLES`."""
         return self.base.fine_m2 + 1.0

@@ -3,8 +3,8 @@
 open: bare ground; for a plot in a clearing, and for pictures that look down on the site alone. repeat: copies of the
 site's plants, side by side with it to all sides, for light, views, fisheyes and whatever else traces rays: the endless
 stand of which the site is a period, for measurements. forest: other trees of the same stand, without visible
-repetition, for pictures in which much of the surroundings is in view. Buildings stand on the site alone. The ground
-keeps its own height, and the copies stand on it.
+repetition, for pictures in which much of the surroundings is in view; from 250 m on in stands of several heights, with
+clearings between. Buildings stand on the site alone. The ground keeps its own height, and the copies stand on it.
 
 Plants are copied in two layers, low ones (under `LOW` times the tallest plant's height) and the others: low plants are
 many and hide little. Each layer has a reach, `REACH_HEIGHTS` times its tallest plant, and a grid of blocks about as
@@ -41,7 +41,18 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Floats
 from forestgen.plants.exemplar import Exemplar
-from forestgen.scene.blocks import WOODS_M, Beyond, Blocks, FarBlock, Lattice, Rows, copied_blocks, sheared, turns
+from forestgen.scene.blocks import (
+    WOODS_M,
+    Beyond,
+    Blocks,
+    FarBlock,
+    Lattice,
+    Rows,
+    Stands,
+    copied_blocks,
+    sheared,
+    turns,
+)
 from forestgen.scene.far_mesh import SPECIES, areas_m2, sheet_areas_m2, thinned
 from forestgen.scene.spec import Camera, Instances, Material
 from forestgen.scene.terrain import HeightField
@@ -217,7 +228,8 @@ def _layer(
     cameras: Sequence[Camera],
 ) -> Layer:
     reach_m, top_m = _reach_m(population, members), float(population.height_m[members].max())
-    lattice = Lattice(np.asarray(height.size_m) / _block_counts(height.size_m, reach_m), height, rng)
+    stands = Stands.drawn(rng.spawn(1)[0]) if rng is not None and far_blocks == FAR_BLOCKS else None
+    lattice = Lattice(np.asarray(height.size_m) / _block_counts(height.size_m, reach_m), height, rng, stands)
     side, count = lattice.side_m, lattice.count
     far_m = min(far_blocks * float(side.max()), FAR_M)
     at, apart = copied_blocks(side, count, far_m)
@@ -235,8 +247,8 @@ def _layer(
     every, far_own, far_turn = (
         np.concatenate(pair) for pair in ((at, beyond.at), (own, beyond.own), (turn, beyond.turn))
     )
-    plane = np.concatenate([plane, beyond.plane])
-    is_far = np.append(~near & (barred < 1), np.ones(len(beyond.at), dtype=bool))
+    plane, growth = np.concatenate([plane, beyond.plane]), lattice.growth(every, 1)
+    is_far = np.append(~near & (barred < 1), np.ones(len(beyond.at), dtype=bool)) & (growth > 0)
     for index in np.ndindex(*count):
         (plants, from_middle), here = blocks.of(index), (own == index).all(axis=1)
         copies, mine = np.flatnonzero(near & here), np.flatnonzero(is_far & (far_own == index).all(axis=1))
@@ -245,7 +257,7 @@ def _layer(
         place.append((middle[:, None] + from_middle @ turns(turn[copies]).transpose(0, 2, 1)).reshape(-1, 2))
         if len(plants) and len(mine):
             still = np.zeros(len(plants), dtype=np.intp)
-            transform = sheared((every[mine] + 0.5) * side, plane[mine], far_turn[mine])
+            transform = sheared((every[mine] + 0.5) * side, plane[mine], far_turn[mine], growth[mine])
             far.append(FarBlock(plants, from_middle, still, transform))
     (row, block), xy = np.concatenate(source, axis=1), np.concatenate(place)
     kept = np.full(len(row), True) if rng is None else _free_of_stems(population, members, row, block, xy)

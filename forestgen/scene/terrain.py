@@ -6,6 +6,7 @@ feet both ask the same function. Kinds of terrain are parts (scene/terrains), an
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,6 +61,11 @@ class HeightField:
     def cell_m(self) -> float:
         """Length of the mesh's cells on the site."""
         return SITE_CELL_M
+
+    @property
+    def coarsest_m(self) -> tuple[float, float]:
+        """Length of the mesh's longest cells, and how far from the site no cell is longer."""
+        return math.inf, 0.0
 
     @property
     def fine_m2(self) -> float:
@@ -183,13 +189,16 @@ def smooth_step(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return t * t * (3 - 2 * t)
 
 
-def _graded_axis(length_m: float, cell_m: float) -> NDArray[np.float64]:
-    """Coordinates: even cells over the site and a margin, then each cell 8% longer than the last, to the horizon."""
+def _graded_axis(length_m: float, cell_m: float, coarsest_m: tuple[float, float]) -> NDArray[np.float64]:
+    """Coordinates: even cells over the site and a margin, then each cell 8% longer than the last, to the horizon; none
+    longer than the `coarsest_m` within its distance.
+    """
+    longest, within = coarsest_m
     cells = int(min(np.ceil((length_m + 2 * MARGIN_M) / cell_m), 1200))
     inner = np.linspace(-MARGIN_M, length_m + MARGIN_M, cells + 1)
     step, reach, outer = inner[1] - inner[0], MARGIN_M, []
     while reach < HORIZON_M:
-        step *= 1.08
+        step = 1.08 * step if reach > within else min(1.08 * step, longest)
         reach += step
         outer.append(reach)
     out = np.asarray(outer)
@@ -198,7 +207,7 @@ def _graded_axis(length_m: float, cell_m: float) -> NDArray[np.float64]:
 
 def terrain_mesh(height: HeightField) -> Mesh:
     """Height field as triangles, smooth normals, uv in tiles of `TEXTURE_TILE_M`."""
-    xs, ys = (_graded_axis(side, height.cell_m) for side in height.size_m)
+    xs, ys = (_graded_axis(side, height.cell_m, height.coarsest_m) for side in height.size_m)
     if height.fine_m2 > 0.0:
         return _mesh_with_fine_cells(height, xs, ys)
     x, y = np.meshgrid(xs, ys)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from forestgen.labels.gap_fraction import gap_fraction_of
 from forestgen.pipeline import assemble_image, image_frames
 from forestgen.recipe.load import load_recipe_data
 from forestgen.render.identity import SceneTracer
+from forestgen.scene.blocks import CLEAR, Stands
 from forestgen.scene.plan import check_plan
 from forestgen.scene.spec import Instances
 from forestgen.scene.surroundings import SurroundedStand, layers_around, surrounded
@@ -53,6 +55,20 @@ def _moved(i: int, j: int) -> np.ndarray:
     move = np.zeros((3, 4))
     move[:2, 3] = i * SIDE_M, j * SIDE_M
     return move
+
+
+def test_far_stands_are_of_several_heights_with_clearings_between():
+    """The share of clearings is that of a normal variable; near the site all is as on it."""
+    cleared, heights = [], []
+    for seed in range(20):
+        stands = Stands.drawn(np.random.default_rng(seed))
+        x, y = np.random.default_rng(seed).uniform(-5000, 5000, (2, 4000))
+        grown = stands.growth(x, y, np.full(len(x), 1000.0))
+        cleared.append((grown == 0).mean())
+        heights.append(grown[grown > 0].std())
+        np.testing.assert_array_equal(stands.growth(x, y, np.full(len(x), 100.0)), 1.0)
+    assert np.mean(cleared) == pytest.approx(0.5 * math.erfc(CLEAR / math.sqrt(2)), abs=0.01)
+    assert 0.1 < np.mean(heights) < 0.3
 
 
 def gaps(spec, place_m):

@@ -1,8 +1,22 @@
 """Rolling ground, a finite sum of waves of random directions; and flat ground, z = 0.
 
 The site's relief has a standard deviation of `amplitude_m` and wavelengths from `wavelength_m` down to 1/8 of it, of
-which long ones carry most of the height, as on eroded land. Around it, from some hundred metres on, stand hills of 900
-to 3000 m and a standard deviation of `hills_m`; `site.surroundings` covers them with the stand's forest.
+which long ones carry most of the height, as on eroded land. Around it, from some hundred metres on, stand hills with a
+standard deviation of `hills_m`; `site.surroundings` covers them with the stand's forest.
+
+Hills are `OCTAVES` of waves, from 3000 m on each half as long and `_LOWER` times as high as the one before. Their power
+goes with the wave number as k^-3.6 from 1500 to 300 m. On real land differences of height grow with the root of the
+distance, which is k^-3 (Lovejoy et al. 1995), and power falls more steeply beyond the length of a slope (Perron et al.
+2008). The second octave is folded, so that hills have crests, finer ones the other way: spurs with valleys between.
+They have more weight the higher the land is (after Musgrave's ridged multifractal, 2003). Shares are ours.
+
+References
+----------
+Lovejoy, S., Lavallée, D., Schertzer, D., Ladoy, P. (1995). The l^1/2 law and multifractal topography: theory and
+analysis. Nonlinear Processes in Geophysics 2, 16-22.
+Musgrave, F. K. (2003). Procedural fractal terrains. In: Texturing & Modeling, third edition.
+Perron, J. T., Kirchner, J. W., Dietrich, W. E. (2008). Spectral signatures of characteristic spatial scales and
+nonfractal structure in landscapes. Journal of Geophysical Research 113, F04003.
 
 Example
 -------
@@ -13,7 +27,8 @@ Parameters: see below.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +40,13 @@ from forestgen.recipe.fields import Number, Positive
 from forestgen.recipe.schema import Terrain
 from forestgen.scene.terrain import MARGIN_M, HeightField, TerrainShape, smooth_step
 
-HILLS_FROM_M = 250.0
+HILLS_FROM_M, HILLS_TO_M = 250.0, 6000.0
+HILL_M, OCTAVES, _HILL_WAVES = 3000.0, 4, 6  # longest waves of hills; octaves; waves of each
+_CELLS = 4.0  # of the mesh along the shortest hills
+_UNUSED = 10  # numbers drawn for hills of older versions: sites keep their ground
+_LOWER = 0.43  # height of an octave by that of the one before
+_BEND = 0.7  # radians per standard deviation of the height: spurs bend with the land
+_CREST = 0.2  # of the standard deviation of an octave: rounds its crests
 
 
 class RollingKeys(Terrain):
@@ -60,32 +81,57 @@ class Rolling(TerrainShape[RollingKeys]):
 class Waves(HeightField):
     """Waves on and near the site, hills in the distance.
 
-    z = sum of amplitude * fade * sin(k . x + phase). Near waves fade out over a wavelength away from the site, where
-    the mesh is too coarse to carry them; hills fade in from `HILLS_FROM_M` on, so that the site keeps its own
-    relief, and out again four wavelengths away.
+    Near waves fade out over a wavelength away from the site, where the mesh is too coarse to carry them; hills fade in
+    from `HILLS_FROM_M` on, so that the site keeps its own relief, and out from `HILLS_TO_M` on.
     """
 
     wave_per_m: NDArray[np.float64]  # (M, 2) angular wave vectors
     amplitude_m: NDArray[np.float64]  # (M,)
     phase: NDArray[np.float64]  # (M,)
-    hill: NDArray[np.bool_]  # (M,) a hill of the distance, not a wave of the site
+    octave: NDArray[np.intp]  # (M,) of hills, from 1 on; 0: a wave of the site
+    hills_m: float = 0.0  # what the sum of the octaves is multiplied by
+
+    @property
+    def coarsest_m(self) -> tuple[float, float]:
+        return (HILL_M * 0.5 ** (OCTAVES - 1) / _CELLS, HILLS_TO_M) if self.hills_m > 0 else super().coarsest_m
 
     def _height(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
         z = np.zeros(x_m.shape)
         away = self.distance_m(x_m, y_m)
-        far = smooth_step((away - HILLS_FROM_M) / (6 * HILLS_FROM_M))
-        has_hills = bool(far.any())
-        for k, amplitude, phase, hill in zip(self.wave_per_m, self.amplitude_m, self.phase, self.hill, strict=True):
-            if hill and not has_hills:
-                continue
-            wavelength = 2 * np.pi / np.hypot(*k)
-            fade = (
-                far * (1 - smooth_step(away / (2 * wavelength) - 1))
-                if hill
-                else 1 - smooth_step((away - MARGIN_M) / wavelength)
-            )
+        for k, amplitude, phase in self._of(0):
+            fade = 1 - smooth_step((away - MARGIN_M) * np.hypot(*k) / (2 * np.pi))
             z += amplitude * fade * np.sin(k[0] * x_m + k[1] * y_m + phase)
+        far = np.flatnonzero(away > HILLS_FROM_M) if self.hills_m > 0 else np.empty(0, dtype=np.intp)
+        if len(far):
+            grown = smooth_step((away[far] - HILLS_FROM_M) / (6 * HILLS_FROM_M))
+            z[far] += self.hills_m * grown * self.hills(x_m[far], y_m[far], away[far])
         return z
+
+    def hills(
+        self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], away_m: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """(N,) height of hills at (N,) points so far from the site, over the field's `hills_m`."""
+        z, weight = np.zeros(len(x_m)), np.ones(len(x_m))
+        for octave in range(1, OCTAVES + 1):
+            wave = np.zeros(len(x_m))
+            for k, amplitude, phase in self._of(octave):
+                wave += amplitude * np.sin(k[0] * x_m + k[1] * y_m + phase + _BEND * z)
+            if octave > 1:  # crests of the second octave, valleys of finer ones
+                folded = _PER_RIDGE * np.sqrt(wave**2 + _CREST**2) - _MEAN_RIDGE
+                wave = -folded if octave == 2 else folded
+            size = _LOWER ** (octave - 1)
+            z += size * weight * wave * (1 - smooth_step((away_m - HILLS_TO_M) / (4 * HILL_M * 0.5 ** (octave - 1))))
+            weight = np.clip(0.55 + 0.35 * z, 0.2, 1.0)
+        return z
+
+    def _of(self, octave: int) -> Iterable[tuple[NDArray[np.float64], float, float]]:
+        """Wave vector, amplitude and phase of the waves of an octave."""
+        own = self.octave == octave
+        return zip(self.wave_per_m[own], self.amplitude_m[own], self.phase[own], strict=True)
+
+
+_PER_RIDGE = 1 / np.sqrt(1 - 2 / np.pi)  # of the magnitude of a Gaussian variable, for unit variance
+_MEAN_RIDGE = _PER_RIDGE * np.sqrt(2 / np.pi)
 
 
 def rolling(
@@ -97,18 +143,28 @@ def rolling(
 ) -> Waves:
     """Gently rolling ground: standard deviation `amplitude_m`, wavelengths from `wavelength_m` down to 1/8 of it.
 
-    Around it, from some hundred metres on, hills of 900 to 3000 m and a standard deviation of `hills_m`.
+    Around it, from some hundred metres on, hills with a standard deviation of `hills_m`; none around level ground.
     """
-    waves, hills = 24, 10
-    wavelength = np.concatenate([wavelength_m * 0.5 ** (3.0 * rng.random(waves)), 900.0 + 2100.0 * rng.random(hills)])
-    angle = rng.random(waves + hills) * 2 * np.pi
-    k = 2 * np.pi / wavelength
-    hill = np.arange(waves + hills) >= waves
-    weight = np.where(hill, wavelength, wavelength**2)  # long waves carry most of the height, as on eroded land
-    for group, deviation in ((~hill, amplitude_m), (hill, hills_m if amplitude_m > 0 else 0.0)):
-        weight[group] *= deviation * np.sqrt(2.0 / np.sum(weight[group] ** 2))
-    direction = np.stack([k * np.cos(angle), k * np.sin(angle)], axis=1)
-    return Waves(size_m, direction, weight, rng.random(waves + hills) * 2 * np.pi, hill)
+    waves, octave = 24, np.repeat(np.arange(1, OCTAVES + 1), _HILL_WAVES)
+    drawn = rng.random((3, waves + _UNUSED))[:, :waves]
+    wavelength = wavelength_m * 0.5 ** (3.0 * drawn[0])
+    weight = wavelength**2  # long waves carry most of the height, as on eroded land
+    weight *= amplitude_m * np.sqrt(2.0 / np.sum(weight**2))
+    hill = rng.random((3, len(octave)))
+    hill[1] = 0.5 * (np.arange(len(octave)) + hill[1]) / _HILL_WAVES  # ways on all sides, half a circle by octave
+    wavelength = np.append(wavelength, HILL_M * 0.5 ** (octave - 1.0 + 0.4 * hill[0]))
+    _, turn, phase = 2 * np.pi * np.concatenate([drawn, hill], axis=1)
+    field = Waves(
+        size_m,
+        (2 * np.pi / wavelength * np.stack([np.cos(turn), np.sin(turn)])).T,
+        np.append(weight, np.full(len(octave), np.sqrt(2.0 / _HILL_WAVES))),
+        phase,
+        np.append(np.zeros(waves, dtype=np.intp), octave),
+    )
+    if hills_m == 0 or amplitude_m == 0:
+        return field
+    x, y = HILLS_TO_M * (2.0 * rng.random((2, 4096)) - 1.0)
+    return replace(field, hills_m=hills_m / float(field.hills(x, y, np.zeros(len(x))).std()))
 
 
 class FlatKeys(RollingKeys):

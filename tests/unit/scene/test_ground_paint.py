@@ -38,7 +38,7 @@ def laid(*layers: dict[str, Any], **camera: Any) -> tuple[BuiltScene, LaidGround
 @pytest.mark.parametrize("cover", [0.05, 0.5, 0.9])
 @pytest.mark.parametrize("patch_m", [0.5, 6.0])
 def test_patches_hide_their_share_and_meet_at_the_textures_edges(cover: float, patch_m: float) -> None:
-    share = patches(cover, patch_m, 0.1, np.random.default_rng(3))
+    share = patches(cover, patch_m, False, np.random.default_rng(3))
     assert share.mean() == pytest.approx(cover, abs=0.01)
     inside = np.abs(np.diff(share, axis=0)).mean()
     assert np.abs(share[0] - share[-1]).mean() < 2.0 * inside + 0.01
@@ -49,7 +49,7 @@ def test_patches_are_as_large_as_the_recipe_says() -> None:
     """Their mean width along a line, of noise of one scale, grows with them."""
     width = []
     for patch_m in (1.0, 4.0):
-        inside = patches(0.5, patch_m, 0.1, np.random.default_rng(4)) > 0.5
+        inside = patches(0.5, patch_m, True, np.random.default_rng(4)) > 0.5
         edges = np.abs(np.diff(inside.astype(int), axis=1)).sum(axis=1)
         width.append(TEXTURE_TILE_M / edges.mean())
     assert 2.0 < width[1] / width[0] < 5.0

@@ -25,7 +25,7 @@ from support.error_messages import raises_error
 
 QUICKSTART = Path(__file__).parents[3] / "recipes" / "quickstart.yaml"
 FLAT = HeightField((100.0, 100.0))
-WAVY = Waves((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array([0.4]), np.array([False]))
+WAVY = Waves((100.0, 100.0), np.array([[0.1, 0.03]]), np.array([5.0]), np.array([0.4]), np.array([0]))
 
 
 def section(**keys: Any) -> Camera:

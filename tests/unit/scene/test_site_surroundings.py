@@ -296,8 +296,9 @@ def beyond(height, look_at_m, kind=np.random.default_rng):
 
 
 @pytest.mark.parametrize("kind", [np.random.default_rng, lambda seed: None], ids=["forest", "repeat"])
-def test_forest_goes_on_to_the_horizon_without_gap_or_overlap(kind):
+def test_forest_goes_on_to_the_horizon_without_gap_or_overlap(kind, monkeypatch):
     """Each place in view belongs to one block or square, and feet are as near to its ground as can be seen."""
+    monkeypatch.setattr("forestgen.scene.blocks.CLEAR", np.inf)
     found = beyond(HILLS, (30.0, 3000.0, 60.0), kind)
     assert any(one.wide for one in found.far)
     rng = np.random.default_rng(0)

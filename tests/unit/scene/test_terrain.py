@@ -79,6 +79,26 @@ def test_the_stated_amplitude_is_the_sites_standard_deviation():
     assert np.mean(deviations) == pytest.approx(1.5, rel=0.08)
 
 
+def test_hills_have_their_standard_deviation_and_power_that_falls_with_the_wave_number():
+    """Real land has a power of -3, and a steeper one beyond the length of slopes; no hills stand on the site."""
+    side_m, cells = 7680.0, 256
+    x, y = np.meshgrid(*[np.arange(cells) * side_m / cells] * 2)
+    window = np.hanning(cells)[:, None] * np.hanning(cells)
+    number = np.hypot(*np.meshgrid(*[np.fft.fftfreq(cells, side_m / cells)] * 2))
+    band = (number > 1 / 1500) & (number < 1 / 300)
+    deviations, slopes = [], []
+    for seed in range(6):
+        field = rolling(SIZE_M, 1.0, 50.0, np.random.default_rng(seed), 40.0)
+        hills = field.hills_m * field.hills(x.ravel(), y.ravel(), np.zeros(x.size)).reshape(x.shape)
+        deviations.append(hills.std())
+        power = np.abs(np.fft.fft2(window * hills)) ** 2
+        slopes.append(np.polyfit(np.log(number[band]), np.log(power[band]), 1)[0])
+        level = rolling(SIZE_M, 1.0, 50.0, np.random.default_rng(seed), 0.0)
+        np.testing.assert_array_equal(field(x[0, :3], y[0, :3]), level(x[0, :3], y[0, :3]))
+    assert np.mean(deviations) == pytest.approx(40.0, rel=0.1)
+    assert -4.5 < np.mean(slopes) < -3.0
+
+
 def test_the_texture_of_an_image_made_again_is_kept(monkeypatch):
     made: list[str] = []
     with_mean = terrain.with_mean
