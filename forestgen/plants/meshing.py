@@ -45,8 +45,8 @@ _SIDES_A_ROOT = 7  # of a stem at least
 _FLUTED, _FLUTES_FADE = 0.06, 25.0  # how far ridges go on up a stem, over its radius; height at 1/e of that, in radii
 # Of a stem's lumps, waves round and up it: how many round it, length up it in metres, and size over the radius.
 _LUMPS = (
-    *((0, 1.3, 0.015), (0, -0.55, 0.012), (1, 2.3, 0.03), (1, -0.9, 0.025)),
-    *((2, -1.6, 0.035), (2, 0.7, 0.02), (3, 1.1, 0.025)),
+    *((0, 1.3, 0.02), (0, -0.55, 0.016), (1, 2.3, 0.04), (1, -0.9, 0.03)),
+    *((2, -1.6, 0.045), (2, 0.7, 0.028), (3, 1.1, 0.03)),
 )
 _LUMPY_M, _RINGS_M = 10.0, 0.4  # height up to which stems seen from near have rings so far apart at most
 _DOMED = 0.4  # an axis that ends where another of this share of its radius begins gets a dome

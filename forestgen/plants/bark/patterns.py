@@ -217,7 +217,7 @@ def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
     crack = 1.0 - fading * (1.0 - np.clip(blocks.border_m / (0.11 * s * ragged), 0.0, 1.0))
     deep = 0.68 + 0.32 * step(uneven + tile.noise(rng, (0.5 * s, 1.5 * s)), -1.0, 0.8)
     between = np.asarray(np.minimum(furrow, 0.25 + 0.75 * crack), dtype=np.float32)
-    wall = 1.0 - deep * (1.0 - step(between, 0.0, 1.0))
+    wall = np.asarray(1.0 - deep * (1.0 - step(between, 0.0, 1.0)), dtype=np.float32)
     scales, fresh, rim = _scales(tile, rng, s, 1.5, (sway[0] + 2 * fray, sway[1] + 2 * fray), (0.6, 0.4, 0.25))
     lean = blocks.values(rng) - 0.5, plates.values(rng) - 0.5
     tilt = 0.10 * (lean[0] * blocks.offset_u - blocks.offset_v * (0.35 + lean[1]))
