@@ -70,7 +70,6 @@ SilhouetteName = Literal["ellipsoid", "ovoid", "cone", "column"]
 _NAMES = get_args(SilhouetteName)
 _curve: TypeAdapter[Any] = TypeAdapter(PositiveCurve)
 _FINE = np.linspace(0.0, 1.0, 1001)
-_LUMPS = np.array([[1.0, 2.0, 3.0, 1.0, 2.0], [1.0, -2.0, 1.0, -4.0, 5.0]])  # waves round a crown and up it
 
 
 def _read(value: Any) -> Any:
@@ -142,14 +141,6 @@ class Trunk(Section):
     stem_spread_deg: float = Field(8.0, ge=0, description="lean of the further stems of a clump, degrees")
 
 
-def _lumps(direction: Floats, height: Floats, rng: np.random.Generator) -> Floats:
-    """(M,) of mean 0 and deviation 1, alike for branches of like direction and height within the crown."""
-    turn = np.arctan2(direction[:, 1], direction[:, 0])
-    waves = turn[:, None] * _LUMPS[0] + 2.0 * np.pi * height[:, None] * _LUMPS[1]
-    count = _LUMPS.shape[1]
-    return np.asarray(np.sqrt(2.0 / count) * np.sin(waves + rng.uniform(0.0, 2.0 * np.pi, count)).sum(axis=1))
-
-
 class Parameters(PlantParameters):
     """The `plant:` block of a species' file."""
 
@@ -158,12 +149,6 @@ class Parameters(PlantParameters):
         "ellipsoid",
         description="branch_len(0, .): form of the crown: ellipsoid, ovoid, cone, column, or a curve of its radius "
         "over the height within it, 0 its base and 1 its top, in any unit: the greatest is the plant's width",
-    )
-    lumpy: float = Field(
-        0.0,
-        ge=0,
-        le=0.4,
-        description="by how much the crown reaches further here than there: standard deviation",
     )
     crown_base: Curve = Field(((0.0, 0.3),), description="crown's lower end, share of height, over height in metres")
     trunk: Trunk = Field(description="int_width(0, .), and the stems")
@@ -199,8 +184,6 @@ class SilhouetteGenerator:
                 low = evaluate_one(parameters.crown_base, height_m)
                 crown = (rise - low) / (1.0 - low), sites.angle_rad, (1.0 - low) * height_m, width_m
                 full = silhouette_length(parameters.silhouette, *crown)
-                lumps = _lumps(sites.direction, crown[0], rng.spawn(1)[0])
-                full *= np.maximum(1.0 + parameters.lumpy * lumps, 0.3)
             else:
                 full = np.full(len(sites.node), orders[order].longest_m)
             jitter = np.clip(1.0 + rules.branch_length_jitter * rng.normal(size=len(full)), 0.3, 1.4)
