@@ -19,8 +19,8 @@ from forestgen.plants.skeleton import Skeleton
 
 _COLLARED_M = 0.008  # thinner branches have no collar
 _MANY_RINGS_M = 0.015  # radius from which a collar has all its rings
-_SWELLING = 0.7  # of the branch's radius, on the bearer's surface, where the surfaces face each other
-_REACH = 1.6  # of the branch's radius: distance from the bearer's surface at which the swelling ends
+_SWELLING = 1.0  # of the branch's radius, on the bearer's surface, where the surfaces face each other
+_REACH = 2.4  # of the branch's radius: distance from the bearer's surface at which the swelling ends
 _WITHIN = 0.95  # of the bearer's radius, which a collar never exceeds
 _RINGS = 6  # of a thick branch; half as many of a thin one
 _BLEND = 0.9  # of the branch's radius: distance from the bearer's surface at which the normals are the branch's own

@@ -47,8 +47,9 @@ _MOST = 0.9  # of the crown's radius: the living crown stays the widest
 _NODES, _TWIG_NODES = 9, 3  # of a branch, of a twig
 _MOST_SIDES = 5
 _THIN_M = 0.004  # radius: thinner branches have every other node, no collar and no splinter
-_CROOKED_DEG, _KINK_DEG = 7.0, 15.0  # standard deviation of the turn from node to node, and at a kink
+_CROOKED_DEG, _KINK_DEG = 9.0, 20.0  # standard deviation of the turn from node to node, and at a kink
 _KINKS = 0.3  # share of the nodes
+_BUTT = np.array([1.5, 1.2, 1.05])  # radius at the first nodes: branches are thick where they leave the stem
 _LOST = 0.12  # of the radius, at a kink; `thickness` is that beyond the first
 _UNEVEN = 0.15  # standard deviation of the logarithm of the radius
 _UPTURN_DEG = 40.0  # of a whole branch's tip
@@ -191,6 +192,7 @@ class _Branches:
         thick = 0.5 * law.thickness * whole_m[:, None]
         radius = thick * (1.0 - _TAPER * share * (left_m / whole_m).clip(0.0, 1.0)[:, None])
         radius[:, 1:] *= np.exp(rng.normal(0.0, _UNEVEN, kink.shape)) * (1.0 - _LOST) ** (np.cumsum(kink, 1) - 1)
+        radius[:, : len(_BUTT)] *= _BUTT
         radius = np.minimum(np.concatenate([radius[:, :1], radius, radius[:, -1:]], axis=1), 0.7 * bearer_m[:, None])
         across = unit(np.cross(way[:, -1], rng.normal(size=(count, 3))))
         splinter = out[:, -1] + radius[:, -1:] * (_SPLINTER[0] * way[:, -1] + _SPLINTER[1] * across)

@@ -81,6 +81,13 @@ class PlantParameters(Section):
         description="mean of (r / R)² of a tree's leaves, r from the axis, R half of the crown's width: branches near "
         "the axis are stretched until it is reached; an ellipsoid has 0.4, a cone 0.3",
     )
+    pointed: float | None = Field(
+        None,
+        ge=0.1,
+        le=2,
+        description="outline of a tree's crown about a stem with a `sweep`, without `crown_twigs`: at the share x of "
+        "its depth below the top it is x to this power as wide as at its base; null: as it grew",
+    )
     variation: Variation | None = Field(None, description="growth responses that make plants of a base model differ")
     fit: Fit = Field(
         "scale",

@@ -9,7 +9,8 @@ A generator grows a plant of about the right height and width. Here it gets the 
 - Heights are stretched apart above and below the crown's base, which is the height that 2% of the leaf area lie below,
   widths throughout, until the geometry's extents fit. Organs keep their attitude. Where a few long branches make the
   extents, the others are stretched further: leaves are as far from the axis as the species' `fullness` says. About a
-  stem that is straight up to the tip, what is farthest at each height counts: a pointed crown stays pointed.
+  stem that is straight up to the tip, what is farthest at each height counts: a pointed crown stays pointed, and where
+  the species says how `pointed` crowns are, they get that outline.
 - Where the species has `crown_twigs`, they take the place of the thin wood and its leaves, and what has moved is fitted
   once more.
 - Where the species has a `sweep`, all that is at a height moves aside by as much as the stem there.
@@ -43,8 +44,8 @@ from forestgen.plants.crown_twigs import (
 from forestgen.plants.forks import FORKED
 from forestgen.plants.organs.base import OrganForm
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
+from forestgen.plants.stem_bend import Bend
 from forestgen.plants.tree_size import TreeSize
-from forestgen.recipe.wood import Sweep
 
 if TYPE_CHECKING:
     from forestgen.plants.parameters import PlantParameters
@@ -56,7 +57,7 @@ _LEAF_SIZE = (0.5, 1.25)  # factor on the length of leaves; their number makes u
 _SIZE_SHARE = 1.0 / 3.0  # of the leaf area's logarithm that goes into the length
 _MOST_LEAVES = 8.0  # times as many leaves as the generator placed, in the mean of a crown
 _STRAIGHTENED = 0.7  # of a stem's way aside, as it grew
-_BOWS = 6  # of a stem
+_MOST_WIDENED = 2.0  # distances at one height, for the outline of a pointed crown
 _MOST_FILLED = 1.5  # the stretch of what is next to the axis, over that of the farthest, less 1
 _TWIG_RADIUS_M = 0.002  # wood this thin keeps its radius
 _BRANCH = 0.8
@@ -107,8 +108,8 @@ def fit_tree(
     leafy = fit_leaves(skeleton, plant.shapes, size, rng)
     sweep = None if plant.wood.years is None else plant.wood.years.sweep
     about_stem = sweep is not None and plant.crown_twigs is None
-    stretch = stretch_to(leafy, templates, blade, size, plant.fullness, about_stem)
-    made, base = stretch.skeleton(leafy), np.arange(len(skeleton.parent))
+    stretch = stretch_to(leafy, templates, blade, size, plant.fullness, about_stem, plant.pointed)
+    made, base = _carried(leafy, stretch.points), np.arange(len(skeleton.parent))
     stretches: list[Stretch | Bend] = [stretch]
     leaves = _leaves(made, blade)
     rules = rules_of_twigs(plant.crown_twigs, plant.foliage, blade, size.height_m)
@@ -116,10 +117,10 @@ def fit_tree(
         made, base = fill_crown(made, plant.crown_twigs, rules, blade, leaves, rng)
         made = fit_leaves(made, plant.shapes, size, rng)
         stretches.append(stretch_to(made, templates, blade, size, plant.fullness))
-        made = stretches[-1].skeleton(made)
+        made = _carried(made, stretches[-1].points)
     if sweep is not None:
         stretches.append(Bend.of(sweep, size.height_m, rng.spawn(1)[0]))
-        made = stretches[-1].skeleton(made)
+        made = _carried(made, stretches[-1].points)
     return FittedTree(fit_wood(made, plant.wood.flare, size.dbh_m), base, tuple(stretches))
 
 
@@ -203,6 +204,7 @@ class Stretch:
 
     Distances r from the axis become reach (1 + fill) r / (reach + fill r), before widths change. The reach is that of
     the whole plant, or, of more than one height, at least that of all points there: none comes nearer to the axis.
+    Distances at each of these heights are multiplied by `outline` too.
     """
 
     wide: float
@@ -214,6 +216,7 @@ class Stretch:
     top: float  # where `raw_top` comes to
     stem_m: Floats  # (K, 3) of the stem, upwards, whose way aside is made less; all above goes aside with its top
     straightened: float  # share of its way aside that goes
+    outline: Floats  # (K,) factor on distances at the heights of `reach_m`
 
     def heights(self, z: Floats) -> Floats:
         above = self.base + (z - self.knee) * ((self.top - self.base) / (self.raw_top - self.knee))
@@ -229,41 +232,9 @@ class Stretch:
         across = self.about_stem(points)
         away = np.hypot(across[:, :1], across[:, 1:])
         reach = np.interp(points[:, 2:], *self.reach_m)
-        across *= self.wide * (1.0 + self.fill) / (1.0 + self.fill * away / reach)
+        outline = np.interp(points[:, 2:], self.reach_m[0], self.outline)
+        across *= self.wide * outline * (1.0 + self.fill) / (1.0 + self.fill * away / reach)
         return np.concatenate([across, self.heights(points[:, 2:])], axis=1)
-
-    def skeleton(self, skeleton: Skeleton) -> Skeleton:
-        return _carried(skeleton, self.points)
-
-
-@dataclass(frozen=True)
-class Bend:
-    """The way aside of all that is at a height z of a tree of the height H: a lean at the foot, and bows above.
-
-    lean fades (1 - exp(-z / fades)) + H sum_k bow_k / k sin(k pi z / H),    k = 1 to 6
-    """
-
-    lean: Floats  # (2,) slopes
-    fades_m: float
-    bows: Floats  # (6, 2) over the height
-    height_m: float
-
-    @classmethod
-    def of(cls, law: Sweep, height_m: float, rng: np.random.Generator) -> Bend:
-        lean = np.tan(np.radians(law.foot_deg)) * rng.normal(size=2) / np.sqrt(2.0)
-        return cls(lean, law.fades_m, law.bow * rng.normal(size=(_BOWS, 2)) / np.sqrt(2.0), height_m)
-
-    def points(self, points: Floats) -> Floats:
-        """(M, 3) points, moved."""
-        height_m = np.maximum(points[:, 2:], 0.0)
-        share = np.minimum(height_m / self.height_m, 1.0) * np.pi
-        aside = self.lean * self.fades_m * (1.0 - np.exp(-height_m / self.fades_m))
-        k = np.arange(1, len(self.bows) + 1)
-        aside += self.height_m * np.sin(share * k) @ (self.bows / k[:, None])
-        return np.concatenate([points[:, :2] + aside, points[:, 2:]], axis=1)
-
-    def skeleton(self, skeleton: Skeleton) -> Skeleton:
-        return _carried(skeleton, self.points)
 
 
 def _carried(skeleton: Skeleton, points: Callable[[Floats], Floats]) -> Skeleton:
@@ -284,11 +255,13 @@ def stretch_to(
     size: TreeSize,
     fullness: float,
     about_stem: bool = False,
+    pointed: float | None = None,
 ) -> Stretch:
     """What gives the skeleton, with its organs, the tree's height, crown width and crown base.
 
     `fullness`: see `plants.parameters.PlantParameters`. `about_stem`: widths count from the stem, which becomes
-    straight, and the crown is filled within its reach at each height; otherwise from the foot, within one reach.
+    straight, and the crown is filled within its reach at each height; otherwise from the foot, within one reach. Then
+    `pointed` may say how wide it is there, see `PlantParameters`.
     """
     feet, low, high = organ_boxes(skeleton.organs, templates)
     area = np.concatenate([np.zeros(1), *(_areas(one, blade) for one in skeleton.organs)])
@@ -301,9 +274,15 @@ def stretch_to(
     base = knee * size.height_m / raw_top if found is None else wanted
     wide = size.crown_width_m / max(_mean_width(nodes, feet + low, feet + high), 1e-6)
     stem, share = _stem_below(skeleton, raw_top if about_stem else knee), 1.0 if about_stem else _STRAIGHTENED
-    stretch = Stretch(wide, 0.0, np.ones((2, 1)), knee, base, raw_top, size.height_m, stem, share)
+    stretch = Stretch(wide, 0.0, np.ones((2, 1)), knee, base, raw_top, size.height_m, stem, share, np.ones(1))
     reached = [np.column_stack([stretch.about_stem(one), one[:, 2]]) if about_stem else one for one in (nodes, feet)]
-    stretch = replace(stretch, reach_m=_reach(np.concatenate(reached), _LAYERS if about_stem else 1))
+    reach_m = _reach(np.concatenate(reached), _LAYERS if about_stem else 1)
+    outline = np.ones(reach_m.shape[1])
+    if about_stem and pointed is not None and not is_second_stem(skeleton).any():
+        below_top = np.clip((raw_top - reach_m[0]) / (raw_top - knee), 0.0, 1.0)
+        outline = np.minimum(below_top**pointed * reach_m[1].max() / reach_m[1], _MOST_WIDENED)
+        outline[reach_m[0] < knee] = 1.0
+    stretch = replace(stretch, reach_m=reach_m, outline=outline)
     stretch = _filled(stretch, nodes, feet, area, fullness)
     wood, organs = (replace(stretch, wide=1.0).points(one)[:, :2] for one in (nodes, feet))
     span = max(_mean_width(wood, organs, organs), 1e-6)

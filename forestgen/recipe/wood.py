@@ -92,6 +92,7 @@ class Sweep(Section):
     bow: NonNegative = Field(
         0.0, le=0.1, description="Standard deviation of the way aside, over the height, of bows further up."
     )
+    nod_m: NonNegative = Field(0.0, le=5, description="Length of the leader that nods to a side, metres.")
 
 
 class Forks(Section):

@@ -201,27 +201,29 @@ def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
     """Long uneven plates of thin scales on each other, between furrows with ragged edges; their flanks and fresh scales
     are `marks` (pine).
 
-    Furrows along the stem part and meet. Cracks across fade out where a noise is low, so that plates differ in length
-    and many cracks end within a plate. Warps move places by less than they stretch: none folds into a curl.
+    Furrows along the stem part and meet; they are shallow, with red flanks, and dark only where they are deep. Cracks
+    across fade out where a noise is low, so that plates differ in length and many cracks end within a plate. Warps move
+    places by less than they stretch: none folds into a curl.
     """
     s = scale_m
-    sway = (0.14 * s * tile.noise(rng, (2.5 * s, 6 * s)), 0.30 * s * tile.noise(rng, (2.5 * s, 5 * s)))
-    fray = 0.022 * s * tile.noise(rng, (0.45 * s, 0.7 * s), 2.4)
+    sway = (0.14 * s * tile.noise(rng, (2.5 * s, 5 * s)), 0.25 * s * tile.noise(rng, (2.5 * s, 4 * s)))
+    fray = 0.025 * s * tile.noise(rng, (0.4 * s, 0.6 * s), 2.3)
     uneven = tile.noise(rng, (0.9 * s, 2 * s))
-    width = np.exp(0.55 * uneven)
-    plates = tile.cells(rng, (1.05 * s, 4.2 * s), (sway[0] + fray, sway[1] + fray))
-    blocks = tile.cells(rng, (1.3 * s, 2.2 * s), (sway[0] + 2 * fray, sway[1] + 2 * fray))
-    ragged = np.maximum(width, 0.8) * np.exp(0.4 * tile.noise(rng, (0.15 * s, 0.4 * s), 1.8))
-    furrow = np.clip(plates.border_m / (0.15 * s * ragged), 0.0, 1.0)
-    fading = step(uneven, -0.6, 0.8)
-    crack = 1.0 - fading * (1.0 - np.clip(blocks.border_m / (0.06 * s * ragged), 0.0, 1.0))
-    wall = step(np.minimum(furrow, crack), 0.1, 0.75)
-    scales, fresh, rim = _scales(tile, rng, s, 1.7, (sway[0] + 2 * fray, sway[1] + 2 * fray), (0.75, 0.5, 0.3))
+    plates = tile.cells(rng, (s, 3.6 * s), (sway[0] + fray, sway[1] + fray))
+    blocks = tile.cells(rng, (1.4 * s, 2.2 * s), (sway[0] + 2 * fray, sway[1] + 2 * fray))
+    ragged = np.exp(0.35 * uneven + 0.22 * tile.noise(rng, (0.15 * s, 0.4 * s), 1.8))
+    furrow = np.clip(plates.border_m / (0.27 * s * ragged), 0.0, 1.0)
+    fading = step(uneven, -1.2, 0.6)
+    crack = 1.0 - fading * (1.0 - np.clip(blocks.border_m / (0.11 * s * ragged), 0.0, 1.0))
+    deep = 0.68 + 0.32 * step(uneven + tile.noise(rng, (0.5 * s, 1.5 * s)), -1.0, 0.8)
+    between = np.asarray(np.minimum(furrow, 0.25 + 0.75 * crack), dtype=np.float32)
+    wall = np.asarray(1.0 - deep * (1.0 - step(between, 0.0, 1.0)), dtype=np.float32)
+    scales, fresh, rim = _scales(tile, rng, s, 1.5, (sway[0] + 2 * fray, sway[1] + 2 * fray), (0.6, 0.4, 0.25))
     lean = blocks.values(rng) - 0.5, plates.values(rng) - 0.5
     tilt = 0.10 * (lean[0] * blocks.offset_u - blocks.offset_v * (0.35 + lean[1]))
     grain = tile.noise(rng, (0.06 * s, 0.35 * s), 1.6)
     fine = tile.noise(rng, (0.05 * s, 0.05 * s), 1.2)
-    height = wall * (0.52 + 0.32 * scales + 0.08 * rim + tilt) + 0.015 * grain + 0.012 * fine
+    height = wall * (0.62 + 0.22 * scales + 0.08 * rim + tilt) + 0.015 * grain + 0.012 * fine
     tone = 0.38 + 0.30 * scales + 0.24 * rim + 0.34 * lean[0] + 0.28 * lean[1] + 0.09 * grain + 0.10 * fine
     red = np.maximum(marks * fresh, 0.8 * step(wall, 0.95, 0.55)) * step(wall, 0.02, 0.35)
     return Relief(height, wall * (0.25 + 0.75 * wall) * tone, red)

@@ -16,6 +16,10 @@ Equations
         * thick_length(d_b / thinner_than_m) * jitter                                         length of a twig
     d = diameter_m(1 - l / longest_m)                                                         its diameter at the foot
 
+::
+
+    z' = T (1 - (1 - z / T)^umbrella)     heights of the wood of a plant of the height T
+
 H is the plant's height, a_b the physiological age of the segment that bears the twig, d_b its diameter, Q_eff its
 module's light.
 
@@ -67,7 +71,7 @@ from forestgen.plants.grown import ClothedWood, ModuleWood, wood_skeleton, woods
 from forestgen.plants.parameters import Fit, PlantParameters
 from forestgen.plants.skeleton import Skeleton, check_budget
 from forestgen.recipe.curves import PositiveCurve, evaluate, evaluate_one
-from forestgen.recipe.fields import Section
+from forestgen.recipe.fields import Fraction, Section
 
 if TYPE_CHECKING:
     from forestgen.community.population import Population
@@ -89,6 +93,7 @@ FIRST_TWIG_ORDER = 8  # branch orders below are wood of the modules
 MOST_TWIG_ORDERS = 4
 _TWIG_BYTES = 5000  # of a twig with its side twigs, while it is meshed
 _DEAD_TWIG_YR = 4.0  # after which half of a dead plant's twigs have fallen
+_FORKS = 0.5  # diameter over the bearer's, of what goes on or forks off, and is no mere branch
 _LEAST_SIDE_M = 1.0  # of the torus: modules of seedlings would fill a smaller one
 _NO_TALLER_YR = 60  # after which a plant that has not become taller is as tall as it gets
 
@@ -126,6 +131,15 @@ class Parameters(PlantParameters):
 
     generator: Literal["branch_modules"] = "branch_modules"
     crook: float = Field(0.03, ge=0, le=0.3, description="standard deviation of segments' middles, share of length")
+    angular: Fraction = Field(
+        0.0, description="share of the way from where the wood grew to straight lines between forks: axes bend at forks"
+    )
+    umbrella: float = Field(
+        1.0,
+        ge=1,
+        le=4,
+        description="above 1, branches rise steeply and end in a flat top, see above; 1: as grown",
+    )
     smooth: bool = Field(True, description="whether axes run in curves through the modules' nodes, or straight")
     bearing: Bearing | None = Field(
         default_factory=lambda: Bearing.model_validate({}), description="where the wood bears twigs; null: nowhere"
@@ -162,6 +176,7 @@ class BranchModulesGenerator:
         wood_rng, twig_rng, foliage_rng = rng.spawn(3)
         bearing = parameters.bearing if parameters.twigs else None
         growth = 1.0 if bearing is None else max(evaluate_one(bearing.size_by_height, height_m), 1e-3)
+        wood = _shaped(wood, parameters.angular, parameters.umbrella)
         chosen = np.zeros(len(wood), dtype=bool)
         spacing_m = 1.0
         if bearing is not None:
@@ -200,6 +215,31 @@ class BranchModulesGenerator:
         [wood] = woods_of(best, MODEL.skeleton_tables(parameters, [lone], best), np.array([0]))
         scale = height_m / max(wood.height_m, 0.01)
         return replace(wood, position_m=wood.position_m * scale, diameter_m=wood.diameter_m * scale)
+
+
+def _shaped(wood: ModuleWood, angular: float, umbrella: float) -> ModuleWood:
+    """The wood with straight lines between its forks and a flat top, see `Parameters`."""
+    if angular <= 0.0 and umbrella <= 1.0:
+        return wood
+    place, parent = wood.position_m.copy(), wood.parent
+    top_m = max(float(place[:, 2].max()), 1e-6)
+    place[:, 2] = np.where(place[:, 2] > 0.0, top_m * (1.0 - (1.0 - place[:, 2] / top_m) ** umbrella), place[:, 2])
+    goes_on = wood.diameter_m >= _FORKS * wood.diameter_m[np.maximum(parent, 0)]
+    forks = np.bincount(parent[1:], goes_on[1:], len(wood)) != 1.0  # or ends
+    forks[0] = True
+    begins = (forks[np.maximum(parent, 0)] | ~goes_on).tolist()
+    length_m = np.linalg.norm(place - place[np.maximum(parent, 0)], axis=1)
+    way_m, below, above = np.zeros(len(wood)), parent.copy(), np.arange(len(wood))
+    for i, p in enumerate(parent.tolist()[1:], 1):  # parents first
+        way_m[i] = length_m[i] + (0.0 if begins[i] else way_m[p])
+        below[i] = p if begins[i] else below[p]
+    for i in range(len(wood) - 1, 0, -1):
+        if not begins[i]:
+            above[parent[i]] = above[i]
+    for i in np.flatnonzero(~forks).tolist():
+        line = place[above[i]] - place[below[i]]
+        place[i] += angular * (place[below[i]] + way_m[i] / max(way_m[above[i]], 1e-9) * line - place[i])
+    return replace(wood, position_m=place)
 
 
 def _with_twigs(

@@ -6,7 +6,8 @@ stem, other ones on each plant, that wander slowly along it and get 60% of a ste
 damp. Water stands in hollows of the ground, level and smooth.
 
 Snow is carried by shoots and branches, as loads of some neighbouring facets together. A load is a cushion: from above
-and from the side it hides what bears it, from below it does not. On stems it sticks to the windward side, in strips.
+and, where it is thick, from the side it hides what bears it, from below it does not: green shows under white. On stems
+it sticks to the windward side, in thin strips that come and go, and thins out towards their edges in grains.
 
 All numbers below, of bands, shares, slopes, cushions and strips, are ours.
 """
@@ -38,10 +39,10 @@ _SNOW_GROUPS = (12, 9)  # bits of a face's number that are alike for neighbours:
 # hold it however each one stands.
 _STEEPEST, _LEVEL_LEAF = 0.15, 0.35
 _ON_BRANCHES = 0.35  # by how much steeper the wood of branches may be: loads are as thick as they are
-_CUSHION = (0.35, 0.9)  # sine of the angle from below to which the thinnest and thickest loads hide what bears them
-# Of snow on stems: how far strips reach around, in cosines, and how uneven their edges are, by long waves and blotches.
-_STRIP, _STRIP_EDGE = 0.45, (0.15, 0.1)
-_GRAINS = 2.0 * np.pi  # radians of blotches by a tile of the bark's texture
+_CUSHION = (-0.25, 0.6)  # sine of the angle from below to which the thinnest and thickest loads hide what bears them
+# Of snow on stems: how far strips reach around, in cosines, and how uneven their edges are, by long waves, by blotches
+# and from grain to grain; radians of blotches, and grains, by a tile of the bark's texture.
+_STRIP, _STRIP_EDGE, _BLOTCHES, _GRAINS = 0.3, (0.16, 0.06, 0.4), 2.0 * np.pi, 60.0
 _UNLABELLED = 1 << 31  # added to the row of what is no plant: other numbers than plants'
 
 
@@ -153,10 +154,12 @@ def under_snow(tracer: SceneTracer, hits: Hits, corners: Places, around: Any, al
         dr.opaque(mi.Float, one) * axis for one, axis in zip(snow.windward, (smooth.x, smooth.y), strict=True)
     )
     # Waves aslant, each way: such as run around and along make a lattice of dots.
-    blotches = _bands(_GRAINS * (2.0 * around + along), along, plant) + _bands(
-        _GRAINS * (along - around), around, plant
+    blotches = _bands(_BLOTCHES * (2.0 * around + along), along, plant) + _bands(
+        _BLOTCHES * (along - around), around, plant
     )
-    uneven = _STRIP_EDGE[0] * _bands(along, along, plant) + _STRIP_EDGE[1] * blotches
+    column, row = (mi.UInt32(mi.Int32(dr.floor(_GRAINS * one))) for one in (around, along))
+    grain = _numbers(plant + column, row)[0] - 0.5
+    uneven = _STRIP_EDGE[0] * _bands(along, along, plant) + _STRIP_EDGE[1] * blotches + _STRIP_EDGE[2] * grain
     strip = windward > 1.0 - _STRIP * share + uneven
     on_wood = (up > least) | ((part == int(Part.TRUNK)) & strip)
     held, leaflike = hits.valid & (hits.instance > 0) & (part != int(Part.WATER)), _is_leaflike(part)

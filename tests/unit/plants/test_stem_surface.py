@@ -18,8 +18,8 @@ from forestgen.plants.exemplar import Exemplar, OrganMesh
 from forestgen.plants.growing import grow_exemplar
 from forestgen.plants.plan import plan_plants
 from forestgen.plants.roots import HIGH, roots_of
+from forestgen.plants.stem_bend import Bend
 from forestgen.plants.stem_surface import COVERED, LEVELS, covered_name, surfaced
-from forestgen.plants.tree_fit import Bend
 from forestgen.recipe.load import load_recipe_data
 from forestgen.recipe.wood import BarkZone, Cover, Roots, Sweep, Wood
 from forestgen.scene.spec import Instances

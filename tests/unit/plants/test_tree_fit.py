@@ -67,11 +67,14 @@ def test_trees_of_one_height_differ_and_a_seed_is_one_tree() -> None:
     assert request_of(plan, "spruce", 20.0, 5).tree == trees[5]
 
 
-@pytest.mark.parametrize(("height_m", "grown"), [(20.0, "stand"), (9.0, "open")])
-def test_crowns_of_spruces_end_in_a_tip(height_m: float, grown: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "height_m", "grown"),
+    [("spruce", 20.0, "stand"), ("spruce", 9.0, "open"), ("larch", 20.0, "stand")],
+)
+def test_crowns_of_conifers_end_in_a_tip(name: str, height_m: float, grown: str) -> None:
     """The radius about the stem that holds 90% of the leaf area falls from the crown's middle to its top."""
-    plan = plan_of("spruce", 2)
-    exemplar = grow_exemplar(request_of(plan, "spruce", height_m, 2, grown))  # type: ignore[arg-type]
+    plan = plan_of(name, 2)
+    exemplar = grow_exemplar(request_of(plan, name, height_m, 2, grown))  # type: ignore[arg-type]
     height, area = leaf_heights(exemplar)
     leaves = [one.mesh for one in exemplar.organs if one.part == Part.LEAF]
     place = np.concatenate([mesh.vertices_m.astype(float)[mesh.faces].mean(axis=1) for mesh in leaves])[:, :2]
@@ -106,7 +109,7 @@ def test_filling_a_crown_draws_no_point_in() -> None:
     points = np.zeros((400, 3))
     points[:, 2] = np.linspace(0.0, 20.0, 400)
     points[::57, 0] = np.random.default_rng(3).uniform(0.5, 3.0, len(points[::57]))
-    stretch = Stretch(1.0, 1.5, _reach(points, 24), 10.0, 10.0, 20.0, 20.0, np.zeros((1, 3)), 1.0)
+    stretch = Stretch(1.0, 1.5, _reach(points, 24), 10.0, 10.0, 20.0, 20.0, np.zeros((1, 3)), 1.0, np.ones(24))
     assert (stretch.points(points)[:, 0] > points[:, 0] - 1e-9).all()
 
 
