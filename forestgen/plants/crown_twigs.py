@@ -38,8 +38,7 @@ _LAYERS, _SECTORS = 12, 8  # of the hull's measurement
 _LOBES = 12  # round the crown
 _FINER = 6  # times as many for its volume
 _UNEVEN = 0.25  # of points' mean distance, standard deviation by which they are moved at random
-_IN_SPRAY, _CLOSER = 8, 0.45  # twigs of a flat spray, and how far they come together in plan
-_FLAT = np.array([1.0, 1.0, 2.5])  # of sprays: so many times as wide as high
+_IN_SPRAY, _CLOSER = 8, 0.45  # twigs of a spray, and how far they come together along its longer sides
 _NEAREST = 12  # nodes of branches that a point may be reached from
 TURN_COST = 0.6  # of a way straight back, as a share of its length
 PATH_COST = 0.35  # of the way from the branch to where a twig begins
@@ -68,8 +67,9 @@ class CrownTwigs(Section):
     droop: float = Field(0.0, ge=-1, le=1, description="how far twigs rather grow down than up; negative: up")
     level: float = Field(0.0, ge=0, le=4, description="how far twigs rather grow level: flat sprays in tiers")
     sprays: PositiveCurve = Field(
-        ((0.0, 0.0),), description="how far twigs gather in flat sprays, 0 to 1, over the tree's height in metres"
+        ((0.0, 0.0),), description="how far twigs gather in sprays, 0 to 1, over the tree's height in metres"
     )
+    spray_flat: float = Field(2.5, gt=0, le=10, description="width of sprays over their height; below 1: hanging")
 
 
 def rules_of_twigs(
@@ -108,22 +108,23 @@ def fill_crown(
     hull = _hull(replace(leaves, position_m=position), twigs.dome)
     tips, apart_m = hull.lobed(twigs.lobes, rng).spread(count, extinct_m2, rng)
     tips += _stem_at(wood, tips[:, 2])
-    tips = _gathered(tips, min(evaluate_one(twigs.sprays, height_m), 1.0))
+    tips = _gathered(tips, min(evaluate_one(twigs.sprays, height_m), 1.0), twigs.spray_flat)
     tips = np.concatenate([_beyond_ends(wood, apart_m), tips])
     grown, base = _grown(wood, *_spanned(wood, tips, twigs), twigs)
     organs = tuple(place(rule, grown, height_m, rng) for rule in rules)
     return replace(grown, organs=organs), kept[base]
 
 
-def _gathered(tips: Floats, share: float) -> Floats:
-    """(T, 3) points moved to the level of the middle of their group, which is wide and flat, and closer to it."""
+def _gathered(tips: Floats, share: float, flat: float) -> Floats:
+    """(T, 3) points moved towards the middle of their group, which is so many times as wide as high."""
     from scipy.spatial import cKDTree  # slow to import
 
     if share == 0.0:
         return tips
+    scale = np.array([1.0, 1.0, flat])
     middles = tips[: max(len(tips) // _IN_SPRAY, 1)]  # the first of evenly spread points are evenly spread
-    group = cKDTree(middles * _FLAT).query(tips * _FLAT)[1]
-    return np.asarray(tips + share * np.array([_CLOSER, _CLOSER, 1.0]) * (middles[group] - tips))
+    group = cKDTree(middles * scale).query(tips * scale)[1]
+    return np.asarray(tips + share * np.minimum(_CLOSER * scale / scale.min(), 1.0) * (middles[group] - tips))
 
 
 def _stem_at(skeleton: Skeleton, height_m: Floats) -> Floats:

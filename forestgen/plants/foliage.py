@@ -16,6 +16,7 @@ from forestgen.recipe.fields import Section
 _ORGAN_BYTES = 2000  # of an organ while it is placed, and of its smallest blade
 _HINT = "foliage of the shape {!r}: a larger spacing_m, or a smaller within_m, count or per_node"
 _DEEPEST_SEAT_M = 0.008  # an organ's foot sits on the bark, but no further than this from the axis
+_SHARED = 0.7  # of the variance of roll and size, by all organs of an axis; ours
 
 
 class Foliage(Section):
@@ -83,11 +84,23 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     seat = along - np.sum(along * tangent, axis=1, keepdims=True) * tangent
     seat[np.linalg.norm(seat, axis=1) < 1e-9] = 0.0  # those that go on along the axis are seated on it
     foot = foot + 0.7 * radius[:, None] * unit(seat)
-    size = growth * evaluate(rule.size, share) * np.clip(1 + rule.size_jitter * rng.normal(size=len(axis)), 0.4, 1.6)
-    roll = np.radians(rule.roll_jitter_deg) * rng.normal(size=len(axis))
+    larger, tilt = _deviations(axis, along, rng, 0.0 if rule.facing == "axis" else _SHARED)
+    size = growth * evaluate(rule.size, share) * np.clip(1 + rule.size_jitter * larger, 0.4, 1.6)
+    roll = np.radians(rule.roll_jitter_deg) * tilt
     upper = np.broadcast_to(UP, tangent.shape) if rule.facing == "up" else tangent
     frame = organ_frames(foot, along, upper, roll, size)
     return OrganPlacements(rule.shape, frame.astype(np.float32), node.astype(np.int32))
+
+
+def _deviations(axis: Ints, along: Floats, rng: np.random.Generator, shared: float) -> tuple[Floats, Floats]:
+    """Of organs' sizes and rolls, standard normal, (M,) each. A share of their variance is common to all of an axis:
+    sprays are of larger leaves than others, and lean to one side, so that they are light or dark as a whole.
+    """
+    across = unit(np.cross(along, UP))
+    of_axis = rng.normal(size=(int(axis.max(initial=-1)) + 1, 3))[axis]
+    common = np.stack([of_axis[:, 2], np.sum(of_axis[:, :2] * across[:, :2], axis=1)])
+    larger, tilt = np.sqrt(shared) * common + np.sqrt(1.0 - shared) * rng.normal(size=common.shape)
+    return larger, tilt
 
 
 class _Axes:

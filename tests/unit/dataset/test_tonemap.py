@@ -187,3 +187,15 @@ def test_bright_colours_become_pale_and_keep_their_hue() -> None:
     assert np.ptp(hue[bright]) < 0.02
     assert (np.diff(saturation[bright]) < 0.005).all()
     assert saturation[-1] < 0.7 * saturation[bright][0]
+
+
+def test_bright_browns_turn_pale_not_pink() -> None:
+    """Dry leaves of beech (linear Rec. 709, under D65) keep their hue as of OKLab; brighter ones turn to yellow."""
+    colour = colour_science()
+    leaf = np.array([0.225, 0.145, 0.080])
+    light = (0.18 / (leaf @ [0.2126, 0.7152, 0.0722]) * leaf * 2.0 ** np.arange(5)[:, None])[None].astype(np.float32)
+    shown = linear_of_srgb(tone_map(light, exposure=1.0) / 255)
+    a, b = colour.XYZ_to_Oklab(colour.RGB_to_XYZ(np.append(shown[0], [leaf], axis=0), "ITU-R BT.709"))[:, 1:].T
+    hue = np.degrees(np.arctan2(b, a))
+    assert np.abs(hue[:4] - hue[-1]).max() < 3.5
+    assert hue[4] > hue[-1]

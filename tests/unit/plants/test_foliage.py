@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from forestgen.core.errors import RecipeError
-from forestgen.plants.foliage import Foliage, place
+from forestgen.plants.foliage import Foliage, _deviations, place
 from forestgen.plants.skeleton import OrganPlacements, Skeleton
 from support.error_messages import raises_error
 
@@ -115,3 +115,14 @@ def test_too_many_organs_are_refused_before_they_are_made(
 def test_a_rule_has_a_spacing_or_a_count(keys: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         placed(**keys)
+
+
+def test_organs_of_an_axis_are_alike_and_lean_to_one_side() -> None:
+    """Sizes and rolls stay standard normal; organs on opposite sides of an axis roll against each other."""
+    axis = np.repeat(np.arange(20_000), 2)
+    along = np.tile([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], (20_000, 1))
+    for shared in (0.0, 0.7):
+        larger, tilt = _deviations(axis, along, np.random.default_rng(1), shared)
+        for one, sign in ((larger, 1.0), (tilt, -1.0)):
+            assert np.std(one) == pytest.approx(1.0, abs=0.02)
+            assert np.mean(one[::2] * one[1::2]) == pytest.approx(sign * shared, abs=0.03)

@@ -242,16 +242,15 @@ def test_worn_leaves_lack_pieces_and_no_more() -> None:
 def test_single_leaves_are_of_their_kinds_in_their_shares() -> None:
     request, exemplar = grown("birch")
     leaf = next(organ.material for organ in exemplar.organs if organ.part == Part.LEAF)
-    kinds = [LeafKind("dry", 0.1), LeafKind("summer", 0.9)]
-    leaf_m = request.species.tissue.leaf_length_m
-    made = with_near_foliage(
-        exemplar, request.parameters.shapes, leaf_m, planned("birch", 0.002), {leaf: kinds}, seed=3
-    )
+    kinds = {leaf: [LeafKind("dry", 0.1), LeafKind("summer", 0.9)]}
+    leaf_m, drawn = request.species.tissue.leaf_length_m, planned("birch", 0.002)
     area: dict[str, float] = defaultdict(float)
-    for organ in made.organs:
-        if organ.part == Part.LEAF:
-            assert organ.mesh.uv is not None or not organ.material.endswith(VEINED)
-            area[organ.material.removesuffix(VEINED)] += surface_area_m2(organ.mesh)
+    for seed in range(4):
+        made = with_near_foliage(exemplar, request.parameters.shapes, leaf_m, drawn, kinds, seed=seed)
+        for organ in made.organs:
+            if organ.part == Part.LEAF:
+                assert organ.mesh.uv is not None or not organ.material.endswith(VEINED)
+                area[organ.material.removesuffix(VEINED)] += surface_area_m2(organ.mesh)
     assert set(area) == {f"{leaf} [dry]", f"{leaf} [summer]"}
     assert area[f"{leaf} [dry]"] / sum(area.values()) == pytest.approx(0.1, abs=0.01)
 
