@@ -110,7 +110,7 @@ def _held(low: float, value: float, high: float) -> str:
 
 
 def print_cameras() -> None:
-    """u'v' of leaves and ground by camera, at the saturation of the recipes' photographs."""
+    """u'v' of leaves and ground by camera, at about the saturation of the recipes' photographs (0.5 to 0.65)."""
     light = d65()
     cameras = {name: load_bands(name) for name in ("nikon_5100", "sigma_sdmerill")}
     matrices = {name: colour_matrix(bands, light) for name, bands in cameras.items()}

@@ -219,7 +219,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
     "rain": lambda: forest(
         MIXED,
         24,
-        {**EYE, "position_m": [35, 3, 1.7]},
+        {**EYE, "position_m": [36.4, 3.4, 1.7]},
         "spruce",
         sky=OVERCAST,
         site__ground__layers=[*FLOOR, *ROADSIDE],
@@ -247,7 +247,7 @@ VIEWS: Mapping[str, Callable[[], Keys]] = {
         22,
         {**DRONE, "position_m": [30, -60, 50], "look_at_m": [30, 120, 42]},
         site__terrain__hills_m=150,
-        sky__sun={"elevation_deg": -2, "azimuth_deg": 190},
+        sky__sun={"elevation_deg": -2.5, "azimuth_deg": 335},
         sky__visibility_m=60000,
     ),
     "moonlit night": lambda: forest(
