@@ -19,6 +19,8 @@ MEASURED = {
     "bark/dead_birch": ("bark of a dead birch", ["dedbirch"]),
     "bark/dead_aspen": ("bark of a dead aspen", ["dedaspen"]),
     "bark/dead_spruce": ("bark of a dead spruce", ["dedspruc"]),
+}
+FALLEN = {
     "wood/fallen": (
         "dead wood on the ground, old and weathered",
         ["deadwood", "oldwood", "wdslash", "MCON_Tower_CWD2_Canopy"],
@@ -250,6 +252,7 @@ def main() -> None:
     """Write all tables."""
     library = Library()
     write_measured(library, MEASURED, SCRIPT)
+    write_measured(library, FALLEN, SCRIPT, "2026-11-29")
     write_birch(library)
     write_mixtures(library)
     write_living_barks(library)

@@ -73,14 +73,14 @@ def _fits(name: str, key: str) -> bool:
     return key.startswith(name[:-1]) if name.endswith("*") else key == name
 
 
-def write_measured(library: Library, measured: dict[str, tuple[str, list[str]]], script: str) -> None:
+def write_measured(library: Library, measured: dict[str, tuple[str, list[str]]], script: str, date: str = DATE) -> None:
     """Tables of measured surfaces: by name what it is, and the spectra; `script`: that makes them."""
     for name, (what, spectra) in measured.items():
         told = {
             "what": what,
             "source": f"measured with a field spectrometer; {EARTHLIB}, its spectra {', '.join(spectra)}",
             "licence": "MIT (earthlib)",
-            "date": DATE,
+            "date": date,
             "made by": f"{script}, which takes the mean where there are several",
             "unit": UNIT + "; where the air's water hides the ground (1350-1460, 1790-1960 nm) there is no row",
         }

@@ -18,13 +18,13 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.scene.far_mesh import far_mesh
 from forestgen.scene.ground_view import in_view
 from forestgen.scene.spec import Camera, Instances
-from forestgen.scene.terrain import HeightField
+from forestgen.scene.terrain import HeightField, smooth_step
 
 WOODS_M, SQUARE_M, SQUARE_VARIANTS, UNEVEN_SEEN = 6000.0, 160.0, 2, 0.004
-MOST_BLOCKS_BEYOND = 10_000  # the nearest, where steep hills would need more
-# Stands about so wide begin so far from the site; a share of the land of erfc(CLEAR / sqrt 2) / 2 is clear.
-STANDS_FROM_M, STAND_M, CLEAR, MEAN_GROWTH, GROWTH_SD = 250.0, 400.0, 1.6, 0.88, 0.2
-_STAND_WAVES = 5
+MOST_BLOCKS_BEYOND = 10_000  # the nearest, where hills of more than about 150 m would need more
+# Stands begin so far from the site, over so many metres; a share of the land of erfc(CLEAR / sqrt 2) / 2 is clear.
+STANDS_FROM_M, _STANDS_OVER_M, CLEAR, _MEAN_HEIGHT, _HEIGHT_SD = 250.0, 150.0, 1.6, 0.88, 0.2
+_STAND_WAVES, _SHORTEST_M, _LONGEST_M = 5, 280.0, 800.0
 _PROBES = np.linspace(-0.5, 0.5, 5)  # along a block, where the ground is looked up
 _BARRED_M = 0.8  # between places where it is asked for paths and water
 
@@ -51,27 +51,26 @@ class FarBlock:
 
 @dataclass(frozen=True)
 class Stands:
-    """Stands of several ages and clearings in the land around a site: two sums of waves that are near Gaussian."""
+    """Stands of several heights and clearings in the land around a site: two sums of waves that are near Gaussian."""
 
-    wave_per_m: Floats  # (2, W, 2) of ages, of clearings
+    wave_per_m: Floats  # (2, W, 2) of heights, of clearings
     phase: Floats  # (2, W)
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Stands:
-        turn, length_m = (
-            2.0 * np.pi * rng.random((2, _STAND_WAVES)),
-            STAND_M * (0.7 + 1.3 * rng.random((2, _STAND_WAVES))),
-        )
+        shape = 2, _STAND_WAVES
+        turn, length_m = 2.0 * np.pi * rng.random(shape), rng.uniform(_SHORTEST_M, _LONGEST_M, shape)
         wave = 2.0 * np.pi / length_m[..., None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
-        return cls(wave, 2.0 * np.pi * rng.random((2, _STAND_WAVES)))
+        return cls(wave, 2.0 * np.pi * rng.random(shape))
 
-    def growth(self, x_m: Floats, y_m: Floats, away_m: Floats) -> Floats:
+    def relative_height(self, x_m: Floats, y_m: Floats, away_m: Floats) -> Floats:
         """(N,) height of plants at (N,) points so far from the site, by those of the site; 0 in clearings."""
         at = np.stack([x_m, y_m], axis=-1)
         waves = np.sin(self.wave_per_m @ at.T + self.phase[..., None])
-        age, clear = np.sqrt(2.0 / _STAND_WAVES) * waves.sum(axis=1)
-        height = np.where(clear > CLEAR, 0.0, np.clip(MEAN_GROWTH + GROWTH_SD * age, 0.4, 1.15))
-        return np.where(away_m < STANDS_FROM_M, 1.0, height)
+        height, clear = np.sqrt(2.0 / _STAND_WAVES) * waves.sum(axis=1)
+        far = smooth_step((away_m - STANDS_FROM_M) / _STANDS_OVER_M)
+        tall = 1.0 + far * (np.clip(_MEAN_HEIGHT + _HEIGHT_SD * height, 0.4, 1.15) - 1.0)
+        return np.where(far * clear > CLEAR, 0.0, tall)
 
 
 @dataclass(frozen=True)
@@ -101,21 +100,21 @@ class Lattice:
         turn = self.rng.integers(4, size=count)
         return turn if np.isclose(*side_m) else turn // 2 * 2
 
-    def growth(self, at: Rows, many: Rows | int) -> Floats:
+    def relative_height(self, at: Rows, many: Rows | int) -> Floats:
         """(B,) height of plants of blocks, or of squares of `many`, by those of the site; 0 in clearings."""
         if self.stands is None:
             return np.ones(len(at))
         x, y = ((at + 0.5) * many * self.side_m).T
-        return self.stands.growth(x, y, self.height.distance_m(x, y))
+        return self.stands.relative_height(x, y, self.height.distance_m(x, y))
 
     def planes(self, at: Rows, many: Rows | int) -> tuple[Floats, Floats]:
-        """(B, 3) rise east and north and height at the middle of the ground of blocks, or of squares of `many` along
-        their sides; (B,) how far it is from that.
+        """(B, 3) rise east and north and height at the middle of the ground's mesh in blocks, or in squares of `many`
+        along their sides; (B,) how far it is from that.
         """
         side = many * self.side_m
         middle_m = (at + 0.5) * side
         x, y = (one.ravel() for one in np.meshgrid(_PROBES * side[0], _PROBES * side[1]))
-        z = self.height(middle_m[:, :1] + x, middle_m[:, 1:] + y)
+        z = self.height.on_mesh(middle_m[:, :1] + x, middle_m[:, 1:] + y)
         plane = np.stack([z @ x / (x @ x), z @ y / (y @ y), z.mean(axis=1)], axis=1)
         miss = np.abs(z - plane @ np.stack([x, y, np.ones(len(x))]))
         return plane, miss.max(axis=1)
@@ -168,18 +167,18 @@ class Beyond:
         variant = np.arange(len(at)) % (1 if lattice.rng is None else SQUARE_VARIANTS)
         turn = lattice.turned(len(at), many * side)
         middle, radius_m = (at + 0.5) * many * side, 0.5 * float(np.hypot(*(many * side))) + top_m
-        growth = lattice.growth(at, many)
+        relative_height = lattice.relative_height(at, many)
         seen = in_view(cameras, np.column_stack([middle, plane[:, 2]]), radius_m)
         inner = _grid(*(np.arange(one) for one in many))
         split = np.concatenate([inner, (at[~whole, None] * many + inner).reshape(-1, 2)])
         kept = np.append(np.full(len(inner), seen.any()), np.repeat(seen[~whole], len(inner)))
         apart = _apart_m(split, side, count)
-        kept &= apart >= far_m
+        kept &= (apart >= far_m) & (lattice.relative_height(split, 1) > 0)
         kept[np.flatnonzero(kept)[np.argsort(apart[kept], kind="stable")[MOST_BLOCKS_BEYOND:]]] = False
-        (own, own_turn), chosen = lattice.drawn(split), whole & seen & (growth > 0)
+        (own, own_turn), chosen = lattice.drawn(split), whole & seen & (relative_height > 0)
         split = split[kept]
         plane_of_split, _ = lattice.planes(split, 1)
-        transform = sheared(middle[chosen], plane[chosen], turn[chosen], growth[chosen])
+        transform = sheared(middle[chosen], plane[chosen], turn[chosen], relative_height[chosen])
         return cls(lattice, many, split, own[kept], own_turn[kept], plane_of_split, transform, variant[chosen])
 
     @property
@@ -233,11 +232,11 @@ def turns(turn: Rows) -> Floats:
     return np.stack([cos, -sin, sin, cos], axis=-1).reshape(-1, 2, 2)
 
 
-def sheared(middle_m: Floats, plane: Floats, turn: Rows, growth: Floats | float = 1.0) -> Floats:
+def sheared(middle_m: Floats, plane: Floats, turn: Rows, relative_height: Floats | float = 1.0) -> Floats:
     """(M, 3, 4) from the frames of far meshes to the world: turned, stems stay upright, feet follow the plane; so much
     taller."""
     transform = np.tile(np.eye(3, 4), (len(plane), 1, 1))
     transform[:, :2, :2] = turns(turn)
     transform[:, 2, :2], transform[:, 2, 3] = (plane[:, None, :2] @ transform[:, :2, :2])[:, 0], plane[:, 2]
-    transform[:, :2, 3], transform[:, 2, 2] = middle_m, growth
+    transform[:, :2, 3], transform[:, 2, 2] = middle_m, relative_height
     return transform

@@ -20,6 +20,7 @@ from forestgen.plants.exemplar import Exemplar
 from forestgen.recipe.load import DrawnRecipe
 from forestgen.recipe.phenology import SUMMER, fallen_lately
 from forestgen.scene import bark_tones
+from forestgen.scene.blocks import Stands
 from forestgen.scene.building import building_materials
 from forestgen.scene.exemplar_plan import TREE_SIZES, ExemplarPlan
 from forestgen.scene.exemplars import SizeError
@@ -91,7 +92,8 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         simulated, kept_off = off_paths_and_water(plan, simulated)
         height = plan.views.height
         population = stand_on(simulated, height)
-        layers = _layers(plan, population)
+        stands = _stands(plan)
+        layers = _layers(plan, population, stands)
     with timer("plants"):
         chosen = choose_exemplars(plan, population, plan.views.all_cameras, layers)
         exemplars = grow_planned(plan, chosen, progress, population)
@@ -114,7 +116,7 @@ def build_scene(plan: Plan, simulated: Population, progress: Progress, timer: Ti
         trunks = Trunks(exemplars, around.plants)
         views = drawn_cameras(drawn, trunks)
         stems = Circles(*(trunks.circles_m(_STEM_BASE_M) if recipe.weather else _NO_STEMS))
-        terrain = _terrain(plan, population, around.reach_m, stems, views)
+        terrain = _with_clearings(_terrain(plan, population, around.reach_m, stems, views), stands, height)
         spec = SceneSpec(
             exemplars=around.exemplars,
             materials=around.materials,
@@ -195,14 +197,20 @@ def _sway(
     return around.sway(own)
 
 
-def _layers(plan: Plan, population: Population) -> tuple[Layer, ...]:
+def _stands(plan: Plan) -> Stands | None:
+    """Of the land around the site."""
+    is_forest = plan.drawn.recipe.site.surroundings.kind == "forest"
+    return Stands.drawn(child_rng(plan.drawn.image_seed, "surroundings", "stands")) if is_forest else None
+
+
+def _layers(plan: Plan, population: Population, stands: Stands | None) -> tuple[Layer, ...]:
     """What the recipe says to be around the site: no buildings."""
     kind, seed = plan.drawn.recipe.site.surroundings.kind, plan.drawn.image_seed
     if kind == "open":
         return ()
     rows = np.setdiff1d(np.arange(len(population)), list(plan.community.obstacles.rows_of(population)))
     rng = child_rng(seed, "surroundings") if kind == "forest" else None
-    return layers_around(population, rows, plan.views.height, rng, plan.views.all_cameras)
+    return layers_around(population, rows, plan.views.height, rng, plan.views.all_cameras, stands)
 
 
 def _terrain(
@@ -217,6 +225,15 @@ def _terrain(
         meshed = FinerGround(height.size_m, height, stems, eyes_m)
     terrain = build_terrain(meshed, child_rng(seed, "terrain", "colour"), kind, wetness, reach_m, fresh)
     return with_land(terrain, height, plan.drawn.recipe.wind.speed_m_per_s, seed)
+
+
+def _with_clearings(terrain: Terrain, stands: Stands | None, height: HeightField) -> Terrain:
+    """The ground with the colour of the distance in clearings."""
+    if stands is None:
+        return terrain
+    x, y = terrain.mesh.vertices_m[:, :2].T.astype(np.float64)
+    is_clear = stands.relative_height(x, y, height.distance_m(x, y)) == 0
+    return replace(terrain, far_share=np.where(is_clear, np.float32(1.0), terrain.far_share))
 
 
 def _fresh_litter(plan: Plan, population: Population) -> FreshLitter | None:

@@ -33,7 +33,8 @@ from forestgen.scene.terrain import TEXTURE_TILE_M, tile_noise
 LONGEST_PATCH_M = 0.5 * TEXTURE_TILE_M
 _SOFT, _SHARP = 0.35, 0.08  # widths of the edges of patches, in standard deviations of the noise
 # Around patches of bare soil lie spots of it, and in them spots of what is around: of so many standard deviations.
-_SPOTS, _SPOT_M, _SPOT_SLOPE = 0.5, 1.2, 2.0  # the longest, their spectrum
+_SPOTS, _SPOT_SLOPE = 0.5, 2.0  # their spectrum
+_SPOT_M, _SPOT_SHARE, _FINEST_SPOT_M = 1.2, 0.3, 0.05  # the longest, at most so much of a patch; the shortest
 _FINEST_M = 0.12  # ragged edges have bays of this size
 _SLOPE = 3.0  # of the noise: its power goes with the wave number to the power -_SLOPE
 _GRAIN, _BARE_GRAIN = 0.25, 0.08  # standard deviation of brightness within patches
@@ -61,7 +62,8 @@ def patches(cover: float, patch_m: float, has_things: bool, rng: np.random.Gener
     longest_m, edge = min(4.0 * patch_m, TEXTURE_TILE_M), _SOFT if has_things else _SHARP
     noise = tile_noise(longest_m, min(_FINEST_M, 0.5 * patch_m), _SLOPE, rng).astype(np.float32)
     if not has_things:
-        spots = tile_noise(_SPOT_M, 0.05, _SPOT_SLOPE, rng).astype(np.float32)
+        spot_m = min(_SPOT_M, _SPOT_SHARE * patch_m)
+        spots = tile_noise(spot_m, min(_FINEST_SPOT_M, 0.5 * spot_m), _SPOT_SLOPE, rng).astype(np.float32)
         noise = np.asarray((noise + _SPOTS * spots) / np.hypot(1.0, _SPOTS), dtype=np.float32)
     some = noise[::_EVERY, ::_EVERY].astype(np.float64)
     low, high = -8.0, 8.0

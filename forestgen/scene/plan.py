@@ -32,7 +32,7 @@ from forestgen.scene.ground_view import MOST_TILES
 from forestgen.scene.phenology import leaf_states
 from forestgen.scene.site import check_wet_soil, community_site
 from forestgen.scene.snow_depth import FINE_TRIANGLES
-from forestgen.scene.surroundings import most_far_triangles
+from forestgen.scene.surroundings import MOST_FAR, most_far_triangles
 from forestgen.scene.terrain import FINE_M, TEXTURE_PX
 from forestgen.scene.triangles import exemplar_triangles, near_triangles
 from forestgen.scene.views import Views, place_key
@@ -57,7 +57,6 @@ _BYTES_PER_PLANT_UNDER_CLOUDS = 27_000  # more, as above
 # Clouds that are so much higher than they must be are surely far: plants differ in height, and the ground in places.
 _SURELY_FAR_M = 200.0
 _GROUND_POINTS = 33  # along a side, at which the ground's height is looked up
-_MOST_GROUND_CELLS, _GROUND_BEYOND = 1200, 160  # see scene/terrain.py
 _TRIANGLES_OF_A_PLANT = 300_000  # of a large one, at a guess
 _FILM_BYTES = 60_000_000  # numbers and pictures that community/history_files.py keeps
 
@@ -93,10 +92,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
     own = own_triangles(plan)
     grown = exemplar_triangles(plan.drawn, plan.plants, stand, plan.views.all_cameras)
     grown += near_triangles(plan.drawn, plan.plants, plan.views.all_cameras, stand.site.size_m, _highest_m(plan.views))
-    across, along = (
-        min(math.ceil((side + 40) / plan.views.height.cell_m), _MOST_GROUND_CELLS) + _GROUND_BEYOND
-        for side in recipe.site.size_m
-    )
+    across, along = (len(one) - 1 for one in plan.views.height.axes)
     fine = math.ceil(2.0 * plan.views.height.fine_m2 / FINE_M**2) + has_relief(plan.drawn) * FINE_TRIANGLES
     return {
         "community": community,
@@ -108,7 +104,7 @@ def estimate_bytes(plan: Plan, *, simulate_only: bool = False, plants: int = 0) 
         "exemplars": math.ceil(grown * per_triangle + own * (_BYTES_PER_OWN_TRIANGLE + clouds_per_triangle)),
         "plants": plants * per_plant,
         "surroundings": recipe.site.surroundings.kind != "open"
-        and most_far_triangles(stand.site.size_m) * per_triangle,
+        and most_far_triangles(stand.site.size_m) * per_triangle + MOST_FAR * per_plant,
         "clouds": source.estimate_bytes(plan.drawn, stand.model, stand.parameters)
         + (cirrus_above(plan.drawn) is not None) * CIRRUS_BYTES,
     }

@@ -42,6 +42,8 @@ from forestgen.core.randomness import child_rng
 from forestgen.geometry.mesh import Floats
 from forestgen.plants.exemplar import Exemplar
 from forestgen.scene.blocks import (
+    MOST_BLOCKS_BEYOND,
+    SQUARE_M,
     WOODS_M,
     Beyond,
     Blocks,
@@ -67,6 +69,8 @@ FAR_BLOCKS, LOW_FAR_BLOCKS, FAR_M = 16, 8, 1000.0
 APART, _LEAST_SEEN = 0.35, 0.02
 GRAIN_M2, _MOST_TRIANGLES, SQUARE_TRIANGLES = 0.06, 1_000_000, 500_000
 _MOST_LEAVES = 12.0  # m2 over a square metre of the site, for the estimate of memory
+# Instances of far meshes, for the same: blocks near and beyond, squares all around.
+MOST_FAR = (2 * FAR_BLOCKS + MOST_BLOCKS) ** 2 + MOST_BLOCKS_BEYOND + int((2 * WOODS_M / SQUARE_M) ** 2)
 
 Bools = NDArray[np.bool_]
 Materials = Mapping[tuple[str, str], Material]
@@ -177,16 +181,18 @@ def layers_around(
     height: HeightField,
     rng: np.random.Generator | None,
     cameras: Sequence[Camera] = (),
+    stands: Stands | None = None,
 ) -> tuple[Layer, ...]:
     """What stands around a site, of some rows of its plants.
 
     `rng`: draws the blocks of `forest`; None: those of `repeat`. `cameras`: for which there is forest beyond `FAR_M`,
-    but for those that stand so deep in the stand that they do not see so far.
+    but for those that stand so deep in the stand that they do not see so far. `stands`: of the tall plants; None: all
+    are as the site.
     """
-    blocks = FAR_BLOCKS, LOW_FAR_BLOCKS
+    both = (FAR_BLOCKS, cameras, stands), (LOW_FAR_BLOCKS, (), None)
     return tuple(
-        _layer(population, members, height, rng, many, cameras if many == FAR_BLOCKS else ())
-        for many, members in zip(blocks, _by_height(population, rows), strict=False)
+        _layer(population, members, height, rng, *one)
+        for one, members in zip(both, _by_height(population, rows), strict=False)
     )
 
 
@@ -226,9 +232,9 @@ def _layer(
     rng: np.random.Generator | None,
     far_blocks: int,
     cameras: Sequence[Camera],
+    stands: Stands | None,
 ) -> Layer:
     reach_m, top_m = _reach_m(population, members), float(population.height_m[members].max())
-    stands = Stands.drawn(rng.spawn(1)[0]) if rng is not None and far_blocks == FAR_BLOCKS else None
     lattice = Lattice(np.asarray(height.size_m) / _block_counts(height.size_m, reach_m), height, rng, stands)
     side, count = lattice.side_m, lattice.count
     far_m = min(far_blocks * float(side.max()), FAR_M)
@@ -247,8 +253,8 @@ def _layer(
     every, far_own, far_turn = (
         np.concatenate(pair) for pair in ((at, beyond.at), (own, beyond.own), (turn, beyond.turn))
     )
-    plane, growth = np.concatenate([plane, beyond.plane]), lattice.growth(every, 1)
-    is_far = np.append(~near & (barred < 1), np.ones(len(beyond.at), dtype=bool)) & (growth > 0)
+    plane, relative_height = np.concatenate([plane, beyond.plane]), lattice.relative_height(every, 1)
+    is_far = np.append(~near & (barred < 1), np.ones(len(beyond.at), dtype=bool)) & (relative_height > 0)
     for index in np.ndindex(*count):
         (plants, from_middle), here = blocks.of(index), (own == index).all(axis=1)
         copies, mine = np.flatnonzero(near & here), np.flatnonzero(is_far & (far_own == index).all(axis=1))
@@ -257,7 +263,7 @@ def _layer(
         place.append((middle[:, None] + from_middle @ turns(turn[copies]).transpose(0, 2, 1)).reshape(-1, 2))
         if len(plants) and len(mine):
             still = np.zeros(len(plants), dtype=np.intp)
-            transform = sheared((every[mine] + 0.5) * side, plane[mine], far_turn[mine], growth[mine])
+            transform = sheared((every[mine] + 0.5) * side, plane[mine], far_turn[mine], relative_height[mine])
             far.append(FarBlock(plants, from_middle, still, transform))
     (row, block), xy = np.concatenate(source, axis=1), np.concatenate(place)
     kept = np.full(len(row), True) if rng is None else _free_of_stems(population, members, row, block, xy)

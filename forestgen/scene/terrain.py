@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -66,6 +67,25 @@ class HeightField:
     def coarsest_m(self) -> tuple[float, float]:
         """Length of the mesh's longest cells, and how far from the site no cell is longer."""
         return math.inf, 0.0
+
+    @property
+    def axes(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """x of the columns and y of the rows of the mesh's vertices, but for those of fine cells."""
+        return _graded_axis(self.size_m[0], self), _graded_axis(self.size_m[1], self)
+
+    @cached_property
+    def grid(self) -> NDArray[np.float64]:
+        """(rows, columns) height of these vertices."""
+        return self(*np.meshgrid(*self.axes))
+
+    def on_mesh(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height of the mesh at points of any shape, but for its fine cells: the ground's at vertices alone."""
+        (xs, ys), z = self.axes, self.grid
+        i, j = np.searchsorted(xs, x_m, side="right") - 1, np.searchsorted(ys, y_m, side="right") - 1
+        east, north = (x_m - xs[i]) / (xs[i + 1] - xs[i]), (y_m - ys[j]) / (ys[j + 1] - ys[j])
+        across, along = np.maximum(east, north), np.minimum(east, north)
+        corner = np.where(east >= north, z[j, i + 1], z[j + 1, i])  # of the triangle
+        return np.asarray((1.0 - across) * z[j, i] + (across - along) * corner + along * z[j + 1, i + 1])
 
     @property
     def fine_m2(self) -> float:
@@ -189,12 +209,12 @@ def smooth_step(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return t * t * (3 - 2 * t)
 
 
-def _graded_axis(length_m: float, cell_m: float, coarsest_m: tuple[float, float]) -> NDArray[np.float64]:
+def _graded_axis(length_m: float, height: HeightField) -> NDArray[np.float64]:
     """Coordinates: even cells over the site and a margin, then each cell 8% longer than the last, to the horizon; none
     longer than the `coarsest_m` within its distance.
     """
-    longest, within = coarsest_m
-    cells = int(min(np.ceil((length_m + 2 * MARGIN_M) / cell_m), 1200))
+    longest, within = height.coarsest_m
+    cells = int(min(np.ceil((length_m + 2 * MARGIN_M) / height.cell_m), 1200))
     inner = np.linspace(-MARGIN_M, length_m + MARGIN_M, cells + 1)
     step, reach, outer = inner[1] - inner[0], MARGIN_M, []
     while reach < HORIZON_M:
@@ -207,11 +227,10 @@ def _graded_axis(length_m: float, cell_m: float, coarsest_m: tuple[float, float]
 
 def terrain_mesh(height: HeightField) -> Mesh:
     """Height field as triangles, smooth normals, uv in tiles of `TEXTURE_TILE_M`."""
-    xs, ys = (_graded_axis(side, height.cell_m, height.coarsest_m) for side in height.size_m)
     if height.fine_m2 > 0.0:
-        return _mesh_with_fine_cells(height, xs, ys)
+        return _mesh_with_fine_cells(height)
+    (xs, ys), z = height.axes, height.grid
     x, y = np.meshgrid(xs, ys)
-    z = height(x, y)
     slope_y, slope_x = np.gradient(z, ys, xs)
     normal = np.stack([-slope_x, -slope_y, np.ones_like(z)], axis=-1).reshape(-1, 3)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -227,7 +246,8 @@ def terrain_mesh(height: HeightField) -> Mesh:
     )
 
 
-def _mesh_with_fine_cells(height: HeightField, xs: NDArray[np.float64], ys: NDArray[np.float64]) -> Mesh:
+def _mesh_with_fine_cells(height: HeightField) -> Mesh:
+    xs, ys = height.axes
     middle = np.meshgrid(*(0.5 * (one[1:] + one[:-1]) for one in (xs, ys)))
     long = np.maximum(*np.meshgrid(np.diff(xs), np.diff(ys)))
     fine = height.fine(middle[0].ravel(), middle[1].ravel(), long.ravel()).reshape(long.shape)

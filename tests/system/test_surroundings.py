@@ -63,10 +63,10 @@ def test_far_stands_are_of_several_heights_with_clearings_between():
     for seed in range(20):
         stands = Stands.drawn(np.random.default_rng(seed))
         x, y = np.random.default_rng(seed).uniform(-5000, 5000, (2, 4000))
-        grown = stands.growth(x, y, np.full(len(x), 1000.0))
-        cleared.append((grown == 0).mean())
-        heights.append(grown[grown > 0].std())
-        np.testing.assert_array_equal(stands.growth(x, y, np.full(len(x), 100.0)), 1.0)
+        tall = stands.relative_height(x, y, np.full(len(x), 1000.0))
+        cleared.append((tall == 0).mean())
+        heights.append(tall[tall > 0].std())
+        np.testing.assert_array_equal(stands.relative_height(x, y, np.full(len(x), 100.0)), 1.0)
     assert np.mean(cleared) == pytest.approx(0.5 * math.erfc(CLEAR / math.sqrt(2)), abs=0.01)
     assert 0.1 < np.mean(heights) < 0.3
 

@@ -4,11 +4,12 @@ The site's relief has a standard deviation of `amplitude_m` and wavelengths from
 which long ones carry most of the height, as on eroded land. Around it, from some hundred metres on, stand hills with a
 standard deviation of `hills_m`; `site.surroundings` covers them with the stand's forest.
 
-Hills are `OCTAVES` of waves, from 3000 m on each half as long and `_LOWER` times as high as the one before. Their power
-goes with the wave number as k^-3.6 from 1500 to 300 m. On real land differences of height grow with the root of the
-distance, which is k^-3 (Lovejoy et al. 1995), and power falls more steeply beyond the length of a slope (Perron et al.
-2008). The second octave is folded, so that hills have crests, finer ones the other way: spurs with valleys between.
-They have more weight the higher the land is (after Musgrave's ridged multifractal, 2003). Shares are ours.
+Hills are `OCTAVES` of waves, from 3000 m on each half as long and `_LOWER` times as high as the one before. Their
+two-dimensional power spectrum goes with the wave number as k^-3.6 from 1500 to 300 m. On real land differences of
+height grow with the root of the distance, which is k^-3 (Lovejoy et al. 1995), and power falls more steeply beyond the
+length of a slope (Perron et al. 2008). The second octave is folded, so that hills have crests, the third the other way:
+spurs with valleys between. It has more weight the higher the land is (after Musgrave's ridged multifractal, 2003).
+Shares are ours. The mesh's cells are coarse for the spurs: what stands far away stands on the mesh.
 
 References
 ----------
@@ -41,12 +42,14 @@ from forestgen.recipe.schema import Terrain
 from forestgen.scene.terrain import MARGIN_M, HeightField, TerrainShape, smooth_step
 
 HILLS_FROM_M, HILLS_TO_M = 250.0, 6000.0
-HILL_M, OCTAVES, _HILL_WAVES = 3000.0, 4, 6  # longest waves of hills; octaves; waves of each
-_CELLS = 4.0  # of the mesh along the shortest hills
+HILL_M, OCTAVES, _HILL_WAVES = 3000.0, 3, 6  # longest waves of hills; octaves; waves of each
+_CELL_M = 94.0  # of the mesh on hills: at least three along a wave of the last octave, which folding makes half as long
 _UNUSED = 10  # numbers drawn for hills of older versions: sites keep their ground
 _LOWER = 0.43  # height of an octave by that of the one before
 _BEND = 0.7  # radians per standard deviation of the height: spurs bend with the land
-_CREST = 0.2  # of the standard deviation of an octave: rounds its crests
+_CREST = 0.5  # of the standard deviation of an octave: rounds its crests
+_PER_RIDGE = 1 / np.sqrt(1 - 2 / np.pi)  # of the magnitude of a Gaussian variable, for unit variance
+_MEAN_RIDGE = _PER_RIDGE * np.sqrt(2 / np.pi)
 
 
 class RollingKeys(Terrain):
@@ -93,7 +96,7 @@ class Waves(HeightField):
 
     @property
     def coarsest_m(self) -> tuple[float, float]:
-        return (HILL_M * 0.5 ** (OCTAVES - 1) / _CELLS, HILLS_TO_M) if self.hills_m > 0 else super().coarsest_m
+        return (_CELL_M, HILLS_TO_M) if self.hills_m > 0 else super().coarsest_m
 
     def _height(self, x_m: NDArray[np.float64], y_m: NDArray[np.float64]) -> NDArray[np.float64]:
         z = np.zeros(x_m.shape)
@@ -128,10 +131,6 @@ class Waves(HeightField):
         """Wave vector, amplitude and phase of the waves of an octave."""
         own = self.octave == octave
         return zip(self.wave_per_m[own], self.amplitude_m[own], self.phase[own], strict=True)
-
-
-_PER_RIDGE = 1 / np.sqrt(1 - 2 / np.pi)  # of the magnitude of a Gaussian variable, for unit variance
-_MEAN_RIDGE = _PER_RIDGE * np.sqrt(2 / np.pi)
 
 
 def rolling(

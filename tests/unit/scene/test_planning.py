@@ -11,6 +11,7 @@ from forestgen.core.errors import RecipeError, ResourceError
 from forestgen.recipe.load import load_recipe
 from forestgen.scene import plan
 from forestgen.scene.plan import Plan, check_memory, check_plan, estimate_bytes, make_plan
+from forestgen.scene.terrain import terrain_mesh
 from support.error_messages import raises_error
 from support.tiers import few
 
@@ -102,7 +103,14 @@ def test_plants_and_clouds_above_them_need_memory() -> None:
     assert set(estimate_bytes(clear, simulate_only=True)) == {"community", "libraries"}
 
 
-@pytest.mark.parametrize(("name", "most"), few([("quickstart", 2.1e9), ("mixed_stand", 2.6e9), ("vista", 4.1e9)]))
+@pytest.mark.parametrize("hills_m", [0, 60])
+def test_the_grounds_estimate_is_that_of_its_mesh(hills_m: int) -> None:
+    one = planned(f"site.terrain={{kind: rolling, hills_m: {hills_m}}}")
+    faces = len(terrain_mesh(one.views.height).faces)
+    assert estimate_bytes(one)["ground"] == faces * plan._BYTES_PER_TRIANGLE
+
+
+@pytest.mark.parametrize(("name", "most"), few([("quickstart", 2.2e9), ("mixed_stand", 2.6e9), ("vista", 4.1e9)]))
 def test_the_memory_of_shipped_recipes_is_within_that_of_usual_machines(name: str, most: float) -> None:
     loaded = load_recipe(QUICKSTART.with_name(f"{name}.yaml"))
     assert max(sum(estimate_bytes(make_plan(drawn)).values()) for drawn in loaded.probes()) < most

@@ -12,7 +12,7 @@ from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.geometry.mesh import part_of, surface_area_m2
 from forestgen.recipe import land
-from forestgen.scene.blocks import UNEVEN_SEEN, WOODS_M
+from forestgen.scene.blocks import UNEVEN_SEEN, WOODS_M, Stands
 from forestgen.scene.build import place_instances, stand_on
 from forestgen.scene.far_mesh import SPECIES, areas_m2, far_mesh, thinned
 from forestgen.scene.shaped_ground import shaped
@@ -284,21 +284,20 @@ def test_ids_beyond_32_bits_are_refused():
 HILLS = rolling((60.0, 60.0), 2.0, 60.0, np.random.default_rng(2), 60.0)
 
 
-def beyond(height, look_at_m, kind=np.random.default_rng):
+def beyond(height, look_at_m, kind=np.random.default_rng, stands=None):
     """What is around a site of trees for one camera above them."""
     rng = np.random.default_rng(4)
     plants = population(300, rng)
     place = np.column_stack([rng.random((300, 2)) * 60.0, np.zeros(300)])
     plants = stand_on(replace(plants, position_m=place, height_m=np.full(300, 20.0)), height)
     camera = camera_of("perspective", (96, 64), (30.0, 30.0, 90.0), look_at_m)
-    (found,) = layers_around(plants, np.arange(300), height, kind(1), [camera])
+    (found,) = layers_around(plants, np.arange(300), height, kind(1), [camera], stands)
     return found
 
 
 @pytest.mark.parametrize("kind", [np.random.default_rng, lambda seed: None], ids=["forest", "repeat"])
-def test_forest_goes_on_to_the_horizon_without_gap_or_overlap(kind, monkeypatch):
+def test_forest_goes_on_to_the_horizon_without_gap_or_overlap(kind):
     """Each place in view belongs to one block or square, and feet are as near to its ground as can be seen."""
-    monkeypatch.setattr("forestgen.scene.blocks.CLEAR", np.inf)
     found = beyond(HILLS, (30.0, 3000.0, 60.0), kind)
     assert any(one.wide for one in found.far)
     rng = np.random.default_rng(0)
@@ -312,10 +311,22 @@ def test_forest_goes_on_to_the_horizon_without_gap_or_overlap(kind, monkeypatch)
             inside = (np.abs(dx) <= half_m) & (np.abs(dy) <= half_m)
             covered += inside
             local = np.linalg.inv(matrix[:2, :2]) @ np.stack([dx, dy])
-            miss_m += np.where(inside, np.abs(matrix[2, :2] @ local + matrix[2, 3] - HILLS(x, y)), 0.0)
+            miss_m += np.where(inside, np.abs(matrix[2, :2] @ local + matrix[2, 3] - HILLS.on_mesh(x, y)), 0.0)
     assert (covered == 1).all()
     assert (miss_m < 1.5 * UNEVEN_SEEN * distance).all()  # between the places where it is looked up, a little more
     assert found.reach_m == WOODS_M
+
+
+def test_far_stands_have_their_heights_and_no_tree_stands_in_clearings():
+    stands = Stands.drawn(np.random.default_rng(3))
+    same, found = (beyond(HILLS, (30.0, 3000.0, 60.0), stands=one) for one in (None, stands))
+    every, transform = (np.concatenate([block.transform for block in one.far]) for one in (same, found))
+    x, y = transform[:, :2, 3].T
+    relative_height = stands.relative_height(x, y, HILLS.distance_m(x, y))
+    assert (relative_height > 0).all()
+    np.testing.assert_allclose(transform[:, 2, 2], relative_height)
+    np.testing.assert_array_equal(every[:, 2, 2], 1.0)
+    assert 0.85 * len(every) < len(transform) < len(every)
 
 
 def test_only_what_a_camera_sees_goes_on_to_the_horizon():
