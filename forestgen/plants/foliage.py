@@ -16,7 +16,7 @@ from forestgen.recipe.fields import Section
 _ORGAN_BYTES = 2000  # of an organ while it is placed, and of its smallest blade
 _HINT = "foliage of the shape {!r}: a larger spacing_m, or a smaller within_m, count or per_node"
 _DEEPEST_SEAT_M = 0.008  # an organ's foot sits on the bark, but no further than this from the axis
-_SHARED = 0.7  # of the variance of roll and size, by all organs of a branch or twig; ours
+_SHARED = 0.7  # of the variance of roll and size, by all organs of a twig; ours
 
 
 class Foliage(Section):
@@ -50,8 +50,8 @@ class Foliage(Section):
         0.0,
         ge=0,
         lt=0.5,
-        description="standard deviation of the size, as a share; 70% of its square is between branches or twigs, where "
-        "organs face up and are not on the stem",
+        description="standard deviation of the size, as a share; 70% of its square is between twigs, of order 2 or "
+        "more, where organs face up",
     )
     size_by_height: PositiveCurve = Field(((0.0, 1.0),), description="factor on size and spacing over height in metres")
     spacing_by_height: PositiveCurve = Field(((0.0, 1.0),), description="one more on spacing, over height in metres")
@@ -92,7 +92,7 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     seat = along - np.sum(along * tangent, axis=1, keepdims=True) * tangent
     seat[np.linalg.norm(seat, axis=1) < 1e-9] = 0.0  # those that go on along the axis are seated on it
     foot = foot + 0.7 * radius[:, None] * unit(seat)
-    shares = (rule.facing == "up") & (skeleton.order[node] > 0)  # on a stem, which may be all the plant, none do
+    shares = (rule.facing == "up") & (skeleton.order[node] > 1)  # on twigs: herbs have none
     larger, tilt = _deviations(axis, along, shares, rng)
     size = growth * evaluate(rule.size, share) * np.clip(1 + rule.size_jitter * larger, 0.4, 1.6)
     roll = np.radians(rule.roll_jitter_deg) * tilt

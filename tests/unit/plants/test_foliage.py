@@ -127,3 +127,5 @@ def test_organs_of_an_axis_are_alike_and_lean_to_one_side() -> None:
         for one, sign in ((larger, 1.0), (tilt, -1.0)):
             assert np.std(one) == pytest.approx(1.0, abs=0.02)
             assert np.mean(one[::2] * one[1::2]) == pytest.approx(sign * shared, abs=0.03)
+        upright = _deviations(axis, np.abs(along[:, ::-1]), shares, np.random.default_rng(1))
+        assert np.std(upright, axis=1) == pytest.approx(1.0, abs=0.02)
