@@ -183,7 +183,7 @@ def write_mixtures(library: Library) -> None:
         weights = mixture(colour, kinds[kind], library.wavelength_nm)
         values = sum(w * kinds[kind][part] for part, w in weights.items())
         got = colour_weights(library.wavelength_nm) @ values
-        told = {
+        metadata = {
             "what": name.split("/")[1].replace("_", " "),
             "constructed": f"a mixture of spectra with the colour that the species is known by, "
             f"{', '.join(f'{x:g}' for x in colour)} in linear Rec. 709; not a measurement of this surface",
@@ -195,13 +195,13 @@ def write_mixtures(library: Library) -> None:
             "unit": UNIT,
         }
         print(name, np.round(got, 3), colour, f"sum {sum(weights.values()):.2f}", f"peak {values.max():.2f}")  # noqa: T201
-        write(name, told, library.wavelength_nm, {"reflectance": values})
+        write(name, metadata, library.wavelength_nm, {"reflectance": values})
 
 
 def write_birch(library: Library) -> None:
     """White bark of a living birch."""
     birch = 1 - WHITE_LAYER * (1 - library.mean("dedbirch"))
-    told = {
+    metadata = {
         "what": "white bark of a living birch",
         "constructed": f"1 - {WHITE_LAYER} (1 - R), R the measured bark of a dead birch: fresh bark is whiter; the "
         "factor gives a reflectance of 0.55 in green light",
@@ -211,14 +211,14 @@ def write_birch(library: Library) -> None:
         "made by": SCRIPT,
         "unit": UNIT,
     }
-    write("bark/birch", told, library.wavelength_nm, {"reflectance": birch})
+    write("bark/birch", metadata, library.wavelength_nm, {"reflectance": birch})
 
 
 def write_living_barks(library: Library) -> None:
     """Bark of living trees: its colour, and the infrared of measured branches."""
     for name, (colour, species) in LIVING_BARKS.items():
         branch = np.interp(library.wavelength_nm, BRANCH_NM, np.mean([BRANCHES[one] for one in species], axis=0))
-        told = {
+        metadata = {
             "what": name.split("/")[1].replace("_", " "),
             "constructed": f"to 690 nm the smooth spectrum of its colour, {', '.join(f'{x:g}' for x in colour)} in "
             f"linear Rec. 709 (Mallett and Yuksel 2019), from 740 nm on measured branches of {', '.join(species)}",
@@ -228,13 +228,13 @@ def write_living_barks(library: Library) -> None:
             "made by": SCRIPT,
             "unit": UNIT,
         }
-        write(name, told, library.wavelength_nm, {"reflectance": coloured(colour, branch, library.wavelength_nm)})
+        write(name, metadata, library.wavelength_nm, {"reflectance": coloured(colour, branch, library.wavelength_nm)})
 
 
 def write_pine_upper(library: Library) -> None:
     """The orange bark of a Scots pine's upper stem."""
     colour = (0.300, 0.135, 0.055)
-    told = {
+    metadata = {
         "what": "thin orange bark of a Scots pine's upper stem, Pinus sylvestris",
         "constructed": f"to 690 nm the smooth spectrum of its colour, {colour} in linear Rec. 709 (Mallett and Yuksel "
         "2019), from 740 nm on a measured inner bark; not a measurement of this surface",
@@ -245,7 +245,7 @@ def write_pine_upper(library: Library) -> None:
         "unit": UNIT,
     }
     values = coloured(colour, library.mean("innrbark"), library.wavelength_nm)
-    write("bark/pine_upper", told, library.wavelength_nm, {"reflectance": values})
+    write("bark/pine_upper", metadata, library.wavelength_nm, {"reflectance": values})
 
 
 def main() -> None:

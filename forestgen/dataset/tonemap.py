@@ -21,9 +21,10 @@ not below 0.3, as photographs of moonlight are readable (the number is ours). Th
   the 99.7th percentile (at least 4: a dull picture is not stretched). c is such that middle grey maps to itself. The
   middle channel keeps its place between the two, so that the hue stays; the channels are those of linear ProPhoto RGB
   (ISO 22028-2), so that bright colours become pale. Raw converters do so (DNG SDK 1.7.1, RefBaselineRGBTone): curves
-  of each channel of Rec. 709 turn sunlit leaves yellow. From red to yellow the middle channel is halfway to the curve's
-  own value, else bright browns turn pink: of dry beech leaves two and three stops above grey the hue, as of OKLab
-  (Ottosson 2020), stays within 3 degrees. Then the sRGB encoding. n is that of photographs: with
+  of each channel of Rec. 709 turn sunlit leaves yellow. One rule is ours and no converter's: where r >= g >= b, from
+  red to yellow, the middle channel goes half of the way, `_OWN_CURVE`, to the curve's own value, else bright browns
+  turn pink; so the hue of dry beech leaves up to three stops above grey, as of OKLab (Ottosson 2020), stays within 3
+  degrees. Then the sRGB encoding. n is that of photographs: with
   w = 1.91 the curve is within 5% of the default one of Adobe's raw converters (the SDK's dng_tone_curve_acr3_default)
   from a seventh of middle grey to saturation, 2.5% on average.
 - ``srgb``: the sRGB encoding alone (IEC 61966-2-1); what is brighter than 1 is white. Values below white can be undone
@@ -67,6 +68,7 @@ _REC709 = np.linalg.inv(_PROPHOTO)
 _RODS_CD_PER_M2, _NIGHT_COLOURS = 0.04, np.float32(0.6)
 _NIGHT_GAINS = np.array([0.517, 1.0, 2.66], dtype=np.float32)  # on Rec. 709: Planck's radiator of 3200 K is neutral
 CONTRAST = 1.5
+_OWN_CURVE = np.float32(0.5)  # share of the way of colours from red to yellow
 _STEPS = 1 << 12
 _RED_WEIGHT, _GREEN_WEIGHT, _BLUE_WEIGHT = (np.float32(weight) for weight in LUMINANCE)
 _DARKEST, _INFINITE = 1e-20, 1e30
@@ -143,7 +145,7 @@ def filmic(exposed: NDArray[np.float32], white: float, contrast: float = CONTRAS
     slope = (highest - lowest) / np.maximum(high - low, np.float32(_DARKEST))
     shown = np.stack([lowest + (one - low) * slope for one in (red, green, blue)], axis=-1)
     warm = (red >= green) & (green >= blue)
-    shown[warm, 1] = 0.5 * (shown[warm, 1] + _curve(green[warm], white, contrast))
+    shown[warm, 1] += _OWN_CURVE * (_curve(green[warm], white, contrast) - shown[warm, 1])
     return _encode(shown @ _REC709.T)
 
 

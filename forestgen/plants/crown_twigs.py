@@ -28,8 +28,8 @@ from forestgen.core.compiled import compiled
 from forestgen.geometry.mesh import Bools, Floats, Ints, unit
 from forestgen.plants.foliage import Foliage, place
 from forestgen.plants.skeleton import Skeleton
-from forestgen.recipe.curves import PositiveCurve, evaluate, evaluate_one
-from forestgen.recipe.fields import Section
+from forestgen.recipe.curves import evaluate, evaluate_one
+from forestgen.recipe.fields import Fraction, Section
 
 TWIG_ORDER = 100  # branch order of all twigs
 EXTINCTION = 0.25  # of light by leaf area: half of it is seen, of which half acts as if at random
@@ -66,9 +66,7 @@ class CrownTwigs(Section):
     )
     droop: float = Field(0.0, ge=-1, le=1, description="how far twigs rather grow down than up; negative: up")
     level: float = Field(0.0, ge=0, le=4, description="how far twigs rather grow level: flat sprays in tiers")
-    sprays: PositiveCurve = Field(
-        ((0.0, 0.0),), description="how far twigs gather in sprays, 0 to 1, over the tree's height in metres"
-    )
+    sprays: Fraction = Field(0.0, description="how far twigs gather in sprays")
     spray_flat: float = Field(2.5, gt=0, le=10, description="width of sprays over their height; below 1: hanging")
 
 
@@ -108,7 +106,7 @@ def fill_crown(
     hull = _hull(replace(leaves, position_m=position), twigs.dome)
     tips, apart_m = hull.lobed(twigs.lobes, rng).spread(count, extinct_m2, rng)
     tips += _stem_at(wood, tips[:, 2])
-    tips = _gathered(tips, min(evaluate_one(twigs.sprays, height_m), 1.0), twigs.spray_flat)
+    tips = _gathered(tips, twigs.sprays, twigs.spray_flat)
     tips = np.concatenate([_beyond_ends(wood, apart_m), tips])
     grown, base = _grown(wood, *_spanned(wood, tips, twigs), twigs)
     organs = tuple(place(rule, grown, height_m, rng) for rule in rules)

@@ -7,7 +7,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from forestgen.geometry.mesh import UP, Floats, Ints, rotate, unit
+from forestgen.geometry.mesh import UP, Bools, Floats, Ints, rotate, unit
 from forestgen.plants.branching import around
 from forestgen.plants.skeleton import OrganPlacements, Skeleton, check_budget
 from forestgen.recipe.curves import Curve, PositiveCurve, evaluate, evaluate_one
@@ -16,7 +16,7 @@ from forestgen.recipe.fields import Section
 _ORGAN_BYTES = 2000  # of an organ while it is placed, and of its smallest blade
 _HINT = "foliage of the shape {!r}: a larger spacing_m, or a smaller within_m, count or per_node"
 _DEEPEST_SEAT_M = 0.008  # an organ's foot sits on the bark, but no further than this from the axis
-_SHARED = 0.7  # of the variance of roll and size, by all organs of an axis; ours
+_SHARED = 0.7  # of the variance of roll and size, by all organs of a twig; ours
 
 
 class Foliage(Section):
@@ -41,10 +41,18 @@ class Foliage(Section):
     angle_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of that angle, degrees")
     droop_deg: Curve = Field(((0.0, 0.0),), description="turn towards the ground over the zone, degrees")
     light: float = Field(0.0, ge=0, le=1, description="how far organs give up rise and droop to lie flat to the light")
-    roll_jitter_deg: float = Field(0.0, ge=0, description="standard deviation of the turn about its midrib, degrees")
+    roll_jitter_deg: float = Field(
+        0.0, ge=0, description="standard deviation of the turn about its midrib, degrees, shared as `size_jitter`"
+    )
     facing: Literal["up", "axis"] = Field("up", description="upper side turned to the sky or along the axis")
     size: PositiveCurve = Field(((0.0, 1.0),), description="factor on the shape's size over the zone")
-    size_jitter: float = Field(0.0, ge=0, lt=0.5, description="standard deviation of the size, as a share")
+    size_jitter: float = Field(
+        0.0,
+        ge=0,
+        lt=0.5,
+        description="standard deviation of the size, as a share; 70% of its square is between twigs, of order 2 or "
+        "more, where organs face up",
+    )
     size_by_height: PositiveCurve = Field(((0.0, 1.0),), description="factor on size and spacing over height in metres")
     spacing_by_height: PositiveCurve = Field(((0.0, 1.0),), description="one more on spacing, over height in metres")
     terminal: bool = Field(False, description="one more at the very tip, along the axis")
@@ -84,7 +92,8 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     seat = along - np.sum(along * tangent, axis=1, keepdims=True) * tangent
     seat[np.linalg.norm(seat, axis=1) < 1e-9] = 0.0  # those that go on along the axis are seated on it
     foot = foot + 0.7 * radius[:, None] * unit(seat)
-    larger, tilt = _deviations(axis, along, rng, 0.0 if rule.facing == "axis" else _SHARED)
+    shares = (rule.facing == "up") & (skeleton.order[node] > 1)  # on twigs: herbs have none
+    larger, tilt = _deviations(axis, along, shares, rng)
     size = growth * evaluate(rule.size, share) * np.clip(1 + rule.size_jitter * larger, 0.4, 1.6)
     roll = np.radians(rule.roll_jitter_deg) * tilt
     upper = np.broadcast_to(UP, tangent.shape) if rule.facing == "up" else tangent
@@ -92,15 +101,17 @@ def place(rule: Foliage, skeleton: Skeleton, height_m: float, rng: np.random.Gen
     return OrganPlacements(rule.shape, frame.astype(np.float32), node.astype(np.int32))
 
 
-def _deviations(axis: Ints, along: Floats, rng: np.random.Generator, shared: float) -> tuple[Floats, Floats]:
-    """Of organs' sizes and rolls, standard normal, (M,) each. A share of their variance is common to all of an axis:
+def _deviations(axis: Ints, along: Floats, shares: Bools, rng: np.random.Generator) -> Floats:
+    """(2, M) of organs' sizes and rolls, standard normal. Those that share have a part of it in common on each axis:
     sprays are of larger leaves than others, and lean to one side, so that they are light or dark as a whole.
     """
-    across = unit(np.cross(along, UP))
-    of_axis = rng.normal(size=(int(axis.max(initial=-1)) + 1, 3))[axis]
-    common = np.stack([of_axis[:, 2], np.sum(of_axis[:, :2] * across[:, :2], axis=1)])
-    larger, tilt = np.sqrt(shared) * common + np.sqrt(1.0 - shared) * rng.normal(size=common.shape)
-    return larger, tilt
+    made = rng.normal(size=(2, len(axis)))
+    of_axis = rng.normal(size=(len(np.unique(axis[shares])), 3))
+    larger, x, y = of_axis[np.unique(axis[shares], return_inverse=True)[1]].T
+    turn = np.arctan2(along[shares, 1], along[shares, 0])
+    common = np.stack([larger, x * np.sin(turn) - y * np.cos(turn)])
+    made[:, shares] = np.sqrt(_SHARED) * common + np.sqrt(1.0 - _SHARED) * made[:, shares]
+    return made
 
 
 class _Axes:

@@ -44,11 +44,8 @@ _ROOTS_REACH = 0.4  # of a crown's width, at most: the crown stays the widest
 _SIDES_A_ROOT = 7  # of a stem at least
 _FLUTED, _FLUTES_FADE = 0.06, 25.0  # how far ridges go on up a stem, over its radius; height at 1/e of that, in radii
 # Of a stem's lumps, waves round and up it: how many round it, length up it in metres, and size over the radius.
-_LUMPS = (
-    *((0, 1.3, 0.02), (0, -0.55, 0.016), (1, 2.3, 0.04), (1, -0.9, 0.03)),
-    *((2, -1.6, 0.045), (2, 0.7, 0.028), (3, 1.1, 0.03)),
-)
-_LUMPY_M, _RINGS_M = 10.0, 0.4  # height up to which stems seen from near have rings so far apart at most
+# None changes the girth, and none is shorter than twice the distance of most stems' rings; ours.
+_LUMPS = ((1, 2.3, 0.04), (2, -1.6, 0.045), (3, 3.7, 0.03))
 _DOMED = 0.4  # an axis that ends where another of this share of its radius begins gets a dome
 
 
@@ -62,7 +59,6 @@ def wood_meshes(
     plain: bool = False,
     foot_m: tuple[float, float] = (0.0, np.inf),
     roots: Roots | None = None,
-    near: bool = False,
 ) -> list[MarkedMesh]:
     """Closed tubes of the stems (`trunk`) or of all branches, and (F,) marks if the skeleton has some.
 
@@ -74,7 +70,6 @@ def wood_meshes(
     plain : tubes as measured: no flare, relief, collars or domes.
     foot_m : of the branches, those alone whose diameter at the foot is within (first included, second not).
     roots : of the stems, above the ground.
-    near : whether stems have rings close enough for their lumps.
     """
     made: list[MarkedMesh] = []
 
@@ -89,7 +84,7 @@ def wood_meshes(
     if trunk:
         for a, b, forks in zip(first[standing], last[standing], bears[standing], strict=True):
             own = stem_line(skeleton, int(a), int(b))
-            ringed = own if plain else stem_line(skeleton, int(a), int(b), rings_m=_RINGS_M if near else np.inf)
+            ringed = own if plain else stem_line(skeleton, int(a), int(b), rings=True)
             if own is not None and ringed is not None:
                 grown = None if plain else _roots(skeleton, roots, own)
                 mesh = _stem(_domed(ringed, np.array([forks])), flare, tile_m, plain, grown)
@@ -125,8 +120,7 @@ def organ_meshes(
     stem, limb = (Part.DEAD_WOOD, Part.DEAD_WOOD) if wood.dead else (Part.TRUNK, Part.BRANCH)
     years = None if wood.dead else wood.years
     roots = None if wood.years is None or pixel_m > 0.0 else wood.years.roots
-    stems = wood_meshes(skeleton, True, wood.flare, tile_m=wood.bark_tile_m, roots=roots, near=pixel_m <= 0.0)
-    parts[stem, wood.material] = stems
+    parts[stem, wood.material] = wood_meshes(skeleton, True, wood.flare, tile_m=wood.bark_tile_m, roots=roots)
     thick = np.inf if wood.thick_branch_m is None else wood.thick_branch_m
     for foot_m, material, tile_m in (
         ((0.0, thick), wood.branch_material or wood.material, wood.branch_tile_m),
@@ -202,11 +196,8 @@ def _stem_nodes(skeleton: Skeleton, first: int, line: Polylines) -> Ints:
     return np.asarray(np.concatenate([np.repeat(own[:1], below), own]), dtype=np.int64)
 
 
-def stem_line(skeleton: Skeleton, first: int, last: int, *, rings_m: float | None = None) -> Polylines | None:
-    """A stem from below the ground; None if it has no length.
-
-    `rings_m`: with close rings where the root collar flares, and above it none further apart, up to `_LUMPY_M`.
-    """
+def stem_line(skeleton: Skeleton, first: int, last: int, *, rings: bool = False) -> Polylines | None:
+    """A stem from below the ground, with close `rings` where the root collar flares; None if it has no length."""
     index = np.arange(first, last)
     if skeleton.parent[first] >= 0:
         index = np.concatenate([[skeleton.parent[first]], index])
@@ -216,20 +207,17 @@ def stem_line(skeleton: Skeleton, first: int, last: int, *, rings_m: float | Non
     radius = skeleton.radius_m[index].astype(np.float64)
     if skeleton.parent[first] >= 0:  # a further stem of a clump has its own girth at the common foot
         radius[0] = radius[1]
-    if rings_m is not None and radius[0] > _MESHED_FLARE_RADIUS_M:
-        points, radius = _with_rings(points, radius, rings_m)
+    if rings and radius[0] > _MESHED_FLARE_RADIUS_M:
+        points, radius = _with_flare_rings(points, radius)
     if _is_standing(points):
         points = np.concatenate([points[:1] - _FOOT_M * unit(points[1] - points[0]), points])
         radius = np.concatenate([radius[:1], radius])
     return Polylines(points, radius, np.array([0, len(points)]))
 
 
-def _with_rings(points: Floats, radius: Floats, rings_m: float) -> tuple[Floats, Floats]:
+def _with_flare_rings(points: Floats, radius: Floats) -> tuple[Floats, Floats]:
     arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    flare_m, wide = min(14.0 * radius[0], 0.5 * arc[-1]), np.flatnonzero(np.diff(arc) > rings_m)
-    between = [np.linspace(arc[k], arc[k + 1], 2 + int((arc[k + 1] - arc[k]) / rings_m)) for k in wide]
-    lumpy = np.concatenate([[flare_m], *between])
-    stops = np.union1d(np.append(arc, lumpy[(lumpy > flare_m) & (lumpy < _LUMPY_M)]), _FLARE_RINGS * flare_m)
+    stops = np.union1d(arc, _FLARE_RINGS * min(14.0 * radius[0], 0.5 * arc[-1]))
     stops = np.array(_apart(stops.tolist(), 0.3 * float(radius[0])))  # slivers would show in the shading
     line = np.stack([np.interp(stops, arc, points[:, k]) for k in range(3)], axis=1)
     return line, np.interp(stops, arc, radius)

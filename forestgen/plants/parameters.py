@@ -86,7 +86,8 @@ class PlantParameters(Section):
         ge=0.1,
         le=2,
         description="outline of a tree's crown about a stem with a `sweep`, without `crown_twigs`: at the share x of "
-        "its depth below the top it is x to this power as wide as at its base; null: as it grew",
+        "its depth below the top it is x to this power as wide as at its widest, but at most twice as wide as it grew; "
+        "forked trees, and null: as it grew",
     )
     variation: Variation | None = Field(None, description="growth responses that make plants of a base model differ")
     fit: Fit = Field(
@@ -105,6 +106,9 @@ class PlantParameters(Section):
             raise ValueError(f"foliage on twigs, order {TWIG_ORDER}, asks for crown_twigs")
         if self.crown_twigs is not None and not on_twigs:
             raise ValueError(f"crown_twigs bear no leaves: no rule of foliage has the order {TWIG_ORDER}")
+        if self.pointed is not None and self.crown_twigs is not None:
+            problem, hint = "it does not shape crowns of twigs", "take either of them away"
+            raise violation("null beside crown_twigs", problem=problem, got=str(self.pointed), hint=hint, at="pointed")
         return self
 
     def templates(self) -> dict[str, Mesh]:

@@ -53,6 +53,10 @@ def _parameters(drawn: DrawnRecipe, species: Species, plant: Plant, keys: Keys) 
         problem = "the plant has no branches that could be drawn"
         raise RecipeError(problem, where=where, expected=expected, got="none", hint=hint)
     parameters: PlantParameters = drawn.parse(generator.Parameters, plant.parameters, keys)
+    if parameters.pointed is not None and (species.wood is None or species.wood.sweep is None):
+        problem, hint = "the outline is about a stem with a sweep", "add wood: {sweep: {}}, or take `pointed` away"
+        expected = "a `sweep` in the species' section `wood`"
+        raise RecipeError(problem, where=drawn.where(*keys, "pointed"), expected=expected, got="none", hint=hint)
     if species.wood is not None:
         parameters = parameters.model_copy(update={"wood": parameters.wood.model_copy(update={"years": species.wood})})
     return with_bark_tiles(parameters, species.materials)

@@ -203,8 +203,8 @@ class Stretch:
     """Straighter along `stem_m`; widths times `wide`; heights below and above `knee`, which comes to `base`, apart.
 
     Distances r from the axis become reach (1 + fill) r / (reach + fill r), before widths change. The reach is that of
-    the whole plant, or, of more than one height, at least that of all points there: none comes nearer to the axis.
-    Distances at each of these heights are multiplied by `outline` too.
+    the whole plant, or, of more than one height, at least that of all points there: none comes nearer to the axis but
+    by the `outline`, which distances at each of these heights are multiplied by too.
     """
 
     wide: float

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from forestgen.core.parts import Part
 from forestgen.core.progress import Timings
 from forestgen.core.randomness import child_rng
 from forestgen.recipe.spectra import load_table
@@ -28,8 +29,8 @@ NO_STEMS = Circles(np.zeros((0, 2)), np.zeros(0))
 SKY = Sky(40.0, 140.0, 3.0)
 
 
-def stand(above: bool, share: float | None) -> SceneSpec:
-    spec = scattered_scene(60, size_m=20.0, leaves=400)
+def stand(above: bool, share: float | None, plants: int = 60) -> SceneSpec:
+    spec = scattered_scene(plants, size_m=20.0, leaves=400)
     camera = camera_at((10.0, 10.0, 60.0), (10.0, 10.1, 0.0), (48, 32), 25.0)
     if not above:
         camera = camera_at((10.0, 10.0, 0.05), (10.0, 10.1, 60.0), (48, 32), 60.0)
@@ -58,6 +59,26 @@ def test_snow_lies_on_what_faces_up_and_changes_no_label(above: bool) -> None:
         assert changed[level].mean() == pytest.approx(0.8, abs=0.12)
     else:
         assert not changed[level & (white.normal[..., 2] < 0)].any()
+
+
+@pytest.mark.parametrize(
+    ("eye", "target", "white"),
+    [
+        ((10.0, 10.0, 60.0), (10.0, 10.1, 0.0), 0.8),
+        ((10.0, -40.0, 6.0), (10.0, 10.0, 6.0), 0.66),
+        ((10.0, 10.0, 0.05), (10.0, 10.1, 60.0), 0.0),
+    ],
+    ids=["from above", "from the side", "from below"],
+)
+def test_loads_hide_what_bears_them_but_from_below(
+    eye: tuple[float, float, float], target: tuple[float, float, float], white: float
+) -> None:
+    """From the side, those whose thickness, the mean of two even numbers, is above 0.25 / 0.85."""
+    spec = replace(stand(True, 0.8, 1000), cameras=(camera_at(eye, target, (64, 48), 20.0),))
+    _, surface = seen(spec)
+    leaves = surface.part == Part.LEAF
+    snowy = np.isclose(surface.albedo[..., 1], WHITE[1])[leaves]
+    assert snowy.mean() == pytest.approx(white, abs=0.06)
 
 
 def test_the_light_meets_the_snow_that_the_labels_know() -> None:

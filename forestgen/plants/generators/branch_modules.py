@@ -18,7 +18,7 @@ Equations
 
 ::
 
-    z' = T (1 - (1 - z / T)^umbrella)     heights of the wood of a plant of the height T
+    z' = H (1 - (1 - z / H)^umbrella)                                                         heights of the wood
 
 H is the plant's height, a_b the physiological age of the segment that bears the twig, d_b its diameter, Q_eff its
 module's light.
@@ -176,7 +176,7 @@ class BranchModulesGenerator:
         wood_rng, twig_rng, foliage_rng = rng.spawn(3)
         bearing = parameters.bearing if parameters.twigs else None
         growth = 1.0 if bearing is None else max(evaluate_one(bearing.size_by_height, height_m), 1e-3)
-        wood = _shaped(wood, parameters.angular, parameters.umbrella)
+        wood = _straightened(_flat_topped(wood, parameters.umbrella), parameters.angular)
         chosen = np.zeros(len(wood), dtype=bool)
         spacing_m = 1.0
         if bearing is not None:
@@ -217,13 +217,21 @@ class BranchModulesGenerator:
         return replace(wood, position_m=wood.position_m * scale, diameter_m=wood.diameter_m * scale)
 
 
-def _shaped(wood: ModuleWood, angular: float, umbrella: float) -> ModuleWood:
-    """The wood with straight lines between its forks and a flat top, see `Parameters`."""
-    if angular <= 0.0 and umbrella <= 1.0:
+def _flat_topped(wood: ModuleWood, umbrella: float) -> ModuleWood:
+    """The wood with a flat top, see `Parameters`."""
+    if umbrella <= 1.0:
         return wood
-    place, parent = wood.position_m.copy(), wood.parent
+    place = wood.position_m.copy()
     top_m = max(float(place[:, 2].max()), 1e-6)
     place[:, 2] = np.where(place[:, 2] > 0.0, top_m * (1.0 - (1.0 - place[:, 2] / top_m) ** umbrella), place[:, 2])
+    return replace(wood, position_m=place)
+
+
+def _straightened(wood: ModuleWood, angular: float) -> ModuleWood:
+    """The wood with straighter lines between its forks, see `Parameters`."""
+    if angular <= 0.0:
+        return wood
+    place, parent = wood.position_m.copy(), wood.parent
     goes_on = wood.diameter_m >= _FORKS * wood.diameter_m[np.maximum(parent, 0)]
     forks = np.bincount(parent[1:], goes_on[1:], len(wood)) != 1.0  # or ends
     forks[0] = True

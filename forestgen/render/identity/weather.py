@@ -158,7 +158,7 @@ def under_snow(tracer: SceneTracer, hits: Hits, corners: Places, around: Any, al
         _BLOTCHES * (along - around), around, plant
     )
     column, row = (mi.UInt32(mi.Int32(dr.floor(_GRAINS * one))) for one in (around, along))
-    grain = _numbers(plant + column, row)[0] - 0.5
+    grain = _numbers(mi.sample_tea_32(plant, column, 4)[0], row)[0] - 0.5
     uneven = _STRIP_EDGE[0] * _bands(along, along, plant) + _STRIP_EDGE[1] * blotches + _STRIP_EDGE[2] * grain
     strip = windward > 1.0 - _STRIP * share + uneven
     on_wood = (up > least) | ((part == int(Part.TRUNK)) & strip)

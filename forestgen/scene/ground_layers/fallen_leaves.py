@@ -65,6 +65,7 @@ class _Age(NamedTuple):
     shapes: int = 3
 
 
+# Measured leaf litters (earthlib) reflect 0.30 to 0.49 at 450 nm of what they do at 650 nm; these, 0.29 to 0.59.
 _AGES = (
     _Age(1.2, -0.05, 0.15, 0.02),
     _Age(1.15, 0.08, 0.12, 0.03, shapes=4),

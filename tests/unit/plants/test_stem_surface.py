@@ -147,6 +147,16 @@ def test_a_bend_keeps_heights_and_the_foot() -> None:
     assert 0.0 < np.hypot(*bent[:, :2].T).max() < 20.0 * (0.02 * 4.0) + 1.5
 
 
+def test_leaders_nod_by_their_length_and_no_more_of_the_tree() -> None:
+    points = np.stack([np.zeros(41), np.zeros(41), np.linspace(0.0, 20.0, 41)], axis=1)
+    still = Bend.of(Sweep(), 20.0, child_rng(1, "bend")).points(points)
+    for nod_m, length_m in ((1.5, 1.5), (5.0, 2.0)):  # a tenth of the height at most
+        aside = np.hypot(*(Bend.of(Sweep(nod_m=nod_m), 20.0, child_rng(1, "bend")).points(points) - still)[:, :2].T)
+        assert aside[-1] == pytest.approx(length_m)
+        assert np.allclose(aside[points[:, 2] <= 20.0 - length_m], 0.0)
+        assert (np.diff(aside, n=2) > -1e-9).all()
+
+
 def test_a_material_that_is_not_there_is_refused() -> None:
     covers = {"covers": [{"material": "ivy", "at_foot": 0.5}]}
     recipe = {"forestgen": 1, "site": {"size_m": [9, 9]}, "species": {"spruce": {"wood": covers}}}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,10 @@ from forestgen.core.parts import Part
 from forestgen.plants.build import leaf_area_m2
 from forestgen.plants.exemplar import Exemplar
 from forestgen.plants.growing import grow_exemplar
+from forestgen.plants.plan import plan_plants
 from forestgen.plants.tree_fit import BELOW_CROWN, Stretch, _reach
+from forestgen.recipe.load import load_recipe_data
+from forestgen.recipe.schema import NO_PLANTS
 from forestgen.recipe.wood import Sweep, Wood
 from forestgen.scene.plant_measures import stem_diameter_m
 from support.error_messages import raises_error
@@ -87,6 +91,16 @@ def test_crowns_of_conifers_end_in_a_tip(name: str, height_m: float, grown: str)
         radius_m.append(away[order][np.searchsorted(np.cumsum(area[here][order]), 0.9 * area[here].sum())])
     assert radius_m[0] > 1.2 * radius_m[1] > 2.0 * radius_m[2]
     assert radius_m[2] < 0.3 * 0.5 * exemplar.crown_width_m
+
+
+@pytest.mark.parametrize(
+    "species",
+    [{"larch": {"from": "larch", "wood": {"sweep": None}}}, {"beech": {"from": "beech", "plant": {"pointed": 0.8}}}],
+)
+def test_an_outline_that_no_crown_would_get_is_refused(species: dict[str, object]) -> None:
+    recipe = {"forestgen": 1, "seed": 1, "species": species, "community": NO_PLANTS}
+    with raises_error(fg.RecipeError, place="plant.pointed"):
+        plan_plants(load_recipe_data(recipe, "test", Path()).draw(0))
 
 
 @pytest.mark.parametrize("name", ["spruce", "pine"])
