@@ -127,8 +127,8 @@ def meadow() -> Keys:
     ]
     recipe["site"] |= {"size_m": [120, 120], "ground": {"kind": "grass", "layers": own}}
     recipe["site"]["terrain"] |= {"amplitude_m": 0.8, "wavelength_m": 150, "hills_m": 70}
-    recipe["species"] = dict.fromkeys(("grass", "redgrass", "daisy", "fireweed", "beech", "birch", "shrub"))
-    kinds = (("beech", 16.0), ("shrub", 2.5), ("birch", 13.0), ("shrub", 2.0))
+    recipe["species"] = dict.fromkeys(("grass", "redgrass", "daisy", "fireweed", "beech", "maple", "shrub"))
+    kinds = (("beech", 16.0), ("shrub", 2.5), ("maple", 13.0), ("shrub", 2.0))
     plants: list[Keys] = []
     for k in range(40):
         kind, height_m = kinds[k % 4]
