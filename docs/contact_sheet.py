@@ -190,12 +190,14 @@ LEAF = {"position_m": [30, 26.6, 1.8], "look_at_m": [30, 30, 2.2], "hfov_deg": 4
 VIEWS: Mapping[str, Callable[[], Keys]] = {
     "beech leaves": lambda: tree("beech", 7, LEAF),
     "spruce shoots": lambda: tree("spruce", 6, {**LEAF, "position_m": [30, 27.2, 1.3]}),
-    "forest floor": lambda: forest(BEECH, 26, {**EYE, "position_m": [30, 4, 1.2], "look_at_m": [30, 5.4, 0]}),
+    "forest floor": lambda: forest(
+        BEECH, 26, {**EYE, "position_m": [30, 4, 1.2], "look_at_m": [30, 5.4, 0]}, sky=OVERCAST
+    ),
     "beech, noon": lambda: forest(BEECH, 26, EYE, "beech"),
     "spruce, noon, road": lambda: forest(
         SPRUCE, 26, EAST, "spruce", site__paths=[ROAD], site__ground__layers=[*HEATH, *ROADSIDE]
     ),
-    "pine, low sun": lambda: forest(PINE, 22, WEST, "birch", sky__sun={"elevation_deg": 9, "azimuth_deg": 290}),
+    "pine, low sun": lambda: forest(PINE, 22, WEST, "birch", sky__sun={"elevation_deg": 16, "azimuth_deg": 150}),
     "birch, spring": lambda: forest(BIRCH, 20, EAST, plants__season="spring"),
     "mixed, autumn": lambda: forest(MIXED, 24, {**WEST, "position_m": [50, 43, 1.7]}, "beech", site__date=AUTUMN),
     "beech, winter": lambda: forest(
