@@ -22,6 +22,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,19 @@ def print_figures(tile: Picture, ours: Ours) -> None:
         print(
             f"  {name:<24} {low:9.3f} {middle:8.3f} {high:8.3f} {found:8.3f} {by_label:>8}  {_held(low, found, high)}"
         )
+
+
+def print_stands(ours: Ours) -> None:
+    """How often a stand of ours is inside the spread of another, by the same rule."""
+    held = []
+    for one, other in permutations([figures(picture) for picture in ours.pictures], 2):
+        found = compare(one, other)
+        held.append({name: low <= value <= high for name, (low, high, _, value) in found.items()})
+    inside = sum(sum(one.values()) for one in held)
+    out = sorted(name for name in held[0] if not any(one[name] for one in held))
+    print(
+        f"  our stands beside each other: {inside} of {sum(map(len, held))} inside; never: {', '.join(out) or 'none'}"
+    )
 
 
 def print_histograms(tile: Picture, ours: Ours) -> None:
@@ -166,6 +180,7 @@ def main() -> None:
         print(f"{place.tile} and recipes/places/{place.recipe}.yaml, {stands} stands", flush=True)
         print_figures(tile, ours)
         print_histograms(tile, ours)
+        print_stands(ours)
         rows.append([tile, *ours.pictures[:2]])
     if arguments.picture:
         side_by_side(rows).save(arguments.picture)
