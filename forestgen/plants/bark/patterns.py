@@ -201,9 +201,9 @@ def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
     """Long uneven plates of thin scales on each other, between furrows with ragged edges; their flanks and fresh scales
     are `marks` (pine).
 
-    Furrows along the stem part and meet; they are shallow, with red flanks, and dark only where they are deep. Cracks
-    across fade out where a noise is low, so that plates differ in length and many cracks end within a plate. Warps move
-    places by less than they stretch: none folds into a curl.
+    Furrows along the stem part and meet; they are shallow and dark, with red edges. Cracks across fade out where a
+    noise is low, so that plates differ in length and many cracks end within a plate. Warps move places by less than
+    they stretch: none folds into a curl.
     """
     s = scale_m
     sway = (0.14 * s * tile.noise(rng, (2.5 * s, 5 * s)), 0.25 * s * tile.noise(rng, (2.5 * s, 4 * s)))
@@ -225,7 +225,7 @@ def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
     fine = tile.noise(rng, (0.05 * s, 0.05 * s), 1.2)
     height = wall * (0.62 + 0.22 * scales + 0.08 * rim + tilt) + 0.015 * grain + 0.012 * fine
     tone = 0.38 + 0.30 * scales + 0.24 * rim + 0.34 * lean[0] + 0.28 * lean[1] + 0.09 * grain + 0.10 * fine
-    red = np.maximum(marks * fresh, 0.8 * step(wall, 0.95, 0.55)) * step(wall, 0.02, 0.35)
+    red = np.maximum(marks * fresh, 0.6 * step(wall, 0.98, 0.75)) * step(wall, 0.4, 0.7)
     return Relief(height, wall * (0.25 + 0.75 * wall) * tone, red)
 
 
