@@ -225,7 +225,7 @@ def plated(tile: Tile, rng: Rng, scale_m: float, marks: float) -> Relief:
     fine = tile.noise(rng, (0.05 * s, 0.05 * s), 1.2)
     height = wall * (0.62 + 0.22 * scales + 0.08 * rim + tilt) + 0.015 * grain + 0.012 * fine
     tone = 0.38 + 0.30 * scales + 0.24 * rim + 0.34 * lean[0] + 0.28 * lean[1] + 0.09 * grain + 0.10 * fine
-    red = np.maximum(marks * fresh, 0.6 * step(wall, 0.98, 0.75)) * step(wall, 0.4, 0.7)
+    red = np.maximum(marks * fresh, 0.7 * step(wall, 0.98, 0.7)) * step(wall, 0.2, 0.5)
     return Relief(height, wall * (0.25 + 0.75 * wall) * tone, red)
 
 
