@@ -85,7 +85,9 @@ def main() -> int:
     parser.add_argument("--picture", type=Path, help="PNG: the measured panorama above ours")
     parser.add_argument("--places", type=int, help="compare this number of places of our stand with each other instead")
     arguments = parser.parse_args()
-    if arguments.places:
+    if arguments.places is not None:
+        if arguments.places < 2:
+            parser.error(f"--places: expected at least 2 places to compare, got {arguments.places}")
         compare_places(arguments.places)
         return 0
     if arguments.panorama is None or not arguments.panorama.is_file():

@@ -31,7 +31,7 @@ def write_ground(library: Library) -> None:
     parts["moss"] = np.interp(library.wavelength_nm, GRID_NM, canopy("grass", "summer", 2.0))
     weights = mixture(LITTER, parts, library.wavelength_nm)
     litter = sum(w * parts[name] for name, w in weights.items())
-    told = {
+    metadata = {
         "what": "forest floor: fallen leaves on dark humus, moss in patches",
         "constructed": "a mixture of measured litters and green, with the colour "
         + ", ".join(f"{x:g}" for x in LITTER)
@@ -44,11 +44,11 @@ def write_ground(library: Library) -> None:
         "unit": UNIT,
     }
     print("litter", np.round(colour_weights(library.wavelength_nm) @ litter, 4), sum(weights.values()))  # noqa: T201
-    write("ground/litter", told, library.wavelength_nm, {"reflectance": litter})
+    write("ground/litter", metadata, library.wavelength_nm, {"reflectance": litter})
     soil = prosail.spectral_library.get_spectra().soil
     grid = np.arange(400.0, 2501.0)
     for name, what, column in (("soil_dry", "dry bare soil", soil.rsoil1), ("soil_wet", "wet bare soil", soil.rsoil2)):
-        told = {
+        metadata = {
             "what": what,
             "source": "measured; distributed with PROSAIL, as in the PyPI package prosail 2.0.5",
             "licence": "public data distributed with PROSAIL",
@@ -56,9 +56,9 @@ def write_ground(library: Library) -> None:
             "made by": f"{SCRIPT}: each fifth nm",
             "unit": UNIT,
         }
-        write(f"ground/{name}", told, GRID_NM, {"reflectance": np.interp(GRID_NM, grid, column)})
+        write(f"ground/{name}", metadata, GRID_NM, {"reflectance": np.interp(GRID_NM, grid, column)})
     rock = 0.78 * library.mean("mugexx*", "mucsye*", "mugnxx*", "muakye*")
-    told = {
+    metadata = {
         "what": "grey rock with lichen, weathered",
         "constructed": "0.78 of measured gravel of natural stone: a rough face is darker than its broken stones",
         "source": f"{EARTHLIB}, its spectra mugexx, mucsye, mugnxx, muakye",
@@ -67,8 +67,8 @@ def write_ground(library: Library) -> None:
         "made by": SCRIPT,
         "unit": UNIT,
     }
-    write("ground/rock", told, library.wavelength_nm, {"reflectance": rock})
-    told = {
+    write("ground/rock", metadata, library.wavelength_nm, {"reflectance": rock})
+    metadata = {
         "what": "meadow seen from above",
         "constructed": "PROSPECT-D leaves in a 4SAIL canopy (Verhoef et al. 2007), leaf area index 3, spherical leaf "
         "angles, on PROSAIL's dry soil: its reflectance of diffuse light",
@@ -78,20 +78,20 @@ def write_ground(library: Library) -> None:
         "made by": SCRIPT,
         "unit": UNIT,
     }
-    write("ground/grass", told, GRID_NM, {"reflectance": canopy("grass", "summer", 3.0)})
+    write("ground/grass", metadata, GRID_NM, {"reflectance": canopy("grass", "summer", 3.0)})
     woods = (
         0.62 * canopy("oak", "summer", 5.0) + 0.20 * canopy("spruce", "", 6.0) + 0.18 * canopy("grass", "summer", 3.0)
     )
     litter = np.interp(GRID_NM, library.wavelength_nm, library.mean("deadlitt"))
     far = 0.72 * woods + 0.15 * litter
-    told |= {
+    metadata |= {
         "what": "woods and meadows seen from afar",
         "constructed": "0.72 of 0.62 oak (leaf area index 5), 0.20 spruce (6) and 0.18 grass (3) as 4SAIL canopies; "
         "0.15 of measured litter for ground, paths and wood; the rest is the shadow between crowns",
         "source": "computed by the PyPI package prosail 2.0.5 with the leaves of leaves/; earthlib's spectrum deadlitt",
     }
     print("far", np.round(colour_weights(GRID_NM) @ far, 4))  # noqa: T201
-    write("ground/far", told, GRID_NM, {"reflectance": far})
+    write("ground/far", metadata, GRID_NM, {"reflectance": far})
 
 
 def canopy(species: str, season: str, leaf_area_index: float) -> np.ndarray:
@@ -118,7 +118,7 @@ def write_snow() -> None:
     absorption_per_m = 4 * np.pi * np.exp(np.interp(np.log(GRID_NM), np.log(wavelength), np.log(k))) / (GRID_NM * 1e-9)
     for name, what, diameter_mm, soot in (("snow", "settled snow", 0.2, 0.06), ("snow_old", "old snow", 1.2, 0.4)):
         gamma = absorption_per_m + soot * (500.0 / GRID_NM)
-        told = {
+        metadata = {
             "what": what,
             "source": "computed: asymptotic theory of snow, Kokhanovsky and Zege 2004 (Applied Optics 43, 1589-1602): "
             f"r = exp(-sqrt(13 gamma d)), d {diameter_mm} mm, gamma = 4 pi k / wavelength + {soot} per m "
@@ -128,7 +128,7 @@ def write_snow() -> None:
             "made by": SCRIPT,
             "unit": UNIT,
         }
-        write(f"ground/{name}", told, GRID_NM, {"reflectance": np.exp(-np.sqrt(13 * gamma * diameter_mm * 1e-3))})
+        write(f"ground/{name}", metadata, GRID_NM, {"reflectance": np.exp(-np.sqrt(13 * gamma * diameter_mm * 1e-3))})
 
 
 def main() -> None:

@@ -284,7 +284,7 @@ def opaque(reflectance: np.ndarray, transmittance: np.ndarray) -> np.ndarray:
     return np.asarray((a - np.sqrt(a**2 - 4 * r**2)) / (2 * r))
 
 
-def told(what: str, parameters: dict[str, tuple[float, ...]]) -> dict[str, str]:
+def metadata(what: str, parameters: dict[str, tuple[float, ...]]) -> dict[str, str]:
     """The lines above a table."""
     lines = {
         "what": what,
@@ -309,7 +309,7 @@ def main() -> None:
             measured = MEASURED.get((name, season))
             both = leaf(name, parameters) if measured is None else read(measured)[1:]
             columns[f"reflectance{suffix}"], columns[f"transmittance{suffix}"] = both
-        lines = told(NAMES[name], seasons)
+        lines = metadata(NAMES[name], seasons)
         for season in seasons:
             if (name, season) in MEASURED:
                 lines["source"] += f", but for {season}"
@@ -319,10 +319,10 @@ def main() -> None:
         write(f"leaves/{name}", lines, GRID_NM, columns)
     reference = (1.5, 40.0, 8.0, 0.0, 0.0, 0.01, 0.009)
     r, t = prospect(reference)
-    write("leaves/prospect_reference", told("PROSPECT's own example", {"": reference}), GRID_NM,
+    write("leaves/prospect_reference", metadata("PROSPECT's own example", {"": reference}), GRID_NM,
           {"reflectance": r, "transmittance": t})  # fmt: skip
     stem = (1.8, 32.0, 8.0, 0.5, 0.12, 0.03, 0.02)
-    lines = told("green stems and stalks: reflectance of leaves upon leaves without end", {"": stem})
+    lines = metadata("green stems and stalks: reflectance of leaves upon leaves without end", {"": stem})
     write("leaves/green_stem", lines, GRID_NM, {"reflectance": opaque(*prospect(stem))})
     for name, (reflected, passed) in PETALS.items():
         write_petal(name, reflected, passed)
@@ -369,7 +369,7 @@ def write_petal(name: str, reflected: tuple[float, ...], passed: tuple[float, ..
     columns = {"reflectance": coloured(reflected, r, GRID_NM)}
     if any(passed):
         columns["transmittance"] = coloured(passed, t, GRID_NM)
-    told = {
+    metadata = {
         "what": name.split("/")[1].replace("_", " "),
         "constructed": "to 690 nm the smooth spectrum of its colour in linear Rec. 709 (Mallett and Yuksel 2019), from "
         "740 nm on a leaf without pigments (PROSPECT-D, N 3.2, water 0.015 cm), endlessly many of them times 0.8 "
@@ -380,7 +380,7 @@ def write_petal(name: str, reflected: tuple[float, ...], passed: tuple[float, ..
         "made by": "docs/spectra/make_leaves.py, after make_responses.py",
         "unit": "wavelength in nm; fractions of 1",
     }
-    write(name, told, GRID_NM, columns)
+    write(name, metadata, GRID_NM, columns)
 
 
 if __name__ == "__main__":

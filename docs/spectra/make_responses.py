@@ -31,7 +31,7 @@ DRONES = {  # band: centre, full width at half maximum, nm
 def main() -> None:
     """Write all tables."""
     observer = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    told = {
+    metadata = {
         "what": "colour matching functions of the CIE 1931 standard observer, 2 degrees",
         "source": f"CIE 018:2019, Table 6, as in {COLOUR}",
         "licence": "published standard; tabulated values as facts",
@@ -39,17 +39,23 @@ def main() -> None:
         "unit": "wavelength in nm; no unit",
     }
     values = np.asarray(observer.values)
-    write("responses/cie_1931", told, np.asarray(observer.wavelengths), dict(zip("xyz", values.T, strict=True)), ".12g")
+    write(
+        "responses/cie_1931",
+        metadata,
+        np.asarray(observer.wavelengths),
+        dict(zip("xyz", values.T, strict=True)),
+        ".12g",
+    )
     daylight = colour.SDS_ILLUMINANTS["D65"]
-    told |= {"what": "CIE standard illuminant D65, relative power", "source": f"CIE 015:2018, as in {COLOUR}"}
-    write("standards/d65", told, np.asarray(daylight.wavelengths), {"power": np.asarray(daylight.values)}, ".8g")
+    metadata |= {"what": "CIE standard illuminant D65, relative power", "source": f"CIE 015:2018, as in {COLOUR}"}
+    write("standards/d65", metadata, np.asarray(daylight.wavelengths), {"power": np.asarray(daylight.values)}, ".8g")
     basis = MSDS_BASIS_FUNCTIONS_sRGB_MALLETT2019
-    told |= {
+    metadata |= {
         "what": "reflectances of the primaries of Rec. 709, which add up to 1",
         "source": f"Mallett and Yuksel 2019, Spectral primary decomposition for rendering, as in {COLOUR}",
     }
     columns = dict(zip(("red", "green", "blue"), np.asarray(basis.values).T, strict=True))
-    write("standards/mallett_2019", told, np.asarray(basis.wavelengths), columns, ".12g")
+    write("standards/mallett_2019", metadata, np.asarray(basis.wavelengths), columns, ".12g")
     cameras()
     sentinel()
     drones()
@@ -63,7 +69,7 @@ def cameras() -> None:
     }
     for name, (key, what) in sources.items():
         camera = colour.MSDS_CAMERA_SENSITIVITIES[key]
-        told = {
+        metadata = {
             "what": f"spectral sensitivity of a {what}",
             "source": f"Darrodi et al. 2015, J. Opt. Soc. Am. A 32, 381-391, as in {COLOUR}, BSD-3",
             "licence": "BSD-3-Clause (colour-science)",
@@ -72,7 +78,7 @@ def cameras() -> None:
         }
         values = np.maximum(np.asarray(camera.values), 0.0)
         columns = dict(zip(("red", "green", "blue"), values.T, strict=True))
-        write(f"responses/{name}", told, np.asarray(camera.wavelengths), columns, ".6g")
+        write(f"responses/{name}", metadata, np.asarray(camera.wavelengths), columns, ".6g")
 
 
 def sentinel() -> None:
@@ -85,14 +91,14 @@ def sentinel() -> None:
         columns[f"B{band}" if band == "8A" else f"B{int(band)}"] = values
     seen = np.flatnonzero(np.any(list(columns.values()), axis=0))
     keep = np.unique(np.clip(np.concatenate([seen - 1, seen, seen + 1]), 0, len(grid) - 1))
-    told = {
+    metadata = {
         "what": "spectral responses of Sentinel-2A's MultiSpectral Instrument, 13 bands",
         "source": "ESA, Sentinel-2 Spectral Response Functions, as tabulated each 2.5 nm in Py6S 1.9.2",
         "licence": "free of use, ESA/Copernicus; tabulated values as facts",
         "date": DATE,
         "unit": "wavelength in nm; relative to the band's largest response",
     }
-    write("responses/sentinel2a", told, grid[keep], {name: values[keep] for name, values in columns.items()}, ".6g")
+    write("responses/sentinel2a", metadata, grid[keep], {name: values[keep] for name, values in columns.items()}, ".6g")
 
 
 def drones() -> None:
@@ -105,7 +111,7 @@ def drones() -> None:
             columns[band] = np.where(shape > 1e-3, shape, 0.0)
         seen = np.any(np.array(list(columns.values())) > 0, axis=0)
         keep = np.convolve(seen, [1, 1, 1], mode="same") > 0
-        told = {
+        metadata = {
             "what": what,
             "constructed": "Gaussians of the published centre and full width at half maximum; not measured responses",
             "source": "the maker's data sheet: "
@@ -114,7 +120,9 @@ def drones() -> None:
             "date": DATE,
             "unit": "wavelength in nm; relative",
         }
-        write(f"responses/{name}", told, grid[keep], {band: values[keep] for band, values in columns.items()}, ".5f")
+        write(
+            f"responses/{name}", metadata, grid[keep], {band: values[keep] for band, values in columns.items()}, ".5f"
+        )
 
 
 if __name__ == "__main__":

@@ -21,13 +21,13 @@ EARTHLIB = "PyPI package earthlib 1.1.0 (MIT)"
 
 
 def write(
-    name: str, told: dict[str, str], wavelength_nm: np.ndarray, columns: dict[str, np.ndarray], form: str = ".5f"
+    name: str, metadata: dict[str, str], wavelength_nm: np.ndarray, columns: dict[str, np.ndarray], form: str = ".5f"
 ) -> None:
     """Write a table with its provenance; columns (W,) by name, five digits behind the point unless `form` differs."""
     for column, values in columns.items():
         if column.startswith(("reflectance", "transmittance")) and not (values.min() >= 0 and values.max() <= 1):
             raise ValueError(f"{name}: {column} from {values.min():.3f} to {values.max():.3f}")
-    lines = [f"# {key}: {text}" for key, text in told.items()]
+    lines = [f"# {key}: {text}" for key, text in metadata.items()]
     lines.append(",".join(["wavelength_nm", *columns]))
     for row, wavelength in enumerate(wavelength_nm):
         lines.append(",".join([f"{wavelength:g}", *(f"{values[row]:{form}}" for values in columns.values())]))
@@ -76,7 +76,7 @@ def _fits(name: str, key: str) -> bool:
 def write_measured(library: Library, measured: dict[str, tuple[str, list[str]]], script: str, date: str = DATE) -> None:
     """Tables of measured surfaces: by name what it is, and the spectra; `script`: that makes them."""
     for name, (what, spectra) in measured.items():
-        told = {
+        metadata = {
             "what": what,
             "source": f"measured with a field spectrometer; {EARTHLIB}, its spectra {', '.join(spectra)}",
             "licence": "MIT (earthlib)",
@@ -84,7 +84,7 @@ def write_measured(library: Library, measured: dict[str, tuple[str, list[str]]],
             "made by": f"{script}, which takes the mean where there are several",
             "unit": UNIT + "; where the air's water hides the ground (1350-1460, 1790-1960 nm) there is no row",
         }
-        write(name, told, library.wavelength_nm, {"reflectance": library.mean(*spectra)})
+        write(name, metadata, library.wavelength_nm, {"reflectance": library.mean(*spectra)})
 
 
 def colour_weights(wavelength_nm: np.ndarray) -> np.ndarray:
